@@ -87,7 +87,8 @@ def number(at: str, answer: Any) -> float:
     if answer is None:
         return math.nan
     try:
-        if not isinstance(answer, bool):
+        # To Python the text '1_0' is ten.
+        if not isinstance(answer, bool) and not (isinstance(answer, str) and ("_" in answer or not answer.isascii())):
             return float(answer)
     except (TypeError, ValueError, OverflowError):
         pass

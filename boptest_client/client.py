@@ -64,7 +64,8 @@ class BoptestClient:
     ) -> None:
         """Select `testcase` and wait until it runs; with `testid`, take up the test of that name instead.
 
-        `start_timeout_s` and `stop_timeout_s`: longest time that the test may be queued, and that a stop may take.
+        `start_timeout_s` and `stop_timeout_s`: longest time that the test may be queued, and that a stop may take; the
+        former is no longer than patience.
         Lists of points and the like may take 30 s before the test is initialised.
 
         Raises:
@@ -83,6 +84,8 @@ class BoptestClient:
             self.testid = testid
             self.status()
             return
+        if patience_s := self._transport.config.patience_s:
+            start_timeout_s = min(start_timeout_s, patience_s)
         self.testid = self._select(start_timeout_s)
         try:
             self._wait(start_timeout_s)

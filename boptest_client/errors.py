@@ -61,7 +61,7 @@ class RequestRejected(ServiceError):
 
 
 class UnknownTest(ServiceError):
-    """The test case or test does not exist: unknown name, stopped, or timed out."""
+    """The service says that the test case or test does not exist: unknown name, stopped, or timed out."""
 
 
 class InternalError(ServiceError):

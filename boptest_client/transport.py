@@ -39,6 +39,8 @@ _Result = TypeVar("_Result")
 _REFUSALS = 2
 # Failures after which a request is repeated: the service is away, or something else answers in its place.
 _PASSING = (ConnectError, ConnectionLost, ServiceTimeout, InternalError, ProtocolError)
+# Requests that may simulate days.
+_WARM_UPS = ("initialize", "scenario")
 # Silence is said after this time, s, and again whenever it has doubled; later where a request usually takes longer.
 SAID_AFTER_S = 5.0
 
@@ -51,8 +53,9 @@ class TransportConfig:
         connect_timeout_s: time limit for making a connection, s.
         read_timeout_s: time limit between two received bytes, s; the sum of both also limits the whole request, since a
             peer that sends single bytes would never exceed the first limit.
-        patience_s: how long a request of a run is repeated while the service is away or is not itself, s; before the
-            test was initialised it is `connect_timeout_s`, since address or test case may be wrong.
+        patience_s: how long a request of a run is repeated while the service is away, silent or not itself, s, and
+            waited for, but while it initialises; 0: sent once. Before the test was initialised it is
+            `connect_timeout_s`, since address or test case may be wrong.
         backoff_s: pause before the first repeat, s; it doubles with each.
         longest_pause_s: longest pause, s.
         sleep: waits for the given number of seconds.
@@ -188,14 +191,16 @@ class Transport:
     ) -> Answer:
         """Send one request, once; the answer is waited for `most_s` at most, s; raises `BoptestError`s."""
         endpoint = f"{method} {self.url}/{path}"
-        # No repeat takes longer than what is left of its patience.
+        verb, began_s = path.partition("/")[0], time.monotonic()
+        # No request of a run takes longer than its patience, and no repeat than what is left of that; a first one may
+        # simulate a warm-up, or is of a run whose patience is none.
         wait = self._wait
-        left_s = wait.patience_s - wait.used_s if wait and wait.repeats else math.inf
-        left_s = max(left_s, self.config.connect_timeout_s)
+        limited = wait and (wait.repeats or (self.in_a_run and wait.patience_s > 0.0 and verb not in _WARM_UPS))
+        left_s = max(wait.patience_s - wait.used_s if wait and limited else math.inf, self.config.connect_timeout_s)
         connect_s, read_s = (
             min(s, most_s, left_s) for s in (self.config.connect_timeout_s, self.config.read_timeout_s)
         )
-        in_all_s, verb, began_s = min(connect_s + read_s, most_s, left_s), path.partition("/")[0], time.monotonic()
+        in_all_s = min(connect_s + read_s, most_s, left_s)
         say_s = min(max(SAID_AFTER_S, 2.0 * self._longest_s.get(verb, 0.0)), in_all_s / 2.0)
         late = ServiceTimeout(endpoint, f"no complete answer within {in_all_s:.3g} s")
         with self._adapter.cut_after(in_all_s, endpoint, say_s) as cut:
@@ -233,8 +238,10 @@ def _unpacked(endpoint: str, response: requests.Response) -> Answer:
         raise UnknownTest(endpoint, _reason(content, response.text), status)
     if status >= 400 and own:
         reason = _reason(content, response.text)
-        gone = status == 404 or "invalid testid" in reason.lower()
-        raise (UnknownTest if gone else RequestRejected)(endpoint, reason, status)
+        # A 404 that names no test is of something in between, such as a gateway that has lost its route for a while.
+        gone = "invalid testid" in reason.lower() or (status == 404 and endpoint.rpartition("/")[2] in reason)
+        if gone or status != 404:
+            raise (UnknownTest if gone else RequestRejected)(endpoint, reason, status)
     if status == 200 and response.text.strip() == "OK":  # the bare word answers `stop`
         return Answer(None, "OK")
     if status >= 300 or content is None:

@@ -13,6 +13,9 @@ from places import SHARED
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+# Compiled functions are kept from run to run, by their sources. Read when numba is imported.
+os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "compiled"))
+
 # Every run tries the same examples, and none fails for being slow on a busy machine. To look for new ones:
 # `--hypothesis-profile=default`.
 settings.register_profile(

@@ -92,6 +92,8 @@ def test_the_sdist_holds_what_one_needs_to_join(sdist):
         "CITATION.cff",
         "CONTRIBUTING.md",
         "pyproject.toml",
+        "constraints.txt",
+        "requirements.txt",
     }
     expected |= {
         str(path.relative_to(ROOT))

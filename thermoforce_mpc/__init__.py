@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from thermoforce_mpc.dependencies import report_nothing
 from thermoforce_mpc.registry import lazy_names
 from thermoforce_mpc.version import VERSION as __version__
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
     from thermoforce_mpc.whatif.counterfactual import counterfactual
     from thermoforce_mpc.whatif.saving import verified_saving
+
+report_nothing()  # before any module of ours imports a dependency
 
 __all__ = [
     "Boundary", "IdentificationConfig", "MPCConfig", "Observation", "Plan", "Portfolio", "Record", "ThermalModel",

@@ -11,6 +11,7 @@ import io
 import json
 import math
 import os
+import re
 import shutil
 import stat
 import tempfile
@@ -172,6 +173,28 @@ def _not_finite(text: str) -> NoReturn:
 def _finite(text: str) -> float:
     value = float(text)
     return value if math.isfinite(value) else _not_finite(text)
+
+
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+
+
+def plain_number(text: str) -> float:
+    """Return the finite number that `text` is; raises `ValueError` for anything else, also what Python would take.
+
+    To Python '1_0' is ten, and so is '١٠'; 'infinity' and 'nan' are numbers.
+    """
+    if not _NUMBER.fullmatch(text.strip(" \t")):
+        raise ValueError(f"{text!r:.60} is not a number")
+    return _finite(text)
+
+
+def odd_number(text: str) -> bool:
+    """Whether Python takes `text` for a number that nobody writes so: 1_0, or digits of another script."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return "_" in text or not text.strip().isascii()
 
 
 def pyarrow_for(what: object, error: type[InputError]) -> Any:

@@ -177,7 +177,11 @@ class Controller(Protocol):
 
 @runtime_checkable
 class Connection(Protocol):
-    """A real building, as `tf-mpc control` sees it; any exception means that it cannot be reached at present."""
+    """A real building, as `tf-mpc control` sees it; any exception means that it cannot be reached at present.
+
+    It may also say what it sets, `sets() -> Path | str`, such as the file, or host and topic: no two controllers set it
+    at a time. Without that, those with the same options are taken to set the same.
+    """
 
     def measurements(self) -> pd.DataFrame | str | Path:
         """What was measured lately, a row per time, up to now or nearly so: a day at least, better four weeks.

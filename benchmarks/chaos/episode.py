@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import tempfile
 import time
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from benchmarks.chaos.inside import FailingMPC
 from benchmarks.chaos.judging import jumps, unsaid_units, wrong_inputs, wrong_steps
+from benchmarks.chaos.live import MOST_SILENT_S
 from benchmarks.chaos.proxy import Proxy, serving
 from benchmarks.chaos.troubles import Trouble
 from boptest_client import TransportConfig
@@ -33,6 +35,34 @@ from thermoforce_mpc.scenario.testcase import TestCase
 
 # Time limits of the client and silence of the proxy, s: silence takes real time, a busy machine needs some.
 _CONNECT_S, _READ_S, _SILENT_S = 10.0, 5.0, 5.5
+
+
+class _Heard(logging.Handler):
+    """How long the package said nothing, at most, s."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.INFO)
+        self.longest_s, self._last = 0.0, time.perf_counter()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """A word is said."""
+        now = time.perf_counter()
+        self.longest_s, self._last = max(self.longest_s, now - self._last), now
+
+
+@contextmanager
+def _heard() -> Iterator[_Heard]:
+    heard, loggers = (
+        _Heard(),
+        [logging.getLogger(name) for name in ("thermoforce_mpc", "controllers", "boptest_client")],
+    )
+    for logger in loggers:
+        logger.addHandler(heard)
+    try:
+        yield heard
+    finally:
+        for logger in loggers:
+            logger.removeHandler(heard)
 
 
 @dataclass(frozen=True)
@@ -88,13 +118,14 @@ def _run(setting: Setting, troubles: tuple[Trouble, ...], seed: int, most_Kh: fl
     controller = FailingMPC(setting.model, setting.testcase, setting.options, troubles, setting.controller)
     period = Period("chaos", setting.start_s, setting.days * DAY_S)
     config = TransportConfig(connect_timeout_s=_CONNECT_S, read_timeout_s=_READ_S, sleep=proxy.sleep)
-    ended, why, began = "done", "", time.perf_counter()
+    ended, why, began, heard = "done", "", time.perf_counter(), _Heard()
     with serving(proxy) as url:
         scenario = _scenario(setting, url)
         book = RunBook.begin(folder, Experiment.of(scenario), ["tf-mpc", "chaos"])
         try:
             with (
                 logging_to(folder),
+                _heard() as heard,
                 closing(book.journal),
                 closing(book.connect(lambda _: BoptestPlant(url, setting.testcase, config=config))) as plant,
             ):
@@ -124,6 +155,8 @@ def _run(setting: Setting, troubles: tuple[Trouble, ...], seed: int, most_Kh: fl
     faults += wrong_inputs(seen.inputs) + wrong_steps(entries, seen.step_ends_s, troubles, ended == "done")
     if ended == "done":
         faults += unsaid_units(entries, seen.made)
+    if heard.longest_s > MOST_SILENT_S:
+        faults.append(f"silent for {heard.longest_s:.0f} s")
     if not (seen.stopped or seen.restarted):
         faults.append("the test was not stopped")
     discomfort_Kh = seen.kpis.get("tdis_tot", math.nan)

@@ -185,6 +185,8 @@ def _targets(calm: Outcome, outcomes: list[Outcome]) -> list[Target]:
         "discomfort above 1.5 times that without faults and 1 K·h": "discomfort",
         "a file outside a folder written": "outside",
         "a refusal that took longer than a minute": "took",
+        "no word for 10 s": "silent",
+        "a model that cannot be right taken": "was taken",
     }
     found = []
     for name, words in kinds.items():

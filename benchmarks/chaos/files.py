@@ -1,4 +1,4 @@
-"""Trials with files from elsewhere: damaged journals, folders of others, endless tables, and FMUs that hang."""
+"""Trials with files from elsewhere: damaged journals and tables, folders of others, models made up, FMUs that hang."""
 
 from __future__ import annotations
 
@@ -18,14 +18,20 @@ from click.testing import CliRunner, Result
 
 from benchmarks.chaos.episode import Outcome
 from benchmarks.chaos.fmu.building import build_house
+from benchmarks.chaos.live import torn_table, two_controllers, wrong_wall_clock
 from benchmarks.chaos.troubles import Trouble
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError, ThermoForceError
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.run_book import RunBook
+from thermoforce_mpc.model.card import Competence, HorizonScore, ModelCard
+from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.saved import read_model_file, write_model_file
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.fmu import FmuPlant
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
+from thermoforce_mpc.plants.worker_process import PASSED
 from thermoforce_mpc.records.journal import NAME
 
 _TESTCASE = "bestest_hydronic_heat_pump"
@@ -111,7 +117,9 @@ def hanging_fmu(rng: np.random.Generator, folder: Path) -> list[str]:
     testcase = load_testcase(_TESTCASE)
     with closing(FmuPlant(folder / "wrapped.fmu", testcase, patience_s=_FMU_PATIENCE_S)) as plant:
         calm = _hour_of(plant)
-        with patch.dict(os.environ, trouble | ({"FMU_HOUSE_TROUBLED_AT": "1e-6"} if passing else {})):
+        with patch.dict(
+            os.environ, {PASSED: "FMU_HOUSE_*"} | trouble | ({"FMU_HOUSE_TROUBLED_AT": "1e-6"} if passing else {})
+        ):
             try:
                 troubled = _hour_of(plant)
             except PlantError as error:
@@ -133,11 +141,62 @@ def _restarts_missing(error: PlantError) -> list[str]:
     return [] if restarts == 2 else [f"ended with {error}: {restarts} restarts of 2 are told"]
 
 
+def absurd_model(rng: np.random.Generator, folder: Path) -> list[str]:
+    """A model with right hashes whose heat cannot be, or whose card says what its arrays do not: refused."""
+    made = folder / f"model{rng.integers(10**9)}"
+    operator = linear_operator(np.array([0.9]), np.array([0.4]), step_s=HOUR_S)
+    known = {f"step_response_{h}h_K": 4.0 * (1.0 - 0.9**h) for h in (1, 2, 4, 8, 12, 24, 48)}
+    scores = tuple(HorizonScore(hours, 0.2, 0.5, 0.4, 3.0, 9) for hours in (1.0, 6.0))
+    verdict = Competence(True, horizons=scores, effect_K=known["step_response_8h_K"], effect_sd_K=0.2)
+    card = ModelCard(source="probing", uncertainty=known, competence=verdict)
+    ThermalModel.single(operator, card=card).save(made / "true")
+    if (done := _call("inspect", made / "true")).exit_code:
+        return [f"ended with {done.exception}, and the model is right"]
+    content, arrays = read_model_file(made / "true")
+    said = content["actuators"][0]["card"]
+    kind = str(rng.choice(["gains", "gains without a card", "card", "verdict"]))
+    if kind.startswith("gains"):
+        arrays["pair.0.0.gains"] = arrays["pair.0.0.gains"] * 10.0 ** rng.uniform(2.0, 9.0)
+    if kind == "gains without a card":
+        said |= {"uncertainty": {}, "competence": None}
+    elif kind == "card":
+        said["uncertainty"][str(rng.choice(list(known)))] *= float(rng.choice([-1.0, 0.1, 1.5, 1e6]))
+    elif kind == "verdict":
+        said["competence"] |= {str(rng.choice(["effect_sd_K", "effect_K"])): float(rng.choice([5.0, 1e6]))}
+    write_model_file(made / "made", content, arrays)
+    refused = _call("inspect", made / "made")
+    return _refused(refused) if refused.exit_code else [f"a model that cannot be right was taken ({kind})"]
+
+
+def damaged_table(rng: np.random.Generator, folder: Path) -> list[str]:
+    """A table of readings with some of its bytes, lines or stamps changed: read or refused, in time, by name."""
+    made, map_file = folder / f"damaged{rng.integers(10**9)}.csv", folder / "damaged.yaml"
+    map_file.write_text(_MAP)
+    hours = np.arange(200)
+    stamps = [f"2026-01-{1 + h // 24:02d} {h % 24:02d}:00:00" for h in hours]
+    lines = [f"{stamp},{21 + np.sin(h):.2f},{h % 2}\n" for stamp, h in zip(stamps, hours, strict=True)]
+    for _ in range(int(rng.integers(1, 6))):
+        line, other = (int(i) for i in rng.integers(0, len(lines), 2))
+        kind = str(rng.choice(["swap", "double", "cut", "nul", "future", "words", "header", "quote", "comma"]))
+        lines[line] = {
+            "swap": lines[other], "double": 2 * lines[line], "cut": lines[line][: int(rng.integers(0, 12))],
+            "nul": lines[line].replace("21", "\0"), "future": lines[line].replace("2026", "2126"),
+            "words": lines[line].replace("2026", "twenty"), "header": "time,T,u\n", "quote": '"' + lines[line],
+            "comma": lines[line].replace(".", ","),
+        }[kind]  # fmt: skip
+    made.write_text("time,T,u\n" + "".join(lines))
+    return _unnamed(_call("data", "check", made, "--map", map_file, "--no-fit", "--plot", folder / "damaged.png"))
+
+
 TRIALS: dict[str, Trial] = {
     "flipped bits": flipped_bits, "foreign folder": foreign_folder, "endless table": endless_table,
-    "hanging FMU": hanging_fmu,
+    "hanging FMU": hanging_fmu, "absurd model": absurd_model, "damaged table": damaged_table,
+    "torn table": torn_table, "wrong wall clock": wrong_wall_clock, "two controllers": two_controllers,
 }  # fmt: skip
-TRIAL_CLASSES = {"files": ("flipped bits", "foreign folder", "endless table"), "plant": ("hanging FMU",)}
+TRIAL_CLASSES = {
+    "files": ("flipped bits", "foreign folder", "endless table", "damaged table"), "plant": ("hanging FMU",),
+    "models": ("absurd model",), "live": ("torn table", "wrong wall clock", "two controllers"),
+}  # fmt: skip
 
 
 def run_trial(kind: str, seed: tuple[int, int], folder: Path) -> Outcome:

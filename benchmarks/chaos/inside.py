@@ -1,4 +1,4 @@
-"""Solvers and forecasters that fail, hang or return NaN on purpose."""
+"""Solvers and forecasters that fail, hang, or return what cannot be, on purpose."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.scenario.testcase import TestCase
+
+# What an absurd forecast is off by, K.
+_ABSURD_K = 59_574.0
 
 
 class Broken(RuntimeError):
@@ -70,7 +73,7 @@ class FailingMPC:
             now = trouble.from_s <= self._now_s - self._start_s < trouble.to_s
             if trouble.kind.startswith(who) and now and made < trouble.most:
                 self._made[trouble] = made + 1
-                what = trouble.kind.split()[1]
+                what = trouble.kind.removeprefix(f"{who} ")
                 if what == "hangs":
                     time.sleep(trouble.seconds)
                 if what == "raises":
@@ -87,7 +90,11 @@ class _Solver:
         """See `Solver.solve`."""
         what = self._trouble()
         solution = self._inner.solve(problem, guess)
-        return replace(solution, u=solution.u * math.nan) if what == "nan" else solution
+        if what == "nan":
+            return replace(solution, u=solution.u * math.nan)
+        if what == "out of range":
+            return replace(solution, u=solution.u + 2.0)
+        return replace(solution, u=solution.u[:, :-1]) if what == "of another shape" else solution
 
 
 class _Forecaster:
@@ -102,4 +109,5 @@ class _Forecaster:
         """See `FollowingFreeResponse.follow`."""
         what = self._trouble()
         found, after = follow(self._inner, free_C, history, boundary, state)
-        return (replace(found, quantiles_C=found.quantiles_C * math.nan) if what == "nan" else found), after
+        off_K = {"nan": math.nan, "absurd": _ABSURD_K}.get(what, 0.0)
+        return replace(found, quantiles_C=found.quantiles_C + off_K), after

@@ -23,7 +23,13 @@ UNITS = {
     "power in kW": ("reaP", 1e-3, "power_W"),
     "heat in kW": ("reaQ", 1e-3, "heat_W"),
 }
-INSIDE = tuple(f"{who} {what}" for who in ("solver", "forecaster") for what in ("raises", "nan", "hangs"))
+# A solver that claims levels out of range or of another shape, a forecast that no room can have.
+INSIDE = (
+    *(f"{who} {what}" for who in ("solver", "forecaster") for what in ("raises", "nan", "hangs")),
+    "solver out of range",
+    "solver of another shape",
+    "forecaster absurd",
+)
 AWAY = ("refusing", "unavailable")
 NO_FORECAST = "no forecast"
 RESTART = "restarted"

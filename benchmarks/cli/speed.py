@@ -15,16 +15,25 @@ if TYPE_CHECKING:
 
 
 @click.command("plant")
-@click.option("--reference", required=True, type=FOLDER, help="Folder with records of the real test case.")
+@click.option(
+    "--reference",
+    "references",
+    required=True,
+    multiple=True,
+    type=FOLDER,
+    help="Folder with records of a real test case, which their columns tell; repeatable.",
+)
 @click.option("--weather", type=click.Path(path_type=Path), help="Weather file of the records, if not in the folder.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the plot.")
 @QUICK
 @JSON
-def plant_command(reference: Path, weather: Path | None, out: Path | None, quick: bool, json_file: Path | None) -> None:
-    """Score the embedded plant against records of the real test case."""
+def plant_command(
+    references: tuple[Path, ...], weather: Path | None, out: Path | None, quick: bool, json_file: Path | None
+) -> None:
+    """Score the embedded plants against records of the real test cases."""
     from benchmarks.plant.bench import run_plant_bench
 
-    show(run_plant_bench(reference, weather, quick=quick, out=out, progress=say), json_file)
+    show(run_plant_bench(references, weather, quick=quick, out=out, progress=say), json_file)
 
 
 @click.command("controller")

@@ -1,14 +1,14 @@
-"""`tf-mpc bench plant`: accuracy of the embedded plant against records of the real test case, and its speed."""
+"""`tf-mpc bench plant`: accuracy of the embedded plants against records of the real test cases, and their speed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.plant import scores
+from benchmarks.plant import point_scores, scores
 from benchmarks.plant.speed import scaling, two_weeks_s
 from thermoforce_mpc.boundary.periods import published_windows
 from thermoforce_mpc.boundary.weather import load_weather
@@ -21,25 +21,51 @@ _T_RMSE_K = {"excite": 0.10, "off": 0.15, "native": 0.10}
 
 
 def run_plant_bench(
-    reference: Path,
+    references: Path | Sequence[Path],
     weather: Path | None = None,
     *,
     quick: bool = False,
     out: Path | None = None,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> dict[str, Any]:
-    """Score the embedded plant against all records in `reference` (layout in docs/evidence/plant.md).
+    """Score the embedded plants against all records in `references` (layout in docs/evidence/plant.md).
 
     Args:
-        reference: folder with any of excite_*.csv.gz, off_*.csv.gz, native_*.csv.gz, baseline_kpis*.csv, pairs/.
-        weather: the records' weather file; by default the only .mos file in `reference`.
-        quick: every eighth native window, two thermostats, no scaling.
+        references: a folder for each test case, which its records' columns tell, with any of excite_*.csv.gz,
+            off_*.csv.gz, native_*.csv.gz, baseline_kpis*.csv, pairs/.
+        weather: the records' weather file; by default the only .mos file in a folder, or its boundary_hourly.csv.gz.
+        quick: the first replay of each kind, every eighth native window, two thermostats, no scaling.
         out: folder for the plot `plant_replay.png`.
         progress: callback for progress lines.
 
     Raises:
         DataError: no records in the folder, a column is missing, or there is no weather file.
     """
+    rows: list[scores.Row] = []
+    targets: list[Target] = []
+    errors: dict[str, tuple[Array, Array]] = {}
+    for folder in [references] if isinstance(references, Path) else references:
+        case = point_scores.case_of(folder)
+        if case is None:
+            of_folder = _heat_pump(folder, weather, quick, progress)
+        else:
+            plant = point_scores.recorded_plant(case, folder, weather)
+            of_folder = point_scores.score(plant, folder, quick=quick, progress=progress)
+            seconds = two_weeks_s(plant)
+            of_folder[0].append({"what": f"{case.name} speed: 7 + 14 days at 15 min", "seconds": seconds})
+            of_folder[1].append(Target(f"{case.name} speed: 7 + 14 days at 15 min, s", seconds, 2.0))
+        rows += of_folder[0]
+        targets += of_folder[1]
+        errors |= of_folder[2]
+    if out is not None and errors:
+        _plot(errors, out)
+    return results_json("plant", rows, targets)
+
+
+def _heat_pump(
+    reference: Path, weather: Path | None, quick: bool, progress: Callable[[str], None]
+) -> tuple[list[scores.Row], list[Target], dict[str, tuple[Array, Array]]]:
+    """Score the records of `bestest_hydronic_heat_pump` in a folder: rows, targets, days and errors of each replay."""
     if weather is None:
         found = sorted(reference.glob("*.mos"))
         if len(found) != 1:
@@ -88,9 +114,7 @@ def run_plant_bench(
     targets.append(Target("speed: 7 + 14 days at 15 min, s", seconds, 2.0))
     if not quick:
         rows += scaling(plant.weather)
-    if out is not None and errors:
-        _plot(errors, out)
-    return results_json("plant", rows, targets)
+    return rows, targets, errors
 
 
 def _effects(plant: EmbeddedPlant, folder: Path, progress: Callable[[str], None]) -> dict[str, list[Array]]:

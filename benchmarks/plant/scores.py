@@ -72,7 +72,7 @@ def replay(plant: EmbeddedPlant, path: Path, warmup_s: float, *, native: bool = 
     measured = [plant.advance(None if native else float(u), STEP_S) for u in real.oveHeaPumY_u]
     error = np.array([m.T_zone_C[0] for m in measured]) - real.reaTZon_y.to_numpy()
     row: Row = {
-        "T_rmse_K": _rms(error),
+        "T_rmse_K": rms(error),
         "T_bias_K": float(error.mean()),
         "last_day_bias_K": float(error[-96:].mean()),
     }
@@ -81,7 +81,7 @@ def replay(plant: EmbeddedPlant, path: Path, warmup_s: float, *, native: bool = 
         row["energy_off"] = float(power.sum() / truth.sum() - 1)
         hours = power.size // 4
         hourly = (power - truth)[: hours * 4].reshape(hours, 4).mean(axis=1)
-        row["power_hourly_rmse"] = _rms(hourly) / float(truth.mean())
+        row["power_hourly_rmse"] = rms(hourly) / float(truth.mean())
     return row, error, (real.time.to_numpy() - start_s) / DAY_S
 
 
@@ -165,7 +165,8 @@ def recorded_tariff(path: Path) -> Tariff | None:
     return held_prices(table.time.to_numpy(dtype=np.float64), table[_HIGHLY_DYNAMIC].to_numpy(dtype=np.float64))
 
 
-def _rms(values: Array) -> float:
+def rms(values: Array) -> float:
+    """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 

@@ -16,6 +16,7 @@ from benchmarks.plant.plants_together import advance_together
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants.embedded.emulator import Emulator
 
 _QUARTER_S = 900.0
 _TOGETHER = (1, 2, 4, 16)
@@ -26,7 +27,7 @@ _BEST_OF = 3
 _plant: EmbeddedPlant | None = None
 
 
-def two_weeks_s(plant: EmbeddedPlant) -> float:
+def two_weeks_s(plant: Emulator) -> float:
     """Time for two weeks at 15-min control after a week of warm-up on one core, s, best of three."""
     best = np.inf
     for _ in range(_BEST_OF):

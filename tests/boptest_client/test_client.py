@@ -470,6 +470,43 @@ def test_a_test_that_timed_out_at_the_service_is_named(client, service):
     assert caught.value.status == 400
 
 
+@pytest.mark.parametrize(
+    "body",
+    [
+        {"message": "no Route matched with those values"},
+        {"status": 404, "message": "Not Found", "payload": None},
+        {"errors": [{"msg": "not found"}]},
+        {"detail": "Not Found"},
+    ],
+    ids=str,
+)
+def test_a_404_of_a_gateway_passes(client, service, body):
+    start = client.initialize(86400, 0)
+
+    def edit(payload):
+        raise Bare(404, body)
+
+    for path, call in (("kpi/", client.kpi), ("advance/", lambda: client.advance({}))):
+        service.faults.append(Fault(path, "edited", times=3, edit=edit))
+        assert call()
+    assert client.time_s == start["time"] + 3600
+    service.faults.append(Fault("kpi/", "edited", times=99, edit=edit))
+    with pytest.raises(ProtocolError, match=r"HTTP 404.*no better answer within 30 s"):
+        client.kpi()
+
+
+def test_a_404_that_names_the_test_ends_it(client, service):
+    client.initialize(86400, 0)
+
+    def edit(payload):
+        raise Bare(404, {"message": f"no test {client.testid}", "payload": None})
+
+    service.faults.append(Fault("kpi/", "edited", edit=edit))
+    with pytest.raises(UnknownTest, match="no test"):
+        client.kpi()
+    assert service.count("kpi/") == 1
+
+
 def test_a_service_that_moved_is_not_followed(client, service):
     client.initialize(86400, 0)
     service.faults.append(Fault("(advance|results)/", "moved", times=99))
@@ -530,8 +567,9 @@ def test_silence_is_said_and_ends_before_a_run(service, caplog, monkeypatch):
         assert "no answer for 0.4 s already" in caplog.text
 
 
-def test_silence_in_a_run_ends_with_its_patience(service):
-    config = TransportConfig(connect_timeout_s=0.3, read_timeout_s=2.0, patience_s=3.0, backoff_s=0.1)
+@pytest.mark.parametrize("read_timeout_s", [2.0, 300.0])
+def test_silence_in_a_run_ends_with_its_patience(service, read_timeout_s):
+    config = TransportConfig(connect_timeout_s=0.3, read_timeout_s=read_timeout_s, patience_s=3.0, backoff_s=0.1)
     with BoptestClient(service.url, NAME, config=config) as client:
         client.initialize(86400, 0)
         service.faults.append(Fault("kpi/", "slow", times=99, seconds=LATE_S))
@@ -540,6 +578,14 @@ def test_silence_in_a_run_ends_with_its_patience(service):
             client.kpi()
         assert time.monotonic() - began_s < 3.0 + 2.0, "no attempt outlasts what is left"
         service.faults.clear()
+
+
+def test_a_selection_that_hangs_is_waited_for_no_longer_than_patience(service):
+    service.faults.append(Fault("testcases/", "slow", times=9, seconds=LATE_S))
+    began_s = time.monotonic()
+    with pytest.raises(ServiceTimeout, match=r"select.*within 1 s"):
+        BoptestClient(service.url, NAME, config=TransportConfig(patience_s=1.0))
+    assert time.monotonic() - began_s < LATE_S
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ print(step(1.0), sum(step.stats.cache_hits.values()))
 
 def asked(root: Path, cache: Path) -> tuple[float, int]:
     """What the compiled plant answers in a process of its own, and how often it was found compiled."""
-    environment = os.environ | {"PYTHONPATH": str(root), "XDG_CACHE_HOME": str(cache)}
+    environment = os.environ | {"PYTHONPATH": str(root), "XDG_CACHE_HOME": str(cache), "NUMBA_CACHE_DIR": ""}
     done = subprocess.run(
         [sys.executable, "-c", ASK], cwd=root, env=environment, capture_output=True, text=True, timeout=120, check=False
     )

@@ -159,6 +159,86 @@ def test_texts_of_a_journal_never_reach_the_terminal_as_control_characters(folde
         assert "more characters left out" in shown.output
 
 
+CONTROLLER, KPI = "controller: {name: 'my_rules.py:Night'}", "kpis: ['my_rules.py:bare']"
+TERMS = "controller: {options: {terms: 'my_rules.py:bare'}}"
+HOUSES = f"buildings: [{{testcase: {TESTCASE}}}]\nwindows: [44]\n"
+OF_FILES = {
+    "run --config file.yaml --out out --days 0.25": ["baselines: ['my_rules.py:Night']", CONTROLLER, KPI, TERMS],
+    "identify --config file.yaml --out model": [CONTROLLER],
+    "compare --config file.yaml --controllers native": [KPI],
+    "compare --variants file.yaml": [
+        "variants: {night: {controller: 'my_rules.py:Night'}}",
+        "variants: {ramp: {controller: thermoforce_mpc, options: {terms: 'my_rules.py:bare'}}}",
+    ],
+    "sweep --config file.yaml": [KPI],
+    "fleet file.yaml --count": [
+        f"{HOUSES}variants: {{thermostat: {{controller: 'my_rules.py:Night'}}}}",
+        f"{HOUSES}scenario: {{kpis: ['my_rules.py:bare']}}",
+    ],
+}
+
+
+@pytest.mark.parametrize(("words", "text"), [(words, text) for words, texts in OF_FILES.items() for text in texts])
+def test_python_that_only_a_file_names_is_shown_and_asked_for(folder, monkeypatch, words, text):
+    """By every command that reads such a file; the user has given nothing here so far."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+    (folder / "my_rules.py").write_text(f"import socket\nopen('was_here', 'w').close()\n{RULES}")
+    of_scenarios = "scenario: {testcase: %s}\n" if "variants" in words else "" if "fleet" in words else "testcase: %s\n"
+    (folder / "file.yaml").write_text(f"{of_scenarios.replace('%s', TESTCASE)}{text}\n")
+    asked = CliRunner().invoke(cli, words.split())
+    assert isinstance(asked.exception, ConfigError), asked.output
+    assert "my_rules.py (28 lines of Python, define Empty, Night, Odd, bare, import dataclasses, socket, " in str(
+        asked.exception
+    )
+    assert "--code my_rules.py" in str(asked.exception)
+    looked = CliRunner().invoke(cli, ["validate", "file.yaml"])
+    assert looked.exit_code == 0, str(looked.exception)
+    assert "import dataclasses, socket" in looked.output
+    assert not (folder / "was_here").exists()
+    if words.startswith("fleet"):  # the others would run for long
+        given = CliRunner().invoke(cli, [*words.split(), "--code", "my_rules.py"])
+        assert given.exit_code == 0, str(given.exception)
+        assert (folder / "was_here").exists()
+
+
+def test_python_that_the_command_line_or_an_earlier_one_names_is_not_asked_for(folder, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+    (folder / "file.yaml").write_text(f"testcase: {TESTCASE}\n{CONTROLLER}\nbaselines: []\n")
+    words = ["run", "--config", "file.yaml", "--days", "0.25", "--no-equal-comfort"]
+    assert CliRunner().invoke(cli, [*words, "--out", "1", "--controller", "my_rules.py:Night"]).exit_code == 0
+    assert CliRunner().invoke(cli, [*words, "--out", "2"]).exit_code == 0, "given before"
+    (folder / "my_rules.py").write_text(RULES + "\n# changed\n")
+    assert "not given it here before" in str(CliRunner().invoke(cli, [*words, "--out", "3"]).exception)
+    assert CliRunner().invoke(cli, [*words, "--out", "4", "--code", "my_rules.py"]).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("class Nigth: pass", "has no 'Night'; it has Nigth"),
+        ("def Night(:", "is not Python"),
+        ("x = 1\x00", "is not Python"),
+        ("(" * 5000, "is not Python"),
+        (None, "no such file in "),
+    ],
+)
+def test_validate_says_what_is_wrong_with_python_that_it_does_not_run(folder, content, said):
+    (folder / "my_rules.py").unlink()
+    if content is not None:
+        (folder / "my_rules.py").write_text(content)
+    (folder / "file.yaml").write_text(f"testcase: {TESTCASE}\n{CONTROLLER}\n")
+    assert said in str(CliRunner().invoke(cli, ["validate", "file.yaml"]).exception)
+
+
+def test_validate_fetches_no_forecaster(folder):
+    """Without a network it would be an error."""
+    hub = "controller: {options: {free_response: {options: {backbone: nobody/chronos-none}}}}"
+    (folder / "file.yaml").write_text(f"testcase: {TESTCASE}\n{hub}\n")
+    looked = CliRunner().invoke(cli, ["validate", "file.yaml"])
+    assert looked.exit_code == 0, str(looked.exception)
+    assert "nobody/chronos-none: not looked at" in looked.output
+
+
 class Half:
     """Half level."""
 

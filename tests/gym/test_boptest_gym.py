@@ -163,3 +163,19 @@ def test_a_test_whose_points_cannot_be_read_is_stopped() -> None:
         with pytest.raises(PlantError, match="a redirect to"):
             BoptestGymEnv(service.url)
         assert len(service.stopped) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("testcase", "action", "room"),
+    [("bestest_air", "fcu_oveFan_u", "zon_reaTRooAir_y"), ("bestest_hydronic", "oveTSetSup_u", "reaTRoo_y")],
+)
+def test_other_embedded_test_cases_by_their_own_points(testcase: str, action: str, room: str) -> None:
+    env = EmbeddedBoptestGymEnv(testcase=testcase, actions=[action], start_time=20 * 86400, warmup_period=86400)
+    seen, _ = env.reset(seed=1)
+    assert env.observations == [room]
+    assert 280.0 < seen[0] < 310.0
+    for _ in range(4):
+        after, reward, *_ = env.step(env.action_space.high)
+    assert np.isfinite(reward)
+    assert after[0] != seen[0]

@@ -20,11 +20,11 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from places import ROOT
-from simple_house import simple_model
-from simulated_building import RULES, START, SimulatedBuilding, mpc
+from simulated_building import RULES, START, SimulatedBuilding, files_of_now, mpc
 from waiting import LONG_S, wait_for
 
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.connections.sole import set_by, sole_control
 from thermoforce_mpc.data import Block
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.live import KeptState, LiveBuilding, WallClock, control
@@ -348,15 +348,9 @@ def test_the_clock_of_the_machine_waits_no_longer_where_it_is_set_back(monkeypat
 
 @pytest.fixture
 def files(tmp_path, monkeypatch):
-    """The files of the connection `files`, up to this hour, and a model."""
-    house = SimulatedBuilding()
-    shift = pd.Timestamp.now("UTC").floor("1h") - START
-    house.measurements().assign(time=lambda table: table["time"] + shift).to_csv(tmp_path / "house.csv", index=False)
-    house.forecast().shift(freq=shift).to_csv(tmp_path / "tomorrow.csv")
-    (tmp_path / "map.yaml").write_text(yaml.safe_dump(RULES))
+    files_of_now(tmp_path)
     other = {**RULES, "zones": {"hall": RULES["zones"]["zone"]}}
     (tmp_path / "other.yaml").write_text(yaml.safe_dump(other))
-    simple_model().save(tmp_path / "model")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -541,3 +535,55 @@ def test_a_signal_to_end_gives_the_building_back(files, sent, code):
         running.send_signal(sent)
         assert running.wait(timeout=LONG_S) == code
     assert json.loads(levels.read_text())["levels"] == {"actuator": None}
+
+
+CONTROL = [sys.executable, "-m", "thermoforce_mpc", "control", "--model", "model", "--map", "map.yaml", *OPTIONS]
+
+
+@pytest.mark.slow
+def test_two_controllers_do_not_set_one_building(files):
+    """With folders of their own; the second is refused, and the first goes on. One that is killed is no hindrance."""
+    (files / "elsewhere").mkdir()
+    (files / "elsewhere" / "same.json").symlink_to(files / "levels.json")
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    second = [*CONTROL, "--out", "other", "--steps", "1", "--set", "connection.levels=elsewhere/same.json"]
+    with subprocess.Popen([*CONTROL, "--delay", "0"], env=env, stdout=subprocess.DEVNULL) as first:
+        try:
+            wait_for("the first sets its level", (files / "levels.json").exists)
+            before = (files / "levels.json").read_bytes()
+            refused = subprocess.run(second, env=env, capture_output=True, text=True, timeout=LONG_S)
+            assert refused.returncode == 2
+            assert "levels.json is set by another controller" in refused.stderr
+            assert f"process {first.pid} since" in refused.stderr
+            assert (files / "levels.json").read_bytes() == before
+            looked = subprocess.run([*CONTROL, "--out", "other", "--dry-run"], env=env, timeout=LONG_S)
+            assert looked.returncode == 0, "it sets nothing"
+        finally:
+            first.kill()
+    with subprocess.Popen([*second, "--delay", "0"], env=env, stdout=subprocess.DEVNULL) as again:
+        try:
+            wait_for("the second sets its level", lambda: (files / "levels.json").read_bytes() != before)
+        finally:
+            again.terminate()
+    assert json.loads((files / "levels.json").read_text())["levels"] == {"actuator": None}
+
+
+def test_what_a_connection_sets_is_what_it_says_or_else_its_options(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    house = SimulatedBuilding()
+    assert set_by(house) == "", "one of Python's that does not say"
+    names = [set_by(house, "modbus", {"host": host}) for host in ("10.0.0.1", "10.0.0.2", "10.0.0.1")]
+    assert names[0] == names[2] != names[1]
+    with sole_control(names[0]):
+        with sole_control(names[1]):
+            pass
+        said = rf"10\.0\.0\.1.* another controller \(process {os.getpid()} since"
+        with pytest.raises(ConfigError, match=said), sole_control(names[2]):
+            pass
+        controlled(house, 1, sets="another")
+        with pytest.raises(ConfigError, match="another controller"):
+            controlled(house, 1, sets=names[0])
+    with sole_control(names[2]):
+        house.sets = lambda: 4
+        with pytest.raises(ConfigError, match=r"sets\(\) is 4"):
+            set_by(house, "modbus")

@@ -55,8 +55,15 @@ def test_air_quality_counts_above_the_limit_only():
 
 
 def test_the_peak_is_a_quarter_hour_mean():
-    power = np.where((TIME > 900) & (TIME <= 1350), 4000.0, 0.0)  # half of the second quarter
-    assert peak_power(TIME, power) == pytest.approx(2000.0, rel=0.04)
+    power = np.where((TIME >= 900) & (TIME < 1350), 4000.0, 0.0)  # half of the second quarter
+    assert peak_power(TIME, power) == pytest.approx(2000.0)
+
+
+def test_the_last_window_counts_for_the_peak_as_at_the_service_however_short():
+    power = np.where(TIME[-1] <= TIME, 3000.0, np.where(TIME < 900, 1000.0, 0.0))
+    assert peak_power(TIME, power) == pytest.approx(3000.0), "the last sample begins a window"
+    assert peak_power(TIME, power, open_end=False) == pytest.approx(1000.0)
+    assert peak_power(TIME[:5], power[-5:]) == pytest.approx(600.0), "samples of one window"
 
 
 def test_prices_are_weighted_by_power():

@@ -178,6 +178,20 @@ def test_no_setting_of_a_journal_runs_python(tmp_path, settings):
     assert not mark.exists()
 
 
+@pytest.mark.parametrize("name", ["somebody/chronos-new", "chronos-2"])
+def test_a_hub_is_not_asked_for_the_forecaster_of_a_journal_until_it_is_given(monkeypatch, tmp_path, name):
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")  # the message says when it would have been asked
+    folder = sent(tmp_path / "sent", controller={"options": {"free_response": {"options": {"backbone": name}}}})
+    error = str(call("resume", folder).exception)
+    assert f"backbone: {name} (a model hub is asked for it)" in error
+    assert f"--forecaster {name}" in error
+    assert "HF_HUB_OFFLINE" in str(call("resume", folder, "--forecaster", name).exception)
+    assert "HF_HUB_OFFLINE" in str(call("resume", folder).exception), "it was given once"
+    assert f"its run has the forecaster '{name}', not 'other/one'" in str(
+        call("resume", folder, "--forecaster", "other/one").exception
+    )
+
+
 def test_a_controller_that_only_a_step_names_is_not_loaded_by_explain(run, tmp_path):
     mark, code = tmp_path / "was here", tmp_path / "code.py"
     code.write_text(f"open({str(mark)!r}, 'w').close()\n", encoding="utf-8")

@@ -424,11 +424,23 @@ def test_the_price_of_a_running_test_can_be_changed_without_disturbing_it(client
         ("put", "step", {"step": 0}, 400, "at least 0.001"),
         ("put", "step", {"step": 365 * DAY_S}, 400, "at most"),
         ("put", "step", {"step": [900]}, 400, "expected a number"),
+        ("put", "step", {"step": True}, 400, "True of step: expected a number"),
+        ("put", "step", {"step": "9_00"}, 400, "'9_00' of step: expected a number"),
+        ("put", "step", {"step": "٩٠٠"}, 400, "expected a number"),
+        ("put", "initialize", {"start_time": 0, "warmup_period": False}, 400, "False of warmup_period"),
+        ("post", "advance", {"oveHeaPumY_u": True, "oveHeaPumY_activate": 1}, 400, "True of oveHeaPumY_u"),
+        (
+            "put",
+            "results",
+            {"point_names": ["reaTZon_y"], "start_time": 0, "final_time": "Infinity"},
+            400,
+            "final_time",
+        ),
         ("put", "step", {}, 400, "Missing parameter step"),
         ("put", "initialize", {"start_time": -1, "warmup_period": 0}, 400, "start_time"),
         ("put", "initialize", {"start_time": 0, "warmup_period": None}, 400, "warmup_period"),
         ("put", "initialize", {"start_time": 365 * DAY_S, "warmup_period": 0}, 400, "beyond the year"),
-        ("put", "initialize", {"start_time": "NaN", "warmup_period": 0}, 400, "finite"),
+        ("put", "initialize", {"start_time": "NaN", "warmup_period": 0}, 400, "expected a number"),
         ("put", "scenario", {"electricity_price": "cheap"}, 400, "constant, dynamic, highly_dynamic"),
         ("put", "scenario", {"time_period": "peak_day"}, 400, "peak_heat_day, typical_heat_day"),
         ("put", "scenario", {"temperature_uncertainty": "huge"}, 400, "none, low, medium, high"),
@@ -438,7 +450,7 @@ def test_the_price_of_a_running_test_can_be_changed_without_disturbing_it(client
         ("put", "initialize", {"start_time": 0, "warmup_period": 0, "final_time": "late"}, 400, "final_time"),
         ("post", "advance", {"oveHeaPumX_u": 1}, 400, "Unexpected input 'oveHeaPumX_u'"),
         ("post", "advance", {"oveHeaPumY_u": "full"}, 400, "'full' of oveHeaPumY_u"),
-        ("post", "advance", {"oveHeaPumY_u": "nan", "oveHeaPumY_activate": 1}, 400, "finite"),
+        ("post", "advance", {"oveHeaPumY_u": "nan", "oveHeaPumY_activate": 1}, 400, "expected a number"),
         ("post", "advance", {"oveHeaPumY_u": 1, "oveHeaPumY_activate": 2}, 400, "expected 0 or 1"),
         ("put", "forecast", {"point_names": ["TDryBull"], "horizon": 1, "interval": 1}, 400, "TDryBull"),
         ("put", "forecast", {"point_names": ["TDryBul"], "horizon": 3600, "interval": 0}, 400, "interval"),
@@ -462,7 +474,16 @@ def test_bad_requests_get_the_services_status_and_a_reason(client, method, path,
     assert client.results(["reaTZon_y"], 0, 1e9) == before, "nothing half done"
 
 
-@pytest.mark.parametrize(("body", "message"), [(b"{step", "not JSON"), (b"[1]", "a JSON list"), (b"[" * 5000, "JSON")])
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        (b"{step", "not JSON"),
+        (b"[1]", "a JSON list"),
+        (b"[" * 5000, "JSON"),
+        (b'{"step": Infinity}', "Infinity is no value of JSON"),
+        (b'{"step": NaN}', "NaN is no value of JSON"),
+    ],
+)
 def test_bodies_that_are_no_json_object_are_refused(client, body, message):
     answer = requests.put(f"{client.url}/step/{client.testid}", data=body, headers=JSON, timeout=LONG_S)
     assert answer.status_code == 400

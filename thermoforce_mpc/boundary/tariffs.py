@@ -15,7 +15,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.files import DoubtfulInput, read_bounded, read_pieces
+from thermoforce_mpc.files import DoubtfulInput, plain_number, read_bounded, read_pieces
 
 EMISSION_KG_PER_KWH = 0.167
 CONSTANT = 0.2535
@@ -209,7 +209,7 @@ def _read_prices(path: Path, text: str) -> tuple[Array, Array]:
 def _number(path: Path, line: int, row: list[str], header: list[str], column: int) -> float:
     text = row[column] if column < len(row) else None
     try:
-        value = float(text or "")
+        value = plain_number(text or "")
     except ValueError:
         value = math.nan
     if not math.isfinite(value):

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 import click
 
 from thermoforce_mpc.cli.commands import CommandGroups
+from thermoforce_mpc.dependencies import keep_in_place
 from thermoforce_mpc.errors import (
     ControllerRaised,
     EngineError,
@@ -108,6 +109,7 @@ def main() -> None:
     # Read when numpy is loaded. Matrices here are small: more threads gain nothing, and wait for one another where the
     # machine is busy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    keep_in_place()
     if isinstance(sys.stdout, io.TextIOWrapper):  # names of files may be of any bytes
         sys.stdout.reconfigure(errors="backslashreplace")
     warnings.showwarning = _show_warning

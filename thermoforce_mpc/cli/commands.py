@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 import importlib
 import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
 from thermoforce_mpc.errors import InputError, suggestion
+from thermoforce_mpc.files import odd_number
 
 _ROOT = Path(__file__).resolve().parents[2]
 # name: (module below `thermoforce_mpc.cli`, or of the benchmarks, and function in it; summary of one line)
@@ -93,6 +96,21 @@ For every session, put the line into ~/.bashrc, ~/.zshrc or ~/.config/fish/confi
 _TOPICS = {"exit-codes": EXIT_CODES, "completion": COMPLETION}
 
 
+def _plainly(kind: click.ParamType) -> click.ParamType:
+    """`kind`; where it is of numbers, without the texts that only Python takes for one: 1_0 for ten."""
+    if not isinstance(kind, click.types.IntParamType | click.types.FloatParamType):
+        return kind
+    kind, convert = copy.copy(kind), kind.convert
+
+    def plain(value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if isinstance(value, str) and odd_number(value):
+            kind.fail(f"{value!r} is not a number", param, ctx)
+        return convert(value, param, ctx)
+
+    kind.convert = plain  # type: ignore[method-assign]
+    return kind
+
+
 class CommandGroups(click.Group):
     """Click group that shows its commands in groups and imports only the one that is called."""
 
@@ -112,6 +130,8 @@ class CommandGroups(click.Group):
             command = _benchmark_command(module)
         else:
             command = getattr(importlib.import_module(f"thermoforce_mpc.cli.{module}"), function)
+        for option in command.params:
+            option.type = _plainly(option.type)
         command.name = cmd_name  # functions have other names; the command line reference shows this one
         return command
 

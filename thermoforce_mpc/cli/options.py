@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +43,9 @@ def added(*options: Callable[[Function], Function]) -> Callable[[Function], Func
     return add
 
 
+code_option = click.option(
+    "--code", metavar="FILE", multiple=True, help="Code (Python, policy, FMU) that a file given here names; repeatable."
+)
 base_options = added(
     click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
     click.option("--config", metavar="FILE", help="Scenario to start from: a YAML file or a shipped name."),
@@ -52,6 +55,7 @@ base_options = added(
     click.option("--weather", metavar="FILE", help="'synthetic', or a .mos or .epw file (emulator only)."),
     click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
     click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
+    code_option,
 )
 window_options = added(
     click.option(
@@ -223,8 +227,22 @@ _KEYS = {
 }
 
 
+def check_named_code(
+    files: Iterable[Mapping[str, Any]], words: Iterable[Mapping[str, Any]], code: Iterable[str], name: str
+) -> None:
+    """As `check_code`, of the keys of scenarios: `files`, of the file `name`, and `words`, of the command line."""
+    from thermoforce_mpc.experiment.outside import check_code, code_of
+
+    found = {one.value: one for keys in files for one in code_of(keys)}
+    if found:
+        check_code(found.values(), [*code, *(one.value for keys in words for one in code_of(keys))], name)
+
+
 def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = None) -> Scenario:
-    """Build the scenario of a command from its file, `defaults`, its options and `--set`; the last that says counts."""
+    """Build the scenario of a command from its file, `defaults`, its options and `--set`; the last that says counts.
+
+    Raises `ConfigError` too where the file or `defaults` name code that the command line does not, see `check_code`.
+    """
     from thermoforce_mpc.plants.testcases import load_scenario
     from thermoforce_mpc.scenario.settings import find_config, merge, nested, parse_overrides
 
@@ -249,6 +267,7 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     if path is None and "testcase" not in given:
         raise click.UsageError("no test case: give --testcase NAME or --config FILE (see `tf-mpc testcases`)")
     scenario = load_scenario(path, given)
+    check_named_code([scenario.model_dump()], [keys], options.get("code", ()), str(path or options.get("variants")))
     if "url" in keys.get("plant", ()):
         from thermoforce_mpc.plants.boptest.token import allow_token
 

@@ -43,6 +43,10 @@ class FilesConnection:
         content = {"levels": dict(levels), "from": _text(now), "until": _text(until + timedelta(microseconds=999_999))}
         write_whole(self._levels, json.dumps(content, ensure_ascii=False) + "\n")
 
+    def sets(self) -> Path:
+        """See `Connection`: the file of levels."""
+        return self._levels
+
     def close(self) -> None:
         """Nothing is open."""
 

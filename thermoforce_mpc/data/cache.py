@@ -1,23 +1,16 @@
-"""The user's cache folder, and what this user gave on this machine, a line each, which no file from elsewhere forges"""
+"""What this user gave on this machine, a line each in the cache folder, which no file from elsewhere forges."""
 
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Iterable
-from pathlib import Path
 
+from thermoforce_mpc.dependencies import cache_folder
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import read_bounded
 
 _LOG = logging.getLogger(__name__)
 NAME, _MOST_BYTES = "given.jsonl", 10_000_000
-
-
-def cache_folder() -> Path:
-    """`$XDG_CACHE_HOME/thermoforce-mpc`, by default in `~/.cache`."""
-    root = os.environ.get("XDG_CACHE_HOME")
-    return (Path(root) if root else Path.home() / ".cache") / "thermoforce-mpc"
 
 
 def known_marks() -> set[str]:

@@ -31,9 +31,10 @@ _KEPT_DAYS = 30.0
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit` with these options; with `cache=True` kept in the user's cache folder, by `sources_of` its file.
+    """`numba.njit` with these options; with `cache=True` kept by `sources_of` its file.
 
-    Where that folder cannot be written nothing is kept.
+    It is kept in `NUMBA_CACHE_DIR` where that is set, else in the user's cache folder.
+    Where that cannot be written nothing is kept.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
@@ -84,15 +85,15 @@ def _folder(file: str) -> str | None:
     for source in sources_of(Path(file)):
         hashed.update(source.name.encode() + b"\0" + source.read_bytes() + b"\0")
     try:
-        all_of_them = cache_folder() / "compiled"
-        folder = all_of_them / hashed.hexdigest()[:32]
+        ours = cache_folder() / "compiled"
+        folder = Path(numba.config.CACHE_DIR or ours) / hashed.hexdigest()[:32]
         new = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
         if not os.access(folder, os.W_OK):
             raise PermissionError(f"{folder} cannot be written")
-        if new:
-            _clear(all_of_them)
+        if new and folder.parent == ours:
+            _clear(ours)
     except (OSError, RuntimeError) as error:  # RuntimeError: who runs this has no home
         _LOG.info("compiled functions are not kept: %s", error)
         return None

@@ -14,7 +14,7 @@ from thermoforce_mpc.data.clock import seconds_of, words_of
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import ArtifactError, DataError, InputError
 from thermoforce_mpc.experiment.experiment import Experiment
-from thermoforce_mpc.experiment.outside import CODE, unknown
+from thermoforce_mpc.experiment.outside import CODE, HUB, unknown
 from thermoforce_mpc.records.journal import NAME, JournalError, making_sense, read_run
 from thermoforce_mpc.records.journal_values import margins_of, planned_of
 from thermoforce_mpc.records.plain_files import check_plain
@@ -170,7 +170,7 @@ def alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
         entries = read_run(folder / NAME).entries
         scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")
         name = decision.controller
-        code = [one.value for one in unknown(scenario) if one.key == CODE]
+        code = [one.value for one in unknown(scenario) if one.key in (CODE, HUB)]
         if code or name not in (scenario.controller.name, *scenario.baselines):
             unclear = ", ".join(code) or name
             return f"they need what you have not given here before, or what was changed since: {unclear}"

@@ -1,31 +1,37 @@
 """What a run names that acts outside its folder, and whether this user has given it here before.
 
-The folder of a run may come from anybody. Its journal names a service, to which requests and BOPTEST_TOKEN would go, an
-FMU, which is native code, files of Python (`file.py:name`), trained policies, which are unpickled, or a plugin's plant,
-which may be a real one. From a journal such a setting is used only if the user gives it again, or gave it before:
-`tf-mpc run` and `resume` note in the user's cache folder what they were given, a file by the SHA-256 of its content. No
-folder of a run can forge that, whoever owns it. All else that a journal names is read as data.
+A scenario, comparison or fleet file may come from anybody too. Code that it names, and that the command line does not,
+is shown and asked for (`check_code`); so is all of the following.
+
+The folder of a run may come from anybody. Its journal names a service, to which requests and BOPTEST_TOKEN would go,
+an FMU, which is native code, files of Python (`file.py:name`), trained policies, which are unpickled, a plugin's
+plant, which may be a real one, or a forecaster of a model hub, which is asked for it. From a journal such a setting
+is used only if the user gives it again, or gave it before: `tf-mpc run` and `resume` note in the user's cache folder
+what they were given, a file by the SHA-256 of its content. No folder of a run can forge that, whoever owns it. All
+else that a journal names is read as data.
 """
 
 from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from thermoforce_mpc.data.cache import known_marks, note_marks
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import file_sha256
+from thermoforce_mpc.model.free_response.backbones.loading import is_fetched
 from thermoforce_mpc.plants.boptest.token import allow_token
 from thermoforce_mpc.plants.registry import REGISTRY, plant_name
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.scenario.own_code import code_file
+from thermoforce_mpc.scenario.own_code import code_file, is_policy, looked_at
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 
 CODE = "file of Python"
+HUB = "controller.options.free_response.options.backbone"
 
 
 class Outside(NamedTuple):
@@ -57,14 +63,67 @@ def outside(scenario: Scenario) -> list[Outside]:
         found.append(Outside("plant.path", plant.path, "--fmu", "an FMU runs native code"))
     elif name not in REGISTRY.own:
         found.append(Outside("plant.kind", name, "--plant", "a plugin's plant, which may be a real one"))
-    return found + [Outside(CODE, file, "--code", "it is run") for file in _python(scenario)]
+    found += [Outside(CODE, file, "--code", "it is run") for file in python_of(scenario.model_dump())]
+    forecaster = scenario.controller.options.get("free_response")
+    options = forecaster.get("options") if isinstance(forecaster, Mapping) else None
+    backbone = options.get("backbone") if isinstance(options, Mapping) else None
+    if isinstance(backbone, str) and is_fetched(backbone):
+        found.append(Outside(HUB, backbone, "--forecaster", "a model hub is asked for it"))
+    return found
 
 
-def _python(scenario: Scenario) -> list[str]:
-    """Files of Python and policies that a scenario names."""
-    controller = scenario.controller
-    named = [controller.name, *scenario.baselines, *scenario.kpis, str(controller.options.get("terms") or "")]
-    return sorted({file for where in named if (file := code_file(where)) is not None})
+def python_of(keys: Mapping[str, Any]) -> list[str]:
+    """Files of Python and policies that keys of a scenario name."""
+    return sorted({file for name in own_names(keys) if (file := code_file(name)) is not None})
+
+
+def own_names(keys: Mapping[str, Any]) -> list[str]:
+    """Names that keys of a scenario, all or some, give to what is in a file: `file.py:name`, or a policy's file."""
+    controller = keys.get("controller")
+    if not isinstance(controller, Mapping):
+        controller = {"name": controller}
+    options = controller.get("options")
+    terms = options.get("terms") if isinstance(options, Mapping) else None
+    named = [controller.get("name"), terms]
+    for key in ("baselines", "kpis"):
+        named += keys[key] if isinstance(keys.get(key), list | tuple) else []
+    return [name for name in named if isinstance(name, str) and code_file(name) is not None]
+
+
+def code_of(keys: Mapping[str, Any]) -> list[Outside]:
+    """All code that keys of a scenario name: Python, policies and an FMU."""
+    plant = keys.get("plant")
+    path = plant.get("path") if isinstance(plant, Mapping) else None
+    fmu = [Outside("plant.path", path, "--code", "an FMU runs native code")] if isinstance(path, str) else []
+    return fmu + [Outside(CODE, file, "--code", "it is run") for file in python_of(keys)]
+
+
+def check_code(found: Iterable[Outside], named: Collection[str], file: str) -> None:
+    """Note the code `found` in a `file`, where all of it is `named` on the command line or was given before.
+
+    Raises:
+        ConfigError: some was neither; what is in it is shown, and the option that gives it.
+    """
+    found, known, given = list(found), known_marks(), {Path(name).resolve() for name in named}
+    missing = [one for one in found if Path(one.value).resolve() not in given and one.mark not in known]
+    if missing:
+        lines = [f"{file}: it names code that would be run, and you have not given it here before:"]
+        lines += [f"  {one.value} ({shown_code(one)})" for one in missing]
+        words = " ".join(dict.fromkeys(f"--code {shlex.quote(one.value)}" for one in missing))
+        raise ConfigError("\n".join([*lines, f"Where you trust it, repeat the command with {words}"]))
+    note_marks(mark for one in found if (mark := one.mark))
+
+
+def shown_code(one: Outside) -> str:
+    """What a file of code is, in words, without running it."""
+    if one.key != CODE:
+        return one.does
+    if is_policy(one.value):
+        return "a policy, which is unpickled: that runs whatever is in it"
+    try:
+        return str(looked_at(one.value, one.key, ConfigError))
+    except ConfigError as error:
+        return str(error)
 
 
 def note_given(scenario: Scenario) -> None:
@@ -85,11 +144,13 @@ def with_given(scenario: Scenario, given: Mapping[str, str], code: Collection[st
     Raises:
         ConfigError: one that acts outside was not given, now or before; or one was given that the run does not have.
     """
-    named = {one.key: one for one in outside(scenario)}
-    for what in (*(set(given) - set(named)), *(set(code) - set(_python(scenario)))):
+    found = outside(scenario)
+    named = {one.key: one for one in found}
+    for what in (*(set(given) - set(named)), *(set(code) - {one.value for one in found if one.key == CODE})):
         raise ConfigError(f"{folder}: its run has no {what}: leave the option out")
-    if given.get("plant.kind", scenario.plant.kind) != scenario.plant.kind:
-        raise ConfigError(f"{folder}: its run is on plant '{scenario.plant.kind}', not '{given['plant.kind']}'")
+    for key, what in (("plant.kind", "is on plant"), (HUB, "has the forecaster")):
+        if given.get(key, value := named[key].value if key in named else "") != value:
+            raise ConfigError(f"{folder}: its run {what} '{value}', not '{given[key]}'")
     missing = [one for one in unknown(scenario) if one.key not in given and one.value not in code]
     if missing:
         lines = [f"  {one.key}: {one.value} ({one.does})" for one in missing]

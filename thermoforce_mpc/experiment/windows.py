@@ -13,7 +13,7 @@ import numpy as np
 from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.files import DoubtfulInput
+from thermoforce_mpc.files import DoubtfulInput, plain_number
 from thermoforce_mpc.plants.registry import windows_of
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec
@@ -49,7 +49,7 @@ def check_prices(spec: PlantSpec, price: str, period: Period, ahead_s: float = 0
 def check_window(name: str, key: str = "period") -> None:
     """Refuse a `name` that no plant can know as a window; raises `ConfigError` naming `key` and those there are."""
     try:
-        if not 0.0 <= float(name) < 365.0:
+        if not 0.0 <= plain_number(name) < 365.0:
             raise ConfigError(f"{key}: '{name}': a start day lies between 0 and 365")
     except ValueError:
         if name not in _NAMED_PERIODS:

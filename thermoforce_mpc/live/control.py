@@ -9,12 +9,15 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Protocol
 
 import pandas as pd
 
+from thermoforce_mpc.connections.sole import set_by, sole_control
 from thermoforce_mpc.data import Block, CommandValue, Observation, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import PlantError, ThermoForceError
@@ -85,6 +88,7 @@ def control(
     outage_h: float = OUTAGE_H,
     kept: KeptState | None = None,
     told: Callable[[Decision], None] = lambda decision: None,
+    sets: Path | str | None = None,
 ) -> None:
     """Control a building, of the step of `controller`, until interrupted, or for `steps` decisions.
 
@@ -98,12 +102,16 @@ def control(
         outage_h: how long the last forecast may stand in where there is none, h.
         kept: where the controller's state is kept from step to step; None: a restart begins anew.
         told: called with every decision, before it acts.
+        sets: what is set, which no other controller may set meanwhile; by default what the connection says, if it does.
 
     Raises:
         InputError, PlantError: the first decision could not be made.
+        ConfigError: another controller sets the building.
         PlantError: the building did not take its levels back at the end.
     """
-    _Loop(building, controller, clock or WallClock(), delay_s, dry, outage_h, kept, told).run(steps)
+    sets = set_by(building.connection) if sets is None else sets
+    with sole_control(sets) if sets and not dry else nullcontext():
+        _Loop(building, controller, clock or WallClock(), delay_s, dry, outage_h, kept, told).run(steps)
 
 
 class _Loop:

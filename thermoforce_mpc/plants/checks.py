@@ -22,6 +22,7 @@ from thermoforce_mpc.data import (
     commands_of_each,
 )
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.files import plain_number
 from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
 
 
@@ -38,7 +39,7 @@ def day_period(name: str, named: Iterable[str]) -> Period:
 def is_day(name: str) -> bool:
     """Whether the name of a window is a number: its start day."""
     try:
-        float(name)
+        plain_number(name)
     except ValueError:
         return False
     return True

@@ -1,12 +1,15 @@
 """Key performance indicators as BOPTEST defines them, used for every plant.
 
 Definitions: BOPTEST documentation (Blum et al. 2021, doi:10.1080/19401493.2021.1986574): 30-s samples, integrals by the
-trapezoidal rule, per square metre of floor, peak as the highest mean over 15 minutes.
+trapezoidal rule, per square metre of floor, peak as the highest mean of the samples of 15 minutes. As in its service,
+windows count from the first sample, a sample is of the window that it begins or lies in, and the last window counts
+however few samples it has: after a whole number of quarters the present power is a window of its own.
 """
 
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -65,11 +68,12 @@ def building_kpis(
     thermal: Sequence[Violation],
     air_quality: Sequence[Violation],
     area_m2: float,
+    open_end: bool = True,
 ) -> dict[str, float]:
     """Return the KPIs of a building with any number of zones and energy carriers over samples at `time_s` (n,), s.
 
     Energy, cost and emissions are summed over carriers; discomfort is the mean over zones. KPIs without data (no zone
-    with CO2, no gas) are omitted.
+    with CO2, no gas) are omitted. `open_end`: whether the last sample counts for the peak.
 
     Returns:
         `ener_tot` kWh/m², `cost_tot` currency/m², `emis_tot` kg/m², `tdis_tot` K·h, `idis_tot` ppm·h, and `pele_tot`,
@@ -101,7 +105,7 @@ def building_kpis(
                 totals |= _of_each_zone(name, zones, integrals)
     for supply in supplies:
         if supply.carrier in PEAKS:
-            peak_W = peak_power(time_s, supply.power_W, of_steps=supply.of_steps)
+            peak_W = peak_power(time_s, supply.power_W, of_steps=supply.of_steps, open_end=open_end)
             totals[PEAKS[supply.carrier]] = peak_W / 1e3 / area_m2
     return totals
 
@@ -140,23 +144,26 @@ def _check(values: Array, time_s: Array, weights: Array, name: str) -> None:
         raise DataError(f"KPIs: {name} is not a finite number at {first:g} s")
 
 
+Between = Callable[[float, float, bool], dict[str, float]]
+
+
 @dataclass(frozen=True)
 class CountedKpis:
     """Cached KPIs of a growing record, so that samples up to `until_s` need not be read again.
 
     `until_s` lies a whole number of 15-min peak windows after the first sample; `kpis` cover the samples up to it, None
-    before the first whole window. Integrals of adjacent parts are summed; the peak is their maximum. `between(i, j)`
-    returns the KPIs of the samples from time i to time j, both included, j > i.
+    before the first whole window. Integrals of adjacent parts are summed; the peak is their maximum.
+    `between(i, j, open_end)` returns the KPIs of the samples from time i to time j, both included, j > i.
     """
 
     until_s: float
     kpis: Mapping[str, float] | None = None
 
-    def counting(self, edge_s: float, between: Callable[[float, float], dict[str, float]]) -> CountedKpis:
+    def counting(self, edge_s: float, between: Between) -> CountedKpis:
         """Return the cache extended to `edge_s`, the time of a sample a whole number of windows after `until_s`."""
         if edge_s == self.until_s:
             return self
-        return CountedKpis(edge_s, self._and(between(self.until_s, edge_s), of_whole_windows=True))
+        return CountedKpis(edge_s, self._and(between(self.until_s, edge_s, False)))
 
     def latest_edge_s(self, time_s: Array, start_s: float) -> float:
         """Return the latest of `time_s` (n,), s, that ends a peak window since `start_s`, else `until_s`."""
@@ -167,28 +174,35 @@ class CountedKpis:
         instants = np.flatnonzero((into_s < 2 * _CLOCK_S) & (time_s > self.until_s + _CLOCK_S))
         return float(time_s[instants[-1]]) if instants.size else self.until_s
 
-    def up_to(self, now_s: float, between: Callable[[float, float], dict[str, float]]) -> dict[str, float]:
+    def up_to(self, now_s: float, between: Between) -> dict[str, float]:
         """Return the KPIs of all samples up to `now_s`."""
-        if now_s == self.until_s:
-            return dict(self.kpis or {})
-        # An incomplete window does not count for the peak.
-        whole = now_s - self.until_s >= PEAK_WINDOW_S
-        return self._and(between(self.until_s, now_s), of_whole_windows=whole)
+        if now_s != self.until_s:
+            return self._and(between(self.until_s, now_s, True))
+        if self.kpis is None:
+            return {}
+        # The sample of now begins a window.
+        last = between(now_s - PEAK_WINDOW_S, now_s, True)
+        return {name: max(value, last[name]) if name in PEAKS.values() else value for name, value in self.kpis.items()}
 
-    def _and(self, later: dict[str, float], *, of_whole_windows: bool) -> dict[str, float]:
+    def _and(self, later: dict[str, float]) -> dict[str, float]:
         if self.kpis is None:
             return later
-        together = {name: value + later[name] for name, value in self.kpis.items()}
-        for name in set(PEAKS.values()) & set(together):
-            together[name] = max(self.kpis[name], later[name]) if of_whole_windows else self.kpis[name]
-        return together
+        joined = {name: max if name in PEAKS.values() else operator.add for name in self.kpis}
+        return {name: joined[name](value, later[name]) for name, value in self.kpis.items()}
 
 
-def peak_power(time_s: Array, power_W: Array, *, of_steps: bool = False) -> float:
-    """Return the highest mean over consecutive 15-min windows from the first sample, W (of all samples if shorter)."""
-    means_W = power_W[1:] if of_steps else (power_W[1:] + power_W[:-1]) / 2
-    span_s = float(time_s[-1] - time_s[0])
-    return float(np.max(window_means(time_s, means_W, min(PEAK_WINDOW_S, span_s))))
+def peak_power(time_s: Array, power_W: Array, *, of_steps: bool = False, open_end: bool = True) -> float:
+    """Return the highest mean of samples over 15-min windows from the first one, W; without `open_end` less the last.
+
+    Of steps: the highest mean of power over whole windows, or over all of a shorter time.
+    """
+    if of_steps:
+        span_s = float(time_s[-1] - time_s[0])
+        return float(np.max(window_means(time_s, power_W[1:], min(PEAK_WINDOW_S, span_s))))
+    n = time_s.size if open_end else time_s.size - 1
+    windows = ((time_s[:n] - time_s[0] + _CLOCK_S) // PEAK_WINDOW_S).astype(np.intp)
+    sums_W, counts = np.bincount(windows, power_W[:n]), np.bincount(windows)
+    return float((sums_W[counts > 0] / counts[counts > 0]).max())
 
 
 def window_means(time_s: Array, means: Array, window_s: float) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, Self, TypeVar, cast
 
@@ -18,7 +18,7 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import SINGLE, Array, Block, Boundary, Commands, Levels, Measurement, Names, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_levels, check_start, forecast_times, record_times
-from thermoforce_mpc.plants.kpis import CountedKpis
+from thermoforce_mpc.plants.kpis import Between, CountedKpis
 from thermoforce_mpc.scenario.building import PRICES, Price
 
 # Smallest time difference between two samples, s.
@@ -232,8 +232,8 @@ class BranchingShell(PlantShell):
     def _begin(self) -> None:
         self._samples, self._counted = Samples(self._begin_s, self._first_row()), {}
 
-    def _kpis_so_far(self, between: Callable[[float, float], dict[str, float]]) -> dict[str, float]:
-        """KPIs since the end of the warm-up, from those of the samples `between` two times, both included.
+    def _kpis_so_far(self, between: Between) -> dict[str, float]:
+        """KPIs since the end of the warm-up, from those of the samples `between` two times, see `CountedKpis`.
 
         Sums are cached: later calls read only the new samples, and those of a peak window that is not over.
         """

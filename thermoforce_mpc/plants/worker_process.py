@@ -20,12 +20,14 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
+from fnmatch import fnmatchcase
 from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, Any
 
 from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.dependencies import SWITCHES
 from thermoforce_mpc.errors import PlantError
 
 _LOG = logging.getLogger(__name__)
@@ -42,6 +44,13 @@ _END_S = 5.0
 
 _SAID_BYTES = 500
 
+PASSED = "TF_MPC_PASS"
+"""Variable with names, separated by commas, of others that workers get too: `LM_LICENSE_FILE, DYMOLA_*`."""
+_NEEDED = (
+    "PATH", "HOME", "USER", "LANG", "LANGUAGE", "LC_*", "TZ", "LD_LIBRARY_PATH", "LD_PRELOAD", "XDG_CACHE_HOME",
+    "PYTHON*", "VIRTUAL_ENV", "CONDA_PREFIX", "COVERAGE_*", "OMP_*", "OPENBLAS_*", "MKL_*", "NUMBA_*",
+)  # fmt: skip
+
 
 class WorkerProcess:
     """Process of one run of `what`; `patience_s` for a piece of `PIECE_S`, s; `now_s`: time of the run, s."""
@@ -51,14 +60,15 @@ class WorkerProcess:
         self._what, self.patience_s, self.now_s = what, patience_s, 0.0
         self._said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
         root = str(Path(__file__).resolve().parents[2])
-        path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
+        handed = _handed()
+        path = os.pathsep.join([root, *filter(None, [handed.get("PYTHONPATH")])])
         self._process = subprocess.Popen(
             [sys.executable, "-c", f"from {module} import main; main()"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._said,
             cwd=work_folder,
-            env={**os.environ, "PYTHONPATH": path, "TMPDIR": str(work_folder)},
+            env={**handed, "PYTHONPATH": path, "TMPDIR": str(work_folder)},
         )
 
     @property
@@ -144,6 +154,16 @@ class WorkerProcess:
         said = os.pread(self._said.fileno(), _SAID_BYTES, max(size - _SAID_BYTES, 0))
         text = safe_text(said.decode(errors="replace").strip())
         return f"\nIts last output (of {size:,} bytes):\n{text}" if text else ""
+
+
+def _handed() -> dict[str, str]:
+    """Environment of a worker: what Python and libraries need, and what `PASSED` names; no token, key or password.
+
+    A simulation is native code of this user and could read more elsewhere; what it is not handed it does not log.
+    """
+    named = [name.strip() for name in os.environ.get(PASSED, "").split(",")]
+    wanted = [*_NEEDED, *(switch.variable for switch in SWITCHES), *named]
+    return {key: value for key, value in os.environ.items() if any(fnmatchcase(key, name) for name in wanted)}
 
 
 def _wait(answer: Future[Any], what: str, limit_s: float) -> None:

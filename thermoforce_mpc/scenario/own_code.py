@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import inspect
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Collection, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import Field, create_model
 
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.scenario.strict_model import StrictModel
+
+_MOST_BYTES = 5_000_000
 
 
 def is_own_code(name: str) -> bool:
@@ -56,6 +61,47 @@ def own_code(where: str, key: str, error: Callable[[str], InputError]) -> Any:
         public = [key for key, value in own.items() if getattr(value, "__module__", "") == content["__name__"]]
         raise error(f"{key}: {path} has no {name!r}; it has {', '.join(public) or 'nothing that can be called'}")
     return content[name]
+
+
+class PythonSource(NamedTuple):
+    """What a file of Python holds: how many `lines`, what it defines and which modules it would import, both sorted."""
+
+    lines: int
+    defines: tuple[str, ...]
+    imports: tuple[str, ...]
+
+    def __str__(self) -> str:
+        defines, imports = ", ".join(self.defines) or "nothing", ", ".join(self.imports) or "nothing"
+        return f"{self.lines} lines of Python, define {defines}, import {imports}"
+
+
+def looked_at(where: str, key: str, error: type[InputError]) -> PythonSource:
+    """What the file of `where`, a `path/to/file.py:name` or the path alone, holds, without running it.
+
+    Raises `error`, with the `key` that it was given by, where it cannot be read, is not Python, or has no such name.
+    """
+    file, _, name = where.rpartition(":") if is_own_code(where) else (where, "", "")
+    if not Path(file).is_file():
+        raise error(f"{key}: {where!r}: no such file in {Path.cwd()}")
+    source = read_bounded(Path(file), _MOST_BYTES, error)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of invalid escapes
+            tree = ast.parse(source, file)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as problem:
+        raise error(f"{key}: {file} is not Python: {problem}") from problem
+    nodes = list(ast.walk(tree))
+    imports = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    imports |= {"." * node.level + (node.module or "") for node in nodes if isinstance(node, ast.ImportFrom)}
+    made = [node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.AsyncFunctionDef)]
+    # A name may also be imported or assigned, or come with a star.
+    bound = {alias.asname or alias.name for node in nodes if isinstance(node, ast.ImportFrom) for alias in node.names}
+    bound |= {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    if name and not {name, "*"} & {*made, *bound}:
+        raise error(f"{key}: {file} has no {name!r}; it has {', '.join(made) or 'nothing that can be called'}")
+    top = [node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.AsyncFunctionDef)]
+    modules = sorted({module.partition(".")[0] or module for module in imports})
+    return PythonSource(len(source.splitlines()), tuple(sorted(top)), tuple(modules))
 
 
 @cache

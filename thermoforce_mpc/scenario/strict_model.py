@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -17,6 +17,8 @@ from pydantic import (
     WithJsonSchema,
     field_validator,
 )
+
+from thermoforce_mpc.files import odd_number
 
 # Largest magnitude by the unit at the end of a key: far beyond any building, but finite. Temperatures in °C also have a
 # least value; no key is in kelvin.
@@ -62,8 +64,8 @@ def one_of(*usual: str) -> WithJsonSchema:
 class StrictModel(BaseModel):
     """Base class of all configuration models; values are immutable.
 
-    Refused: unknown keys, NaN and infinity, true and false where a number is meant, and numbers that no building can
-    have, by the unit that a key's name ends with.
+    Refused: unknown keys, NaN and infinity, true and false where a number is meant, text that only Python takes for one
+    (1_0), and numbers that no building can have, by the unit that a key's name ends with.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -71,8 +73,13 @@ class StrictModel(BaseModel):
     @field_validator("*", mode="before")
     @classmethod
     def _numbers_are_no_truth_values(cls, value: Any, info: ValidationInfo) -> Any:
-        if _takes_numbers_only(cls, info.field_name or "") and any(isinstance(one, bool) for one in _leaves(value)):
-            raise ValueError(_NO_NUMBER)
+        name = info.field_name or ""
+        if _takes_numbers_only(cls, name):
+            for one in _leaves(value):
+                if isinstance(one, bool):
+                    raise ValueError(_NO_NUMBER)
+                if isinstance(one, str) and not _may_be_text(cls, name) and odd_number(one):
+                    raise ValueError(f"{one!r:.60} is not a number")
         return value
 
     @field_validator("*", mode="after")
@@ -98,6 +105,13 @@ def _takes_numbers_only(model: type[BaseModel], name: str) -> bool:
     others = bool in kinds or Any in kinds or object in kinds
     nested = any(isinstance(kind, type) and issubclass(kind, BaseModel) for kind in kinds)
     return bool(kinds & {int, float}) and not others and not nested
+
+
+@functools.cache
+def _may_be_text(model: type[BaseModel], name: str) -> bool:
+    """Whether a value of the field may be any text, such as the name of a column."""
+    annotation = model.model_fields[name].annotation
+    return str in _kinds(annotation) and get_origin(annotation) is not dict
 
 
 def _kinds(annotation: Any) -> Iterator[Any]:

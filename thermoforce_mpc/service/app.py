@@ -9,7 +9,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import IO, Any
+from typing import IO, Any, NoReturn
 
 from flask import Flask, Request, Response, request
 from werkzeug.exceptions import HTTPException, MethodNotAllowed, NotFound
@@ -182,7 +182,7 @@ def _body(request: Request) -> dict[str, Any]:
     if request.mimetype in FORMS:
         return _form(request, text)
     try:
-        body = json.loads(text)
+        body = json.loads(text, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
         raise Refusal(400, f"The body is not JSON: {error}.") from error
     if not isinstance(body, dict):
@@ -190,6 +190,10 @@ def _body(request: Request) -> dict[str, Any]:
     if _deeper(body, _MOST_DEPTH):
         raise Refusal(400, f"The body nests deeper than {_MOST_DEPTH} levels; expected values and lists.")
     return body
+
+
+def _no_constant(text: str) -> NoReturn:
+    raise ValueError(f"{text} is no value of JSON")
 
 
 def _deeper(value: Any, levels: int) -> bool:

@@ -119,8 +119,8 @@ def endpoints(points: ServedPoints) -> tuple[Endpoint, ...]:
     }
     past = {
         "point_names": _names({**points.measurements, **points.inputs}, "measurements and inputs"),
-        "start_time": _number("s since 1 January"),
-        "final_time": _number("s since 1 January"),
+        "start_time": _number("s since 1 January; the text '-inf' for the first sample"),
+        "final_time": _number("s since 1 January; the text 'inf' for the last sample"),
     }
     return (
         Endpoint("GET", "name", lambda *_: told, "Name of the test case", _reply(name={"const": name})),

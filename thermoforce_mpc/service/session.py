@@ -18,6 +18,7 @@ import numpy as np
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H
 from thermoforce_mpc.data import HOUR_S, Array, Period
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.files import plain_number
 from thermoforce_mpc.plants.embedded.emulator import LEAST_STEP_S, NEVER_GIVEN, Emulator
 from thermoforce_mpc.plants.embedded.kernel import STEP_S
 from thermoforce_mpc.plants.kpis import PEAKS
@@ -162,8 +163,8 @@ class Session:
     def results(self, body: Mapping[str, Any]) -> Reply:
         """Recorded values of `point_names` between `start_time` and `final_time`, s, warm-up included."""
         names = _names(body, {**self._points.measurements, **self._points.inputs}, "inputs and measurements")
-        start_s = _number(body, "start_time", finite=False)
-        final_s = _number(body, "final_time", finite=False)
+        start_s = _end(body, "start_time")
+        final_s = _end(body, "final_time")
         if start_s > self._plant.now_s or final_s < self._plant.begin_s:
             raise Refusal(
                 400,
@@ -243,23 +244,30 @@ def _refusing() -> Iterator[None]:
         raise Refusal(400, str(error)) from error
 
 
-def _number(
-    body: Mapping[str, Any], key: str, *, low: float = -math.inf, high: float = math.inf, finite: bool = True
-) -> float:
+def _number(body: Mapping[str, Any], key: str, *, low: float = -math.inf, high: float = math.inf) -> float:
     if key not in body:
         raise Refusal(400, f"Missing parameter {key}.")
+    given = body[key]
     try:
-        value = float(body[key])
+        if isinstance(given, bool):
+            raise TypeError
+        value = plain_number(given) if isinstance(given, str) else float(given)
     except OverflowError:
         raise Refusal(400, f"Invalid value of {key}: the integer is too large.") from None
     except (TypeError, ValueError):
-        raise Refusal(400, f"Invalid value {body[key]!r} of {key}: expected a number.") from None
-    if math.isnan(value) or (finite and math.isinf(value)):
-        raise Refusal(400, f"Invalid value {body[key]!r} of {key}: expected a finite number.")
+        raise Refusal(400, f"Invalid value {given!r} of {key}: expected a number.") from None
+    if not math.isfinite(value):
+        raise Refusal(400, f"Invalid value {given!r} of {key}: expected a finite number.")
     if value < low or value > high:
         bound = f"at least {low:g}" if value < low else f"at most {high:g}"
         raise Refusal(400, f"Invalid value {value:g} of {key}: expected {bound}.")
     return value
+
+
+def _end(body: Mapping[str, Any], key: str) -> float:
+    """An end of a record, s; open where the text is 'inf' or '-inf', as BOPTEST's own examples send it in forms."""
+    given = body.get(key)
+    return float(given) if given in ("inf", "-inf") else _number(body, key)
 
 
 def _switch(key: str, value: Any) -> bool:

@@ -24,7 +24,7 @@ import thermoforce_mpc.model.operator.casadi_export as export
 from controllers.optimisation.statement.algebra import Algebra
 from controllers.optimisation.statement.problem_statement import Stated, parameter_sizes, state
 from controllers.optimisation.statement.structure import Structure
-from thermoforce_mpc.data.cache import cache_folder
+from thermoforce_mpc.dependencies import cache_folder
 
 # Files kept.
 _MOST_FILES = 120

@@ -44,10 +44,11 @@ def test_a_year_of_its_place_is_taken_without_a_word(tmp_path, year):
     ("place", "message"),
     [
         ("999,4.53,1.0", "latitude_deg is 999, expected -90 to 90"),
-        ("nan,4.53,1.0", "latitude_deg is nan"),
+        ("nan,4.53,1.0", "no number in"),
+        ("5_0.9,4.53,1.0", "no number in"),
         ("50.9,360,1.0", "longitude_deg is 360, expected -180 to 180"),
         ("50.9,4.53,1e308", r"timezone_h is 1e\+308, expected -12 to 14"),
-        ("50.9,4.53,", "time zone missing"),
+        ("50.9,4.53,", "time zone missing or no number"),
     ],
 )
 def test_a_place_that_is_not_on_earth_is_refused(tmp_path, year, place, message):

@@ -22,10 +22,16 @@ from waiting import wait_for
 from benchmarks.chaos.fmu.building import build_house
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.plants.worker_process import PASSED
 
 pytestmark = pytest.mark.slow
 TESTCASE = "bestest_hydronic_heat_pump"
 RESTARTED = "restarted with tolerance 1e-07: the FMU's step from day 30.0521 took more than 2 s"
+
+
+@pytest.fixture(autouse=True)
+def told_by_the_environment(monkeypatch):
+    monkeypatch.setenv(PASSED, "FMU_HOUSE_*")
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pandas as pd
+import yaml
 from simple_house import SimpleHouse, simple_model
 
 from controllers.mpc.config import MPCConfig
@@ -27,6 +30,16 @@ def mpc(**options) -> ThermoForceMPC:
     base = {"step_s": 3600.0, "horizon_h": 12.0, "free_response": {"name": "persistence"}}
     base |= {"gate": off, "guard": off, "watch": off}
     return ThermoForceMPC(simple_model(), MPCConfig.model_validate(base | options))
+
+
+def files_of_now(folder: Path) -> None:
+    """The files of the connection `files` in `folder`, up to this hour, with `map.yaml` and `model`."""
+    house = SimulatedBuilding()
+    shift = pd.Timestamp.now("UTC").floor("1h") - START
+    house.measurements().assign(time=lambda table: table["time"] + shift).to_csv(folder / "house.csv", index=False)
+    house.forecast().shift(freq=shift).to_csv(folder / "tomorrow.csv")
+    (folder / "map.yaml").write_text(yaml.safe_dump(RULES))
+    simple_model().save(folder / "model")
 
 
 class SimulatedBuilding:

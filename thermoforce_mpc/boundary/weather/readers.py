@@ -13,7 +13,7 @@ from thermoforce_mpc.boundary.weather.solar import sun_position
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import WeatherError
-from thermoforce_mpc.files import DoubtfulInput, read_bounded
+from thermoforce_mpc.files import DoubtfulInput, plain_number, read_bounded
 
 # Mean of a year, °C: the extremes on Earth are Vostok (-55) and Dallol (35).
 _MEAN_C = (-60.0, 40.0)
@@ -163,7 +163,7 @@ def _columns(path: Path, rows: list[list[str]], columns: dict[str, int]) -> dict
         if len(row) < width:
             raise WeatherError(f"{path}: hourly row {i + 1} has {len(row)} columns, expected {width}")
         try:
-            table[i] = [float(row[index]) for index in columns.values()]
+            table[i] = [plain_number(row[index]) for index in columns.values()]
         except ValueError as error:
             raise WeatherError(f"{path}: hourly row {i + 1}: a cell is not a number ({error!s:.100})") from error
     return dict(zip(columns, table.T.copy(), strict=True))
@@ -173,9 +173,11 @@ def _weather(path: Path, name: str, location: str, columns: dict[str, Array]) ->
     """Convert units (degrees to rad, tenths and per cent to fractions); read the site from the header line."""
     cells = [cell.strip() for cell in location.split(",")]
     try:
-        latitude, longitude, zone = (float(cell) for cell in cells[6:9])
+        latitude, longitude, zone = (plain_number(cell) for cell in cells[6:9])
     except ValueError as error:
-        raise WeatherError(f"{path}: latitude, longitude or time zone missing in '{location[:80]}'") from error
+        raise WeatherError(
+            f"{path}: latitude, longitude or time zone missing or no number in '{location[:80]}'"
+        ) from error
     columns["wind_from_rad"] = np.deg2rad(columns["wind_from_rad"])
     for key, scale in (("opaque_cover", 10.0), ("total_cover", 10.0), ("relative_humidity", 100.0)):
         columns[key] = columns[key] / scale

@@ -22,8 +22,9 @@ _MARKS = {"ok": "ok      ", "warning": "WARNING ", "failed": "FAILED  ", "skippe
 def doctor(url: str | None, testcase: str, out: Path, only: str | None, json_file: Path | None) -> None:
     """Check what a run needs, by using it, and say what to do where something is wrong.
 
-    Packages, the embedded plant, each solver on a small problem, the forecaster, a service (--url), the clock, and the
-    disk where runs are written. Exit code 1 where a check failed; warnings do not count.
+    Packages, what they would report to others, the embedded plant, each solver on a small problem, the forecaster, a
+    service (--url), the clock, and the disk where runs are written. Exit code 1 where a check failed; warnings do not
+    count.
 
     \b
     Examples:
@@ -71,7 +72,7 @@ def fetch_command(out: Path | None, url: str | None) -> None:
       tf-mpc run --testcase bestest_hydronic_heat_pump --weather "$(tf-mpc weather fetch)"
     """
     from thermoforce_mpc.boundary.weather.fetch import URL, fetch_brussels
-    from thermoforce_mpc.data.cache import cache_folder
+    from thermoforce_mpc.dependencies import cache_folder
 
     path = fetch_brussels(out or cache_folder(), url or URL)
     click.echo(str(path))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 import shlex
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import PATH
+from thermoforce_mpc.cli.options import PATH, code_option
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import storage_errors, write_whole
 
@@ -123,15 +123,20 @@ def schema(kind: str, out: Path | None) -> None:
 
 @click.command()
 @click.argument("file", type=PATH)
-def validate_file(file: Path) -> None:
+@code_option
+def validate_file(file: Path, code: tuple[str, ...]) -> None:
     """Check FILE, a scenario, test case, comparison, fleet or map; an error names file, key and allowed values.
 
     A comparison has the key `variants`, a fleet `buildings`, a map `outdoor`, a test case `actuator`, `zones` or
     `measurements`. Of a scenario, weather, prices, model and forecaster are loaded too. Whether a map fits a table
     is said by `tf-mpc data check`. Exit code 2 when it is invalid.
+
+    Python that the file names is looked at and not run: whether it has what is named, and what it would import. With
+    --code it is run, and the options of what it defines are checked. A forecaster on a hub is not fetched.
     """
     from thermoforce_mpc.cli.inside.schemas import KINDS
     from thermoforce_mpc.experiment.experiment import Experiment, check_contestants
+    from thermoforce_mpc.experiment.outside import HUB, outside
     from thermoforce_mpc.plants.registry import check_surroundings
     from thermoforce_mpc.scenario.scenario import Scenario
     from thermoforce_mpc.scenario.settings import read_yaml, validate
@@ -139,14 +144,58 @@ def validate_file(file: Path) -> None:
     data = read_yaml(file)
     kind = next((kind for key, kind in _KIND_OF.items() if key in data), "scenario")
     if kind != "scenario":
-        validate(KINDS[kind], data, str(file))
+        content = validate(KINDS[kind], data, str(file)).model_dump()
+        variants = [{"controller": {"name": one["controller"], **one}} for one in content.get("variants", {}).values()]
+        _look([content.get("scenario", {}), *variants], code)
         click.echo(f"{file}: valid {kind}")
         return
     scenario = validate(Scenario, data, str(file))
-    experiment = Experiment.of(scenario)
+    unread = _look([scenario.model_dump()], code)
+    on_hub = [one.value for one in outside(scenario) if one.key == HUB]
+    for name in on_hub:
+        click.echo(f"{name}: not looked at; a hub is asked for it when it is run")
+    experiment = Experiment.of(_without(scenario, unread, hub=bool(on_hub)))
     check_surroundings(scenario.plant)
     check_contestants(experiment)
     click.echo(f"{file}: valid scenario, {scenario.controller.name} on {scenario.testcase}, {scenario.period}")
+
+
+def _without(scenario: Scenario, unread: Collection[str], *, hub: bool) -> Scenario:
+    """A scenario without what is in files of code that are not run, and with the default in place of a hub's model."""
+    from controllers.registry import find_entry
+    from thermoforce_mpc.scenario.own_code import code_file
+    from thermoforce_mpc.scenario.settings import validate
+
+    keys = scenario.model_dump(exclude_unset=True)
+    for key in ("baselines", "kpis"):
+        keys[key] = [name for name in getattr(scenario, key) if code_file(name) not in unread]
+    if code_file(scenario.controller.name) in unread:
+        keys["controller"] = {"name": "native"}
+        # They would need the model that this controller is identified for.
+        keys["baselines"] = [name for name in keys["baselines"] if not find_entry(name).needs_model]
+    elif options := dict(scenario.controller.options):
+        if code_file(str(options.get("terms"))) in unread:
+            del options["terms"]
+        if hub:
+            del options["free_response"]
+        keys["controller"]["options"] = options
+    return validate(type(scenario), keys, "scenario")
+
+
+def _look(scenarios: Iterable[Mapping[str, Any]], given: Collection[str]) -> set[str]:
+    """Say what is in the Python that keys of scenarios name, and return its files, but for those `given` to be run."""
+    from thermoforce_mpc.experiment.outside import own_names
+    from thermoforce_mpc.scenario.own_code import code_file, is_own_code, looked_at
+
+    may_run, unread = {Path(name).resolve() for name in given}, set[str]()
+    for name in dict.fromkeys(name for keys in scenarios for name in own_names(keys)):
+        if (path := code_file(name)) is None or Path(path).resolve() in may_run:
+            continue
+        holds = looked_at(name, "code", ConfigError) if is_own_code(name) else "a policy, which is unpickled"
+        if path not in unread:
+            click.echo(f"{path}: {holds}. Not run; --code {shlex.quote(path)} runs it, and checks its options")
+        unread.add(path)
+    return unread
 
 
 def scenario_text(scenario: Scenario) -> str:

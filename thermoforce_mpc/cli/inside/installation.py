@@ -22,6 +22,7 @@ import requests
 from packaging.requirements import Requirement
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, PlanStatus, Record
+from thermoforce_mpc.dependencies import SWITCHES
 from thermoforce_mpc.errors import ConfigError, ThermoForceError
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -63,6 +64,7 @@ def examine(
     checks: dict[str, Callable[[], _Found]] = {
         "Python": _python,
         "packages": _packages,
+        "reports": _reports,
         "plugins": _plugins,
         "plant": _plant,
         **{f"solver {name}": lambda name=name: _solver(name) for name in ("ipopt", "qp", "sqp", "milp")},  # type: ignore[misc]
@@ -117,6 +119,15 @@ def _packages() -> _Found:
     if problems:
         return "failed", "; ".join(problems), "pip install --upgrade thermoforce-mpc"
     return "ok", f"{n} required packages"
+
+
+def _reports() -> _Found:
+    """What dependencies would tell others, and whether it is off."""
+    off = ", ".join(f"{one.package} ({one.variable}={one.value})" for one in SWITCHES if one.is_off)
+    if on := [one for one in SWITCHES if not one.is_off]:
+        told = "; ".join(f"{one.package} {one.does}: {one.variable}={os.environ[one.variable]}" for one in on)
+        return "warning", told, f"unset {' '.join(one.variable for one in on)}, and nothing is reported"
+    return "ok", f"off: {off}"
 
 
 def _plugins() -> _Found:

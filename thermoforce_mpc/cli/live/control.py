@@ -64,6 +64,8 @@ def control(
     goes on from what was measured, and from what it knew, which is kept in state.npz in --out for a day (faults
     noticed, highest power, levels set).
 
+    One controller at a time: a second one of what the connection sets is refused, whatever its --out.
+
     Exit code 3 where the building cannot be reached at the start, or does not take its levels back at the end.
 
     \b
@@ -76,6 +78,7 @@ def control(
     from controllers.state_classes import controller_key
     from thermoforce_mpc.cli import hangup_ends
     from thermoforce_mpc.connections.registry import build_connection
+    from thermoforce_mpc.connections.sole import set_by
     from thermoforce_mpc.files import storage_errors
     from thermoforce_mpc.live import KeptState, LiveBuilding, control
     from thermoforce_mpc.measurements.map.mapping import load_map
@@ -111,6 +114,7 @@ def control(
             dry=dry_run,
             kept=None if dry_run else KeptState(out / "state.npz", controller_key(thermal, mpc.config)),
             told=_told(say, commands),
+            sets=set_by(building, connection, chosen.get("connection", {})),
         )
 
 

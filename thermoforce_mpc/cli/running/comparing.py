@@ -16,6 +16,7 @@ from thermoforce_mpc.cli.options import (
     PATH,
     added,
     base_options,
+    check_named_code,
     equal_comfort_option,
     execution_options,
     learned_options,
@@ -48,6 +49,7 @@ from thermoforce_mpc.comparison.variants import (
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.windows import check_window
+from thermoforce_mpc.files import plain_number
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.report.display import zone_table
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole
@@ -123,6 +125,9 @@ def compare(**options: Any) -> None:
         names = comma_list(options["controllers"], "--controllers")
     elif file is None:
         names = comma_list(_CONTESTANTS, "--controllers")
+    if file is not None:
+        named = [{"controller": {"name": one.controller, "options": one.options}} for one in file.variants.values()]
+        check_named_code(named, [{"controller": name} for name in names], options["code"], options["variants"])
     variants = variants_by_name(names, file)
     base = scenario_from(options, file.scenario if file else None)
     axes = axes_from(options, base, file)
@@ -164,7 +169,7 @@ def sweep(**options: Any) -> None:
     values = []
     for word in comma_list(options["values"], "--values"):
         try:
-            values.append(float(word))
+            values.append(plain_number(word))
         except ValueError:
             raise ConfigError(f"--values: '{word}' is not a number") from None
     swept = swept_variants(controller, key, values, testcase)

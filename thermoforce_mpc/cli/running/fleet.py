@@ -13,7 +13,7 @@ import click
 import pandas as pd
 from rich.console import Console
 
-from thermoforce_mpc.cli.options import PATH, Opening, execution_options
+from thermoforce_mpc.cli.options import PATH, Opening, check_named_code, code_option, execution_options
 from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, outcomes_of, run_cells, sayer
 from thermoforce_mpc.comparison.store import DONE, Store
 from thermoforce_mpc.comparison.tasks import failure
@@ -59,9 +59,18 @@ _SHOWN_FAILURES = 10
     help="Folder or runs.parquet of another fleet: its finished runs, where they have the same inputs, count as done. "
     "Repeatable.",
 )
+@code_option
 @execution_options()
 @click.option("--quiet", is_flag=True, help="Print only the summary.")
-def fleet(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], engine: Opening, quiet: bool) -> None:
+def fleet(
+    fleet: str,
+    count: bool,
+    out: Path | None,
+    reuse: tuple[Path, ...],
+    code: tuple[str, ...],
+    engine: Opening,
+    quiet: bool,
+) -> None:
     """Run every building of a fleet in every window under every tariff with every controller and seed.
 
     FLEET.yaml names the buildings (generated houses, houses of rooms, test cases, or a table of your own) and the axes;
@@ -86,6 +95,8 @@ def fleet(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], en
         raise ConfigError(f"{path}: trajectories: true goes without --reuse: rows of other datasets have none")
     finished = finished_rows(reuse)
     buildings = buildings_of(file, path)
+    variants = [{"controller": {"name": one.controller, "options": one.options}} for one in file.variants.values()]
+    check_named_code([file.scenario, *variants, *(building.scenario for building in buildings)], [], code, str(path))
     measured = tasks_of_records(buildings)
     # Checked before anything is run: those with measurements get their model later.
     runs = runs_of(file, [building for building in buildings if building.runs], path)

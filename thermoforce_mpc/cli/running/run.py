@@ -69,6 +69,7 @@ def run(**options: Any) -> None:
 @click.option("--fmu", metavar="FILE", help="FMU of the run, given again.")
 @click.option("--code", metavar="FILE", multiple=True, help="File of Python that the run names, given again.")
 @click.option("--plant", metavar="NAME", help="Plugin's plant of the run, given again.")
+@click.option("--forecaster", metavar="NAME", help="A hub's forecaster of the run, given again.")
 @click.option("--stop", is_flag=True, help="Stop the run's test at the service instead; the run cannot go on then.")
 @click.option("--quiet", is_flag=True, help="Print only the final table.")
 def resume(
@@ -78,6 +79,7 @@ def resume(
     fmu: str | None,
     code: tuple[str, ...],
     plant: str | None,
+    forecaster: str | None,
     stop: bool,
     quiet: bool,
 ) -> None:
@@ -97,8 +99,8 @@ def resume(
     one (--from); what comes after is kept in journal.jsonl.lost. A simulated plant repeats what is lost; a service goes
     on from where it stands, and what happened meanwhile is read from its record.
 
-    The folder may come from anybody: it may hold plain files only, and an address, an FMU, Python or a plugin's plant
-    that its journal names has to be given again unless you gave it here before.
+    The folder may come from anybody: it may hold plain files only, and an address, an FMU, Python, a plugin's plant or
+    a hub's forecaster that its journal names has to be given again unless you gave it here before.
 
     \b
     Exit codes: 0 done (also where the run was complete already), 2 no journal,
@@ -109,10 +111,11 @@ def resume(
     Example:
       tf-mpc resume runs/bestest_hydronic_heat_pump-peak_heat_day-constant-thermoforce_mpc-001
     """
+    from thermoforce_mpc.experiment.outside import HUB
     from thermoforce_mpc.experiment.run import resume_run, stop_test
     from thermoforce_mpc.report.display import RunDisplay
 
-    again = {"plant.url": url, "plant.path": fmu, "plant.kind": plant}
+    again = {"plant.url": url, "plant.path": fmu, "plant.kind": plant, HUB: forecaster}
     given = {key: value for key, value in again.items() if value is not None}
     if stop:
         stop_test(run, given, code)

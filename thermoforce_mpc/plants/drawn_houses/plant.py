@@ -85,7 +85,7 @@ class DrawnHousePlant(BranchingShell):
     def _scored(self) -> dict[str, float]:
         return self._kpis_so_far(self._kpis_between)
 
-    def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
+    def _kpis_between(self, start_s: float, final_s: float, open_end: bool) -> dict[str, float]:
         time_s, rows = self._samples.between(start_s, final_s)
         power_W, T_C = self._power_and_rooms(rows)
         outside = map(excess, T_C, *map(np.atleast_2d, self._bounds_C(time_s)))
@@ -95,6 +95,7 @@ class DrawnHousePlant(BranchingShell):
             thermal=list(map(Violation, self.zones, outside)),
             air_quality=[],
             area_m2=self.house.floor_area_m2,
+            open_end=open_end,
         )
 
     def _boundary(self, time_s: Array) -> Boundary:

@@ -50,6 +50,7 @@ class EmulatedCase:
         carriers: what it consumes, by BOPTEST's name of the carrier; the first is the one that tariffs are of.
         heating, cooling: columns whose sum is the power that names the peak days, see `boundary.periods`.
         periods: names of its windows.
+        site: latitude and longitude, degrees, of its own weather.
         climate: of its synthetic weather.
         prices: its tariffs by name, with a highly dynamic one of one's own or None.
     """
@@ -67,6 +68,7 @@ class EmulatedCase:
     heating: str
     cooling: str | None
     periods: tuple[str, ...]
+    site: tuple[float, float]
     climate: SyntheticClimate
     prices: Callable[[Tariff | None], dict[str, Tariff]]
 
@@ -138,6 +140,7 @@ HEAT_PUMP = EmulatedCase(
     heating="P_heat_pump",
     cooling=None,
     periods=NAMES,
+    site=(50.90, 4.53),
     climate=MARITIME,
     prices=tariffs.by_name,
 )
@@ -171,6 +174,7 @@ BOILER = EmulatedCase(
     heating="P_gas",
     cooling=None,
     periods=NAMES,
+    site=(50.90, 4.53),
     climate=MARITIME,
     prices=tariffs.by_name,
 )
@@ -208,6 +212,7 @@ FAN_COIL = EmulatedCase(
     heating="P_gas",
     cooling="P_chiller",
     periods=BOTH_NAMES,
+    site=(39.76, -104.86),
     climate=CONTINENTAL,
     prices=_denver,
 )

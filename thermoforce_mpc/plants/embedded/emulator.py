@@ -13,7 +13,6 @@ from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weat
 from thermoforce_mpc.boundary.periods import all_windows, heating_windows, published_windows
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import (
-    HOUR_S,
     YEAR_S,
     ZERO_C_K,
     Array,
@@ -32,7 +31,7 @@ from thermoforce_mpc.plants.embedded.envelope import AS_SCHEDULED, COOKING, PEOP
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
 from thermoforce_mpc.plants.embedded.kernel import STEP_S, integrals
 from thermoforce_mpc.plants.embedded.schedule import Schedule
-from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, PEAKS, Supply, Violation, building_kpis, excess, peak_power
+from thermoforce_mpc.plants.kpis import PEAKS, Supply, Violation, building_kpis, excess, peak_power
 from thermoforce_mpc.plants.people import live
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.plants.shell import CLOCK_S, BranchingShell
@@ -152,7 +151,7 @@ class Emulator(BranchingShell):
             return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "idis_tot", *peaks), 0.0)
         return self._kpis_so_far(self._kpis_between)
 
-    def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
+    def _kpis_between(self, start_s: float, final_s: float, open_end: bool) -> dict[str, float]:
         time_s, rows = self._samples.between(start_s, final_s)
         use, known = self.case.schedule, self.scheduled
         supplies = []
@@ -168,6 +167,7 @@ class Emulator(BranchingShell):
             thermal=[Violation("1", excess(T_C, *use.bounds_C(time_s)))],
             air_quality=[Violation("1", too_much)],
             area_m2=self.case.house.area_m2,
+            open_end=open_end,
         )
 
     @property
@@ -284,15 +284,11 @@ class EmbeddedPlant(Emulator):
             T_return_C=interval_means(record, ["T_return"], edges) - ZERO_C_K,
         )
 
-    def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
+    def _kpis_between(self, start_s: float, final_s: float, open_end: bool) -> dict[str, float]:
         time_s, rows = self._samples.between(start_s, final_s)
         Wh, cost, discomfort_Kh, excess_ppm_h = integrals(time_s, rows, self._tariffs[self._price](time_s)).tolist()
-        span_s = final_s - start_s
-        # The mean over one window, as after every step of a quarter of an hour.
-        peak_W = Wh * HOUR_S / span_s
-        if span_s > PEAK_WINDOW_S + CLOCK_S:
-            heat_pump_W, fan_W, pump_W = (rows[:, self._column[name]] for name in _POWERS)
-            peak_W = peak_power(time_s, heat_pump_W + fan_W + pump_W)
+        heat_pump_W, fan_W, pump_W = (rows[:, self._column[name]] for name in _POWERS)
+        peak_W = peak_power(time_s, heat_pump_W + fan_W + pump_W, open_end=open_end)
         area_m2 = self.case.house.area_m2
         kWh = Wh / 1e3 / area_m2
         return {

@@ -8,8 +8,8 @@ and that of the air, these two follow.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.plants.embedded import constructions as c
 from thermoforce_mpc.plants.embedded import exposure as x
 

@@ -60,7 +60,7 @@ def gains_W(house: House, time_s: Array) -> Array:
     return np.asarray(np.where(home, house.people * PERSON_W, 0.0) + varied * appliances)
 
 
-_NAME = re.compile(r"generated:(\d{1,9}):(\d{1,9})")
+_NAME = re.compile(r"generated:(\d{1,9}):(\d{1,9})", re.ASCII)
 _COLUMN = {name: i for i, name in enumerate(physics.RECORD)}
 # Full sun on the sensor, W/m² on its facade.
 _FULL_SUN_W_M2 = 800.0
@@ -145,7 +145,7 @@ class GeneratedHousePlant(DrawnHousePlant):
         return rows[:, _COLUMN["P_billed"]], rows[:, _COLUMN["T_operative"]][None] - ZERO_C_K
 
     def _scored(self) -> dict[str, float]:
-        return self._kpis_between(self._start_s, self._now_s)
+        return self._kpis_between(self._start_s, self._now_s, True)
 
     def _past(self, edges: Array) -> Record:
         record = self.recorded(self._begin_s, self._now_s)

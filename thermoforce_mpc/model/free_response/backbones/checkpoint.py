@@ -26,7 +26,7 @@ def hub_folder(name: str) -> Path:
     from huggingface_hub import snapshot_download
 
     owner_model, _, revision = name.partition("@")
-    local = _cached(owner_model, revision or None)
+    local = is_cached(name)
     if not local:
         _check_hub(name, owner_model, revision or "main")
     try:
@@ -104,10 +104,17 @@ def check_weights(name: str, state: dict[str, Any], folder: Path) -> None:
         )
 
 
-def _cached(name: str, revision: str | None) -> bool:
+def is_cached(name: str) -> bool:
+    """Whether the weights of a hub's model are in this user's cache; False too for what is no name of one."""
     from huggingface_hub import try_to_load_from_cache
+    from huggingface_hub.errors import HFValidationError
 
-    return any(isinstance(try_to_load_from_cache(name, file, revision=revision), str) for file in (WEIGHTS, SHARDS))
+    owner_model, _, revision = name.partition("@")
+    try:
+        found = [try_to_load_from_cache(owner_model, file, revision=revision or None) for file in (WEIGHTS, SHARDS)]
+    except HFValidationError:
+        return False
+    return any(isinstance(path, str) for path in found)
 
 
 def _check_hub(name: str, owner_model: str, revision: str) -> None:

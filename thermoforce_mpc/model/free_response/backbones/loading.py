@@ -24,6 +24,7 @@ from thermoforce_mpc.model.free_response.backbones.checkpoint import (
     check_weights,
     damaged,
     hub_folder,
+    is_cached,
     stored,
     unsafe,
 )
@@ -66,6 +67,18 @@ def load_backbone(name: str) -> Backbone:
         _SHARED[key] = backbone
     _LAST.append(backbone)
     return backbone
+
+
+def is_fetched(name: str) -> bool:
+    """Whether a hub would be asked for the backbone `name`: it is on one, and not in this user's cache of it."""
+    for model in known.KNOWN:
+        if model.name == name:
+            name = model.checkpoint
+            break
+    else:
+        if name in REGISTRY or name.startswith((".", "/", "~")) or Path(name).exists():
+            return False
+    return name.count("/") == 1 and not is_cached(name)
 
 
 def _same(name: str) -> tuple[object, ...]:

@@ -1,0 +1,225 @@
+"""Trials of live control: tables that are torn while they are read, clocks that are wrong, a second controller."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import yaml
+
+from controllers import MPCConfig, ThermoForceMPC
+from thermoforce_mpc.errors import ThermoForceError
+from thermoforce_mpc.live import Decision, LiveBuilding, control
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.thermal_model import ThermalModel
+
+# A house of one room: share of its distance to the outdoor temperature kept in an hour, K per hour at full level, W.
+_POLE, _GAIN_K, _POWER_W, _OUT_C = 0.99, 0.4, 4300.0, 3.0
+_STEPS, _TROUBLED, _MINUTE_S, _HOUR_S = 10, (2, 7), 60.0, 3600.0
+_MAP: dict[str, Any] = {
+    "time": {"zone": "UTC"},
+    "step": "1h",
+    "outdoor": "out",
+    "zones": {"zone": {"temperature": "T", "lower": "low", "upper": "high", "floor_area_m2": 100.0}},
+    "actuators": {"actuator": {"level": "u"}},
+    "machines": {"machine": {"power": "P", "price": 0.25}},
+}
+# Longest time without a word, s.
+MOST_SILENT_S = 10.0
+# Longest time until a first controller has set its levels, and until a second one is refused, s.
+_START_S, _REFUSED_S = 120.0, 40.0
+
+
+def one_room_model() -> ThermalModel:
+    """The exact model of the house."""
+    power = PowerModel(MachineLoad((0.0, 0.0, _POWER_W, 0.0), (-20.0, 30.0), lowest_level=1.0))
+    operator = linear_operator(np.array([_POLE]), np.array([_GAIN_K]), step_s=_HOUR_S)
+    return ThermalModel.single(operator, power)
+
+
+class _House:
+    """The house as a connection and a clock of its own, with a table of readings that somebody else writes.
+
+    `spoils(table, text)`: writes `text` of the table to the file `table`, or what is to be read in its place.
+    `clock`: how far its stamps are ahead at an hour of the run, s.
+    """
+
+    def __init__(
+        self, folder: Path, spoils: Callable[[Path, str], None] | None, clock_s: Callable[[float], float]
+    ) -> None:
+        self._table, self._spoils, self._clock_s = folder / "house.csv", spoils, clock_s
+        self._at = self._begin = pd.Timestamp("2025-01-12", tz="UTC")
+        self._at -= pd.Timedelta(days=2)
+        self._T_C, self._rows = 21.0, list[dict[str, Any]]()
+        self._level: float | None = 0.5
+        self.written: list[float | None] = []
+        self.wait_until(self._begin)
+
+    @property
+    def hour(self) -> float:
+        """Hours of the run."""
+        return float((self._at - self._begin) / pd.Timedelta("1h"))
+
+    def now(self) -> pd.Timestamp:
+        """See `Clock.now`."""
+        return self._at
+
+    def wait_until(self, at: pd.Timestamp) -> None:
+        """See `Clock.wait_until`: the house lives, a row a minute."""
+        while (left_s := (at - self._at).total_seconds()) > 1e-6:
+            part_s = min(_MINUTE_S, left_s)
+            hours, u = part_s / _HOUR_S, 0.5 if self._level is None else self._level
+            stamp = self._at + pd.Timedelta(seconds=self._clock_s(self.hour))
+            self._rows.append({"time": stamp, **self._bounds, "T": self._T_C, "u": u, "P": u * _POWER_W})
+            self._T_C = _OUT_C + (self._T_C - _OUT_C) * _POLE**hours + _GAIN_K * hours * u
+            self._at += pd.Timedelta(seconds=part_s)
+
+    _bounds: Mapping[str, float] = {"out": _OUT_C, "low": 20.0, "high": 24.0}
+
+    def measurements(self) -> str:
+        """See `Connection.measurements`."""
+        text = pd.DataFrame(self._rows).to_csv(index=False)
+        if self._spoils is not None and _TROUBLED[0] <= self.hour < _TROUBLED[1]:
+            self._spoils(self._table, text)
+        else:
+            self._table.write_text(text)
+        return str(self._table)
+
+    def forecast(self) -> pd.DataFrame:
+        """See `Connection.forecast`."""
+        index = pd.date_range(self._at.floor("1h"), periods=25, freq="1h", name="time")
+        return pd.DataFrame(dict(self._bounds), index=index)
+
+    def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
+        """See `Connection.write`."""
+        (self._level,) = levels.values()
+        self.written.append(self._level)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def _controlled(house: _House) -> list[str]:
+    """What must not be of a live run: a wrong level, a step without a decision, silence, an error without a name."""
+    said, told = [time.perf_counter()], list[Decision]()
+
+    def hear(decision: Decision) -> None:
+        said.append(time.perf_counter())
+        told.append(decision)
+
+    off = {"enabled": False}
+    config = MPCConfig.model_validate(
+        {"step_s": _HOUR_S, "horizon_h": 12.0, "free_response": {"name": "persistence"}, "gate": off}
+    )
+    building = LiveBuilding(house, MeasurementMap.model_validate(_MAP), _HOUR_S)
+    faults = []
+    try:
+        control(building, ThermoForceMPC(one_room_model(), config), clock=house, steps=_STEPS, told=hear)
+    except ThermoForceError as error:
+        faults.append(f"ended with {type(error).__name__}: {error}")
+    wrong = [u for u in house.written if u is not None and not (math.isfinite(u) and 0.0 <= u <= 1.0)]
+    faults += [f"a level of {wrong[0]!r} was sent"] if wrong else []
+    faults += [] if len(told) == _STEPS else [f"{len(told)} of {_STEPS} decisions were made: a step is lost"]
+    faults += [] if house.written and house.written[-1] is None else ["the building was not given back"]
+    silent_s = max(np.diff(said), default=0.0)
+    return faults + ([f"silent for {silent_s:.0f} s"] if silent_s > MOST_SILENT_S else [])
+
+
+def torn_table(rng: np.random.Generator, folder: Path) -> list[str]:
+    """For hours the table is cut in a line, empty, gone, has NUL bytes, words, a second header or old rows again."""
+    run = folder / f"torn{rng.integers(10**9)}"
+    run.mkdir()
+
+    def spoil(table: Path, text: str) -> None:
+        kind = str(rng.choice(["cut", "empty", "gone", "nul", "words", "header", "again", "comma", "bytes"]))
+        at, lines = int(rng.integers(1, len(text))), text.splitlines(keepends=True)
+        line = int(rng.integers(1, len(lines)))
+        table.write_bytes(
+            {
+                "cut": text[:at],
+                "empty": "",
+                "gone": "",
+                "nul": text[:-2] + "\0" * 40,
+                "words": "".join([*lines[:line], lines[line].replace("21", "twenty"), *lines[line + 1 :]]),
+                "header": "".join([*lines, *lines]),
+                "again": "".join([*lines, *lines[-line:]]),
+                "comma": text.replace(".", ",", at % 40),
+                "bytes": text[:at] + "\ufffd" + text[at:],
+            }[kind].encode()
+            + (b"\xff\xfe" if kind == "bytes" else b"")
+        )
+        if kind == "gone":
+            table.unlink()
+
+    return _controlled(_House(run, spoil, lambda hour: 0.0))
+
+
+def wrong_wall_clock(rng: np.random.Generator, folder: Path) -> list[str]:
+    """For hours the stamps of the readings are ahead, behind, of another zone, jump back, or stand."""
+    run, ahead_s = folder / f"clock{rng.integers(10**9)}", float(rng.choice([-7200, -3600, -90, 20, 90, 1800, 3600]))
+    run.mkdir()
+    stands = rng.random() < 0.2
+
+    def clock_s(hour: float) -> float:
+        if not _TROUBLED[0] <= hour < _TROUBLED[1]:
+            return 0.0
+        return -_HOUR_S * (hour - _TROUBLED[0]) if stands else ahead_s
+
+    return _controlled(_House(run, None, clock_s))
+
+
+def two_controllers(rng: np.random.Generator, folder: Path) -> list[str]:
+    """A second `tf-mpc control` of the same house is refused with a word, and leaves it to the first."""
+    run = folder / f"two{rng.integers(10**9)}"
+    run.mkdir()
+    one_room_model().save(run / "model")
+    now = pd.Timestamp.now(tz="UTC").floor("1min")
+    past = pd.date_range(now - pd.Timedelta(days=2), now, freq="1min", name="time")
+    ahead = pd.date_range(now.floor("1h"), periods=40, freq="1h", name="time")
+
+    def table(index: pd.DatetimeIndex, **more: float) -> pd.DataFrame:
+        outdoor_C = _OUT_C + np.sin(index.hour.to_numpy())  # what never changes is taken as stuck
+        return pd.DataFrame({"out": outdoor_C, "low": 20.0, "high": 24.0, **more}, index=index)
+
+    table(past, T=21.0, u=0.5, P=0.5 * _POWER_W).to_csv(run / "house.csv")
+    table(ahead).to_csv(run / "tomorrow.csv")
+    (run / "map.yaml").write_text(yaml.safe_dump(_MAP))
+    words = ["control", "--model", "model", "--map", "map.yaml", "--set", "controller.gate.enabled=false"]
+    words += ["--set", "controller.free_response.name=persistence", "--set", "controller.horizon_h=12"]
+    begin = [sys.executable, "-m", "thermoforce_mpc", *words]
+    levels, faults = run / "levels.json", list[str]()
+    with (run / "first.txt").open("w") as said:
+        first = subprocess.Popen([*begin, "--out", "first"], cwd=run, stdout=said, stderr=said)
+        try:
+            until = time.monotonic() + _START_S
+            while not levels.exists() and first.poll() is None and time.monotonic() < until:
+                time.sleep(0.1)
+            if not levels.exists():
+                return [f"ended with {(run / 'first.txt').read_text()[-500:]}"]
+            before = levels.read_bytes()
+            try:
+                second = subprocess.run(
+                    [*begin, "--out", "second", "--steps", "1"],
+                    cwd=run, capture_output=True, text=True, timeout=_REFUSED_S, check=False,
+                )  # fmt: skip
+                refused, said_of = second.returncode != 0, second.stderr
+            except subprocess.TimeoutExpired:
+                refused, said_of = False, ""
+            if not refused or levels.read_bytes() != before:
+                faults.append("two controllers set one house: what a second one decided was sent")
+            elif "Traceback" in said_of:
+                faults.append(f"ended with {said_of[-500:]}")
+        finally:
+            first.terminate()
+            first.wait(_START_S)
+    return faults

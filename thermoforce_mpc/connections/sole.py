@@ -1,0 +1,73 @@
+"""One controller at a time: a lock on what a connection sets, whoever sets it, from wherever."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from thermoforce_mpc.dependencies import cache_folder
+from thermoforce_mpc.errors import ConfigError, StorageError
+from thermoforce_mpc.files import read_bounded
+from thermoforce_mpc.protocols import Connection
+
+_MOST_BYTES = 10_000
+
+
+def set_by(connection: Connection, name: str = "", options: Mapping[str, Any] | None = None) -> Path | str:
+    """What a connection sets, see `Connection`; where it does not say, its `name` and `options`, '' without a name."""
+    says = getattr(connection, "sets", None)
+    if says is None:
+        return f"connection '{name}' {dict(options or {})}" if name else ""
+    what = says()
+    if not isinstance(what, Path | str) or not str(what):
+        raise ConfigError(
+            f"connection {name or type(connection).__name__}: sets() is {what!r}, expected a path or text"
+        )
+    return what
+
+
+@contextmanager
+def sole_control(what: Path | str) -> Iterator[None]:
+    """Keep other controllers from setting `what`, of `set_by`, while the block lasts; a process that dies releases it.
+
+    A file is locked beside it, for every user of the machine; all else in the user's cache folder, for this user.
+
+    Raises:
+        ConfigError: another process sets it; names that one.
+        StorageError: it cannot be locked.
+    """
+    if isinstance(what, Path):
+        what = what.resolve()
+        place = what.with_name(f".{what.name}.lock")
+    else:
+        place = cache_folder() / "control" / f"{hashlib.sha256(what.encode()).hexdigest()[:32]}.lock"
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        # Before: some releases of filelock empty the file where they cannot lock it.
+        other = (
+            read_bounded(place, _MOST_BYTES, ConfigError).decode("utf-8", "replace").strip() if place.exists() else ""
+        )
+        lock = FileLock(place, timeout=0)
+        lock.acquire()
+    except Timeout as error:
+        raise ConfigError(
+            f"{what} is set by another controller ({other or 'a process that does not say which'}), and two would undo "
+            "one another: end that one first"
+        ) from error
+    except OSError as error:
+        raise StorageError(f"{what}: {place} cannot be locked ({error.strerror or error})") from error
+    try:
+        since = datetime.now(UTC).isoformat(timespec="seconds")
+        place.write_text(f"process {os.getpid()} since {since}, in {Path.cwd()}\n", encoding="utf-8", errors="replace")
+        yield
+    finally:
+        # The file stays: one that waits for it while it is removed would lock what nobody sees.
+        place.write_text("", encoding="utf-8")
+        lock.release()
