@@ -91,6 +91,13 @@ def test_prices_in_another_currency_are_not_judged():
     assert "where 0.01 to 2 EUR are usual" in noted(simple_model(), factor=120.0, signals=PRICES)[0]
 
 
+def test_gas_may_be_a_tenth_as_dear_as_electricity_at_least():
+    """That of BOPTEST's `bestest_air` costs 0.0029 USD per kWh."""
+    assert noted(simple_model(), factor=0.02, signals=["heating_price_per_kWh"]) == {}
+    assert "too low by a factor" in noted(simple_model(), factor=0.002, signals=["heating_price_per_kWh"])[0]
+    assert "too low by a factor" in noted(simple_model(), factor=0.02, signals=PRICES)[0]
+
+
 def test_a_meter_that_changes_its_unit_is_said_within_a_day():
     found = noted(simple_model(), factor=1e-3, signals=["power_W"], from_day=10.1)
     assert list(found) == [24], found

@@ -10,7 +10,8 @@ from benchmarks.plant import point_scores
 from thermoforce_mpc.boundary.weather import CONTINENTAL, synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError
-from thermoforce_mpc.plants.embedded import PointEmulator, emulator_of
+from thermoforce_mpc.plants.embedded import PointEmulator
+from thermoforce_mpc.plants.registry import emulator_of
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 
