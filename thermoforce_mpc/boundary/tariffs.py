@@ -29,8 +29,6 @@ _MOST_PRICES = 600_000
 _MOST_PRICE = 1e5
 # Means of energy that is sold in EUR or USD: gas in the cheapest years, and electricity in the dearest.
 _USUAL_PRICES, _USUAL_IN = (0.01, 2.0), ("EUR", "USD")
-# Gas of BOPTEST's `bestest_air` costs 0.0029 USD/kWh.
-_LEAST_OF_FUEL = 0.002
 _PRICE_COLUMNS = ("price", "PriceElectricPowerHighlyDynamic")
 
 Tariff = Callable[[Array], Array]
