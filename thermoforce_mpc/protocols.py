@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from thermoforce_mpc.data import (
     Array,
-    Bands,
     Boundary,
+    Commands,
     FreeForecast,
     Levels,
     Measurement,
@@ -67,8 +67,8 @@ class Plant(Protocol):
 class RoomSetpointPlant(Plant, Protocol):
     """Plant whose own loops keep a heating and a cooling set-point of the room."""
 
-    def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
-        """Let the loops keep `band_C` (A,), heating and cooling set-point of each actuator, °C, for `duration_s` s.
+    def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
+        """Let the loops keep `command` (A,), heating and cooling set-point of each actuator, °C, for `duration_s` s.
 
         `u` (A,) are the levels that are planned, below 0 for cooling; their sign says which loop may act, 0 both.
         """
@@ -195,6 +195,7 @@ class Connection(Protocol):
     def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
         """Set the level of each actuator, in [0, 1], by its name in the map; None gives it back to its own control.
 
+        Of an actuator with a command in the map it is the command, in its unit (a set-point in °C, an offset in K).
         `seconds`: how long this holds. Where nothing else was written by then, the building should take over itself.
         """
 

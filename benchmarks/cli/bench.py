@@ -17,6 +17,7 @@ for _command in (
     closed_loop.boptest_command,
     closed_loop.worth_command,
     closed_loop.zones_command,
+    closed_loop.commands_command,
     closed_loop.faults_command,
     closed_loop.fallback_command,
     closed_loop.detectors_command,

@@ -205,3 +205,26 @@ def detectors_command(
             progress=say,
         )
     show(result, json_file)
+
+
+@click.command("commands")
+@click.option("--seed", type=click.IntRange(0), default=100, show_default=True, help="Seed of the first house.")
+@click.option("--houses", type=click.IntRange(1), default=6, show_default=True, help="Houses.")
+@execution_options()
+@QUICK
+@JSON
+def commands_command(seed: int, houses: int, engine: Opening, quick: bool, json_file: Path | None) -> None:
+    """Control houses whose thermostats only take set-points, and compare with their own set-points.
+
+    Houses of rooms with a heat pump on a heating curve and a thermostat with hysteresis in each room: 25 days of their
+    own set-points, three of polite trials, then a week both ways at a day-ahead price.
+
+    \b
+    Example:
+      tf-mpc bench commands --seed 100 --houses 6 --workers 2
+    """
+    from benchmarks.commands.bench import run_commands_bench
+
+    with engine(say) as where:
+        found = run_commands_bench(engine=where, houses=houses, seed=seed, quick=quick, progress=say)
+    show(found, json_file)

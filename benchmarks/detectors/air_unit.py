@@ -15,8 +15,8 @@ from thermoforce_mpc.data import (
     DAY_S,
     HOUR_S,
     Array,
-    Bands,
     Boundary,
+    Commands,
     Levels,
     Measurement,
     Period,
@@ -72,10 +72,11 @@ class LightOffice:
         self.kept = dict.fromkeys(self.kept, 0.0)
         return self._measurement(math.nan, math.nan, math.nan)
 
-    def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
+    def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
         """See `RoomSetpointPlant.advance`."""
-        block = check_levels(u, duration_s, band_C, lowest=-1.0)
-        (level,), (band,) = block.u, block.band_C
+        block = check_levels(u, duration_s, command, lowest=-1.0)
+        (level,), (told,) = block.u, block.command
+        band = told if isinstance(told, tuple) else None
         heat = gas = chiller = 0.0
         n = round(duration_s / DT_S)
         for _ in range(n):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
-from thermoforce_mpc.data import Bands, Block, Observation, Plan, PlanStatus
+from thermoforce_mpc.data import Block, Commands, Observation, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -92,8 +92,8 @@ def _side_by_side(blocks: Sequence[Sequence[Block]]) -> tuple[Block, ...]:
         if end - before < _CLOCK_S:
             continue
         now = [_at(one, 0.5 * (before + end)) for one in blocks]
-        bands: Bands = tuple(block.band_C[0] for block in now)
-        out.append(Block(tuple(block.u[0] for block in now), end - before, bands))
+        commands: Commands = tuple(block.command[0] for block in now)
+        out.append(Block(tuple(block.u[0] for block in now), end - before, commands))
         before = end
     return tuple(out)
 

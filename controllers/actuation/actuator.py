@@ -63,13 +63,15 @@ class ActuationState:
     """State of the machine between steps.
 
     `on`: on or off; `held_s`: time in that state, s; `owed_s`: on-time carried over to later plans, s; `native`: the
-    plant has been under native control since, so the other fields are unknown.
+    plant has been under native control since, so the other fields are unknown. `command`: of an actuator that is set by
+    one, the command that has been held for `held_s`; `owed_s` is at full level then.
     """
 
     on: bool = False
     held_s: float = math.inf
     owed_s: float = 0.0
     native: bool = False
+    command: float | None = None
 
 
 # Unknown state: assume it has just switched off, so the full minimum off time applies.

@@ -27,7 +27,7 @@ from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
 _SAME_S = 1e-6
 
 Demand = float | None | tuple[Block, ...]
-"""What one actuator is to do in a step: a mean level, native control (None), or blocks of its own (room set-points)."""
+"""What one actuator is to do in a step: a mean level, native control (None), or blocks of its own (commands)."""
 
 
 @dataclass(frozen=True)
@@ -260,8 +260,7 @@ def merged(blocks: Sequence[Sequence[Block]]) -> tuple[Block, ...]:
     out, start = [], 0.0
     for end in instants:
         at = [_block_at(own_blocks, 0.5 * (start + end)) for own_blocks in blocks]
-        bands = [block.band_C[0] for block in at]
-        out.append(Block(tuple(block.u[0] for block in at), end - start, bands if any(bands) else None))
+        out.append(Block(tuple(block.u[0] for block in at), end - start, [block.command[0] for block in at]))
         start = end
     return tuple(out)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -40,16 +40,18 @@ class ActuatedController:
         layout: Layout,
         actuations: Sequence[Actuation],
         fallback: FallbackConfig,
+        commanded: Collection[int] = (),
     ) -> None:
         """Set up what acts; raises `ControllerConfigError` where an actuation does not fit the step.
 
-        `n_steps` of boundary forecast are needed. `actuations` (A,): how each actuator is run.
+        `n_steps` of boundary forecast are needed. `actuations` (A,): how each actuator is run; `commanded`: numbers of
+        those that are set by a command, which are left to their own control without a plan.
         """
         self._actuators = Actuators(layout, actuations)
         self._actuators.check_step(step_s)
         self._name, self._step_s, self._n_steps, self._layout = name, step_s, n_steps, layout
         self._fallbacks = tuple(
-            FallbackPolicy(fallback, step_s, actuation.highest, layout.mode(a), zone)
+            FallbackPolicy(fallback, step_s, actuation.highest, "both" if a in commanded else layout.mode(a), zone)
             for a, (actuation, zone) in enumerate(zip(actuations, layout.home, strict=True))
         )
 

@@ -13,6 +13,14 @@ from controllers.actuation.runs import in_runs, needs_runs, without_owed
 from controllers.checks import check_names, message_of
 from controllers.monitoring.watch import Watch
 from controllers.mpc.acting import ActuatedController
+from controllers.mpc.commanding import (
+    MOST_SOLVES,
+    NOT_BETTER,
+    BuildingCommands,
+    effect_spread,
+    with_command_states,
+    with_commands,
+)
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.formulation import Formulation, Instance
 from controllers.mpc.margins import Margins
@@ -47,6 +55,7 @@ from controllers.safety.overrides import (
     WatchAlarm,
     decide,
 )
+from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -78,12 +87,13 @@ class ThermoForceMPC(ActuatedController):
         *,
         free_response: FreeResponse | Sequence[FreeResponse] | None = None,
         solver: SolverBuilder | None = None,
+        commands: Mapping[str, LearnedCommand] | None = None,
         name: str = "thermoforce_mpc",
     ) -> None:
         """Build what the stations of a step need.
 
         `free_response` (one for all zones, or one per zone (Z,)) and `solver` replace those that `config` names;
-        `name`: in reports.
+        `commands`: what is set in the place of the level of an actuator, by name; `name`: in reports.
 
         Raises:
             ControllerConfigError: the horizon is shorter than a step, the model is not certified at that step and
@@ -91,18 +101,24 @@ class ThermoForceMPC(ActuatedController):
                 cannot be stated.
             BackboneError, ConfigError: the free response cannot be built.
         """
-        self.config = c = config or MPCConfig()
+        learned = dict(commands or {})
+        self.config = c = with_commands(config or MPCConfig(), learned)
         model, n_steps = at_step(model, c)
         layout, zones = model.layout, model.names.zones
+        check_names("commands", learned, "actuator", layout.names.actuators)
         check_names("actuations", c.actuations, "actuator", layout.names.actuators)
         check_names("sensors", c.sensors, "zone", zones)
         check_power(model)
         zone_models = [model.actuator(a) for a in range(len(layout.names.actuators))]
         choices = actuations_of(c, model, layout)
-        super().__init__(
-            name, model.operator.step_s, n_steps, layout, [choice.actuation for choice in choices], c.fallback
+        by_number = {a: learned[one] for a, one in enumerate(layout.names.actuators) if one in learned}
+        actuations = [choice.actuation for choice in choices]
+        super().__init__(name, model.operator.step_s, n_steps, layout, actuations, c.fallback, by_number)
+        self._commands = BuildingCommands(layout, by_number, [effect_spread(one.card) for one in zone_models])
+        reasons = (
+            layout.names.of_actuator(a, by_number[a].in_words if a in by_number else choice.why)
+            for a, choice in enumerate(choices)
         )
-        reasons = (layout.names.of_actuator(a, choice.why) for a, choice in enumerate(choices))
         self.actuation_in_words = "; ".join(dict.fromkeys(reasons))
         self._handler = DirectHandler(BoundedCalls(len(zones) + _SOLVERS_ABANDONED))
         powers = [choices[layout.fed_by(m)[0]].power for m in range(len(layout.names.machines))]
@@ -294,16 +310,31 @@ class ThermoForceMPC(ActuatedController):
             return instance
         forecast = self._prediction.record(forecast, readings)
         planner, seconds = forecast.planner, forecast.context.seconds
+        guess = self._guess(forecast.state.good, readings.time_s)
+        own = self._commands.begin(planner.operator, instance.problem, forecast.context.boundary, overrides)
         try:
-            solve = Solve(planner.solver, instance.problem, self._guess(forecast.state.good, readings.time_s))
-            request = Request(planner.solver, solve, seconds=self.config.deadline.solve_s)
-            solution, solve_s = yield from timed(perform(request))
-            refused = solution.problem if not solution.ok else instance.problem.unfit(solution.u)
+            for again in range(MOST_SOLVES if own else 1):
+                problem = own.within_reach(guess) if own else instance.problem
+                solve = Solve(planner.solver, problem, guess)
+                request = Request(planner.solver, solve, seconds=self.config.deadline.solve_s)
+                solution, solve_s = yield from timed(perform(request))
+                refused = solution.problem if not solution.ok else problem.unfit(solution.u)
+                if refused or own is None or again + 1 == MOST_SOLVES or not own.beyond(solution.u):
+                    break
+                guess = solution.u
             began = time.perf_counter()
-            brought = None
+            brought, commanded, saving = None, None, None
             if not refused:
-                brought = planner.evaluator.brings(instance.problem, solution.u, solution.own_values)
-                if planner.evaluator.structure.chosen:  # which of them acts is seen to when levels become blocks
+                u = solution.u
+                if own is not None:
+                    commanded = own.realise(u, forecast.state.actuation)
+                    saving = own.saving(commanded, planner.evaluator, self._power_spread(readings.history))
+                    if not saving.gain > 0.0:
+                        own = own.without
+                        commanded = own.realise(u, forecast.state.actuation)
+                    u = commanded.u
+                brought = planner.evaluator.brings(instance.problem, u, solution.own_values)
+                if planner.evaluator.structure.chosen or own is not None:  # levels become blocks, or are answers
                     brought = replace(brought, broken="")
             seconds = {**seconds, "solve": solve_s, "check": time.perf_counter() - began}
         except Exception as error:  # whatever a solver raises, there is another way to act
@@ -315,11 +346,17 @@ class ThermoForceMPC(ActuatedController):
             return Failure(why, forecast.state, solution.status, seconds)
         if beyond := beyond_rooms(instance.problem, brought, readings.observation.names.zones):
             return Failure(beyond, forecast.state, solution.status, seconds)
+        solution = solution if commanded is None else replace(solution, u=commanded.u)
         if self.config.whole_runs and not overrides.keys() >= set(self._in_runs):
             solution, brought = self._with_runs(instance, solution, brought, forecast, list(overrides))
         limit = power_limit(instance, solution, brought, planner.evaluator)
         free_steps = max(1, round(self.config.move_blocking.free_h * HOUR_S / self.step_s))
-        return Solved(solved_plan(instance, solution, brought, seconds, forecast, readings, free_steps), limit)
+        plan = solved_plan(instance, solution, brought, seconds, forecast, readings, free_steps)
+        if own is not None and commanded is not None:
+            plan = replace(plan, settings=own.settings(commanded, plan.time_s), saving=saving)
+            if saving is not None and not saving.gain > 0.0:
+                plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
+        return Solved(plan, limit, commanded)
 
     @property
     def _in_runs(self) -> list[int]:
@@ -349,9 +386,14 @@ class ThermoForceMPC(ActuatedController):
         if isinstance(result, Failure):
             doubtful = [self._watched.doubtful(result.state, a) for a in range(len(self._fallbacks))]
             return self._realisation.fall_back(result, overrides, doubtful, readings.doubts, situation)
-        plan, limit = result
-        demands = first_demands(self.config, self._actuators, self.step_s, plan, readings)
-        return self._realisation.realise(plan, demands, overrides, situation, limit)
+        plan, limit, commanded = result
+        demands = first_demands(self.config, self._actuators, self.step_s, plan, readings, commanded)
+        realised = self._realisation.realise(plan, demands, overrides, situation, limit)
+        return realised if commanded is None else with_command_states(realised, commanded)
+
+    def _power_spread(self, history: Record) -> float:
+        """Largest error, as a share, of what a change of levels does to the power of a machine."""
+        return max(self.model.power_change(m, history).spread for m in range(len(self.model.machines)))
 
     def _guess(self, good: GoodPlan | None, time_s: float) -> Array | None:
         """Warm start (A, N): the plan of the previous step, shifted by one step; None without one."""

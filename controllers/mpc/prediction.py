@@ -110,9 +110,9 @@ class WatchedPredictions:
             return plan
         states, news = list(plan.state.watch), []
         for a, watch in enumerate(self._watches):
-            # What room set-points ask for is a temperature; its level is expected, not asked.
+            # What a command asks for is a loop's; its level is expected, not asked.
             levels = [
-                float("nan") if (u := block.u[a]) is None or block.band_C[a] else u * block.duration_s
+                float("nan") if (u := block.u[a]) is None or block.command[a] is not None else u * block.duration_s
                 for block in plan.blocks
             ]
             states[a] = watch.record_request(states[a], observation.time_s, sum(levels) / watch.step_s)

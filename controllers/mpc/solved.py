@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from controllers.actuation.actuators import Actuators, Demand
 from controllers.actuation.power_limit import PowerLimit
 from controllers.actuation.room_setpoints import room_blocks, within_C
+from controllers.mpc.commanding import Commanded
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.formulation import Instance
 from controllers.mpc.prediction import Forecast
@@ -40,10 +41,11 @@ _BOUGHT = 0.5
 
 
 class Solved(NamedTuple):
-    """A plan without blocks, and the limit of power that they are to keep; None where power has none."""
+    """A plan without blocks, the limit of power that they are to keep, and its commands; None where there is none."""
 
     plan: Plan
     limit: PowerLimit | None
+    commanded: Commanded | None = None
 
 
 def power_limit(instance: Instance, solution: Solution, brought: Evaluation, evaluator: Evaluator) -> PowerLimit | None:
@@ -143,13 +145,24 @@ def _good_plan(time_s: float, u: Array, T_zone_C: Array, forecast: Forecast, mar
 
 
 def first_demands(
-    config: MPCConfig, actuators: Actuators, step_s: float, plan: Plan, readings: Readings
+    config: MPCConfig,
+    actuators: Actuators,
+    step_s: float,
+    plan: Plan,
+    readings: Readings,
+    commanded: Commanded | None = None,
 ) -> list[Demand]:
-    """What a plan asks of each actuator (A,) in its first step of `step_s` seconds: a level, or room set-points."""
+    """What a plan asks of each actuator (A,) in its first step of `step_s` seconds: a level, or commands."""
     assert isinstance(plan.state, MPCState)
     learned, demands = plan.state.margins.learned, list[Demand]()
     for a, (actuation, z) in enumerate(zip(actuators.each, actuators.layout.home, strict=True)):
         u, boundary = float(plan.u[a, 0]), readings.observation.boundary
+        if commanded is not None and commanded.turns[a] is not None:
+            demands.append(commanded.blocks(a))
+            continue
+        if commanded is not None and a in commanded.left_alone:
+            demands.append(None)
+            continue
         if not actuation.by_rooms:
             demands.append(u)
             continue

@@ -132,7 +132,8 @@ class MPCProblem:
     below 0 cost; None where there are none. `power_cap`: None without one. `power_per_u2_W` (A, N): power over u²,
     where it grows faster than heat; None where it does not. `capacity` (M, N): what the actuators of a machine may
     take together, in the unit of their shares; None: 1. `last_u` (A,): levels of the step before, for terms of the
-    user. `available` (A, N): share of each step in which a level gives heat; None: all of it.
+    user. `available` (A, N): share of each step in which a level gives heat; None: all of it. `least_u`, `most_u`
+    (A, N): levels that can be brought about in each step, inside those of `machinery`; None: all of them.
 
     A shared machine's fixed part and power over u² earn nothing while the price is negative.
 
@@ -159,6 +160,8 @@ class MPCProblem:
     capacity: Array | None = None
     last_u: Array | None = None
     available: Array | None = None
+    least_u: Array | None = None
+    most_u: Array | None = None
 
     def __post_init__(self) -> None:
         Z, n = self.T_free_C.shape if np.ndim(self.T_free_C) == 2 else (-1, -1)
@@ -168,7 +171,7 @@ class MPCProblem:
             **dict.fromkeys(("T_free_C", "lower_C", "upper_C"), zones),
             **dict.fromkeys(("forced_state_K", "terminal_price_per_K"), (Z, A, r)),
             **dict.fromkeys(("price_per_kWh", "power_fixed_W", "capacity"), machines),
-            **dict.fromkeys(("power_per_u_W", "power_per_u2_W", "available"), actuators),
+            **dict.fromkeys(("power_per_u_W", "power_per_u2_W", "available", "least_u", "most_u"), actuators),
             **dict.fromkeys(("cooling.price_per_kWh", "cooling.power_per_u_W"), actuators),
             **{"features": (*zones, N_FEATURES), "power_cap.limit_W": (n,), "last_u": (A,)},
         }
@@ -204,6 +207,14 @@ class MPCProblem:
         cost = self.price_per_W * self.power_fixed_W
         return np.where(self.machinery.shared[:, None], np.maximum(cost, 0.0), cost)
 
+    @cached_property
+    def level_bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest level of each actuator in each step, (A, N) each."""
+        whole, m = np.ones((1, self.n_steps)), self.machinery
+        low = m.u_min[:, None] * whole if self.least_u is None else self.least_u
+        high = m.u_max[:, None] * whole if self.most_u is None else self.most_u
+        return low, np.maximum(low, high)
+
     @property
     def cooling_cost_per_u(self) -> Array:
         """Energy cost of cooling over each step per unit of −u, currency, shape (A, N); 0 without cooling."""
@@ -228,9 +239,9 @@ class MPCProblem:
             return f"the solver gave levels of shape {np.shape(u)}, expected {(len(m.actuators), self.n_steps)}"
         if not np.isfinite(u).all():
             return "the solver gave levels that are not finite"
-        low, high = u.min(axis=-1), u.max(axis=-1)
-        for a in np.flatnonzero((low < m.u_min - BOUND_TOLERANCE) | (high > m.u_max + BOUND_TOLERANCE)):
-            return f"u of {m.actuators[a]} leaves its bounds (from {low[a]:.4g} to {high[a]:.4g})"
+        low, high = self.level_bounds
+        for a in np.flatnonzero(((u < low - BOUND_TOLERANCE) | (u > high + BOUND_TOLERANCE)).any(axis=-1)):
+            return f"u of {m.actuators[a]} leaves its bounds (from {u[a].min():.4g} to {u[a].max():.4g})"
         return ""
 
 

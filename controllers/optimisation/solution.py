@@ -257,9 +257,8 @@ def _not_shown(model: PlanModel, sizes: _Sizes, found: Evaluation, nearby: QPDat
 
 
 def _dearer(model: PlanModel, problem: MPCProblem, p: Array, cost: float, own: Array, guess: Array | None) -> str:
-    m = problem.machinery
-    low, high = (np.repeat(bound[:, None], problem.n_steps, axis=1) for bound in (m.u_min, m.u_max))
-    others = [np.zeros_like(high), high]
+    low, high = problem.level_bounds
+    others = [np.clip(np.zeros_like(high), low, high), high]
     if guess is not None and guess.shape == high.shape:
         others.append(np.clip(guess, low, high))
     tried = [model.evaluate(p, levels, own) for levels in others]

@@ -79,7 +79,8 @@ class GoodPlan:
 class FallbackPolicy:
     """Level of one actuator to apply when there is no new plan for it.
 
-    `mode` is heating, cooling, or both: the plant's own loops then keep the comfort bounds, and native control acts.
+    `mode` is heating, cooling, or both: the plant's own loops then keep the comfort bounds, and native control acts, as
+    where an actuator is set by a command.
     `zone` is the number of the zone that the actuator serves.
     """
 

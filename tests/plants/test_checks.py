@@ -32,7 +32,7 @@ def test_levels_and_bands_come_out_one_per_actuator(u, band, expected):
 @pytest.mark.parametrize(("u", "band"), [(0.5, BAND), ((0.5,), (BAND,)), (np.float32(0.5), list(BAND))])
 def test_one_actuator_takes_a_number_and_a_pair(u, band):
     found = check_levels(u, 900, band)
-    assert (found.u, tuple(found.band_C[0])) == ((0.5,), BAND)
+    assert (found.u, tuple(found.command[0])) == ((0.5,), BAND)
 
 
 @pytest.mark.parametrize(
@@ -44,9 +44,10 @@ def test_one_actuator_takes_a_number_and_a_pair(u, band):
         (("on", 0.5), None, "level of 'on' for 'radiator'"),
         (0.5, None, "levels of 1 actuators: expected one for each of radiator, floor"),
         ((0.5, 0.5, 0.5), None, "levels of 3 actuators"),
-        (None, (BAND,), "room set-points of 1 actuators"),
+        (None, (BAND,), "commands of 1 actuators"),
         (None, (BAND, (24.0, 20.0)), "room set-points of (24.0, 20.0) °C for 'floor'"),
-        (None, BAND, "room set-points of 20.0 °C for 'radiator'"),
+        (None, ("warm", None), "command of 'warm' for 'radiator'"),
+        (None, (math.nan, 21.0), "command of nan for 'radiator'"),
         (None, (BAND, (20.0, math.inf)), "for 'floor'"),
     ],
 )

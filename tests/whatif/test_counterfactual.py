@@ -70,6 +70,28 @@ def test_the_other_day_is_that_of_the_house(model: ThermalModel, levels: Array) 
     assert found.energy_other_kWh[0] == pytest.approx(kWh)
 
 
+def test_energy_that_follows_the_levels_is_known(model: ThermalModel) -> None:
+    found = counterfactual(model, _run(_levels(1)), np.repeat([0.0, 1.0], 12), start="2026-01-05 00:00")
+    # The house takes its fixed part whenever it runs, the law in proportion to the level: that much is not known.
+    assert found.energy_low_kWh == pytest.approx(found.energy_other_kWh, rel=0.15)
+    assert found.energy_high_kWh == pytest.approx(found.energy_other_kWh, rel=0.15)
+
+
+def test_energy_that_follows_the_rooms_demand_has_a_band_that_says_so(model: ThermalModel) -> None:
+    # Levels rise with the cold, and so does power; what the levels do by themselves was never tried.
+    record = _run(_levels(1))
+    noise = np.random.default_rng(4).normal(0.0, 0.1, record.n_steps)
+    cold = np.clip((15.0 - record.T_out_C[:-1]) / 20.0 + noise, 0.0, 1.0)
+    record = _run(cold)
+    asked_W = 200.0 * (record.T_zone_C[0, :-1] - record.T_out_C[:-1])
+    record = replace(record, power_W=asked_W[None])
+    found = counterfactual(model, record, 0.2, start="2026-01-05 00:00")
+    truth_kWh = 0.2 * float((found.other_C[0] - record.T_out_C[_FIRST + 1 : _FIRST + 25]).sum())
+    scale = found.energy_kWh[0] / float(asked_W[_FIRST : _FIRST + 24].sum() / 1000.0)  # as the law has it
+    assert found.energy_low_kWh[0] <= truth_kWh * scale <= 1.02 * found.energy_high_kWh[0]
+    assert found.energy_high_kWh[0] - found.energy_low_kWh[0] > 0.4 * found.energy_other_kWh[0]
+
+
 def test_the_band_is_the_uncertainty_of_the_effect(model: ThermalModel) -> None:
     u = np.full(_DAYS * 24, 0.5)
     found = counterfactual(model, _run(u), 1.0, start=_FIRST * HOUR_S, hours=24)

@@ -22,7 +22,8 @@ class FilesConnection:
             measurements: recent measurements, which something appends to; or a pattern, such as `data/*.csv`.
             forecast: weather, prices and bounds.
             levels: what is to be set, `{"levels": {"heat_pump": 1.0}, "from": …, "until": …}`, times in UTC; never
-                half-written. A level null, or an `until` that has passed: the building's own control.
+                half-written. Of an actuator with a command in the map that command, in its unit. A level null, or an
+                `until` that has passed: the building's own control.
         """
         self._measurements, self._forecast, self._levels = measurements, forecast, levels
 

@@ -15,11 +15,47 @@ from thermoforce_mpc.data.boundary import CONDITIONS, Boundary, FreeForecast, Ob
 from thermoforce_mpc.data.clock import DAY_S, HOUR_S, J_PER_KWH, YEAR_S, ZERO_C_K, Array
 from thermoforce_mpc.data.layout import Layout, Period, PlantInfo
 from thermoforce_mpc.data.names import SINGLE, Names
-from thermoforce_mpc.data.plan import Bands, Block, Levels, Plan, PlanStatus
+from thermoforce_mpc.data.plan import (
+    Block,
+    Commands,
+    CommandValue,
+    HeldCommand,
+    Levels,
+    Plan,
+    PlannedSaving,
+    PlanStatus,
+    commands_of_each,
+)
 from thermoforce_mpc.data.record import ACTING, SAMPLED, SIGNALS, Measurement, Record
 
 __all__ = [
-    "ACTING", "CONDITIONS", "DAY_S", "HOUR_S", "J_PER_KWH", "SAMPLED", "SIGNALS", "SINGLE", "YEAR_S", "ZERO_C_K",
-    "Array", "Bands", "Block", "Boundary", "FreeForecast", "Layout", "Levels", "Measurement", "Names", "Observation",
-    "Period", "Plan", "PlanStatus", "PlantInfo", "Record",
+    "ACTING",
+    "CONDITIONS",
+    "DAY_S",
+    "HOUR_S",
+    "J_PER_KWH",
+    "SAMPLED",
+    "SIGNALS",
+    "SINGLE",
+    "YEAR_S",
+    "ZERO_C_K",
+    "Array",
+    "Block",
+    "Boundary",
+    "CommandValue",
+    "Commands",
+    "FreeForecast",
+    "HeldCommand",
+    "Layout",
+    "Levels",
+    "Measurement",
+    "Names",
+    "Observation",
+    "Period",
+    "Plan",
+    "PlanStatus",
+    "PlannedSaving",
+    "PlantInfo",
+    "Record",
+    "commands_of_each",
 ]  # fmt: skip

@@ -29,45 +29,89 @@ _PLANNED = ("u", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "sla
 Levels = float | None | Sequence[float | None]
 """Levels of the actuators: one each, or a number for one actuator; None for native control (of all, if alone)."""
 
-Bands = Sequence[Any] | None
-"""Room set-points (heating, cooling) of the actuators, °C: one pair each, or one pair for one actuator."""
+CommandValue = float | tuple[float, float]
+"""What a building's own control is told: a number in the unit of its command, or room set-points (heating, cooling)."""
+
+Commands = Sequence[Any] | None
+"""Commands of the actuators, one each; one actuator's alone, a pair or in a sequence of one."""
+
+
+@dataclass(frozen=True)
+class HeldCommand:
+    """A command from `start_s` to `end_s`, s on the clock of its plan; `value` None: what acts is left to itself."""
+
+    start_s: float
+    end_s: float
+    value: float | None
+
+
+@dataclass(frozen=True)
+class PlannedSaving:
+    """What a plan in commands saves against the building left alone, by the same model, over the horizon.
+
+    `saved`: currency, with its 90 % band `low` to `high` and what is stored at the end; `cost` and `energy_kWh` of the
+    plan and `alone`; `outside_Kh`: K·h outside the comfort bounds in all zones. `gain`: `saved` with what the
+    difference in comfort counts in the plan.
+    """
+
+    saved: float
+    low: float
+    high: float
+    cost: float
+    cost_alone: float
+    energy_kWh: float
+    energy_alone_kWh: float
+    outside_Kh: float
+    outside_alone_Kh: float
+    gain: float
 
 
 @dataclass(frozen=True, init=False)
 class Block:
     """One stretch of constant actuation: `u` (A,) holds the level of each actuator in [0, 1], None for native control.
 
-    Levels of an actuator that heats and cools lie in [−1, 1]. `band_C` (A,) are the heating and the cooling set-point
-    that the plant's own loops are to keep meanwhile, °C, None where there are none; u is then the mean level that the
-    plan expects of them. One actuator's level and band may be given without a tuple.
+    Levels of an actuator that heats and cools lie in [−1, 1]. `command` (A,): what the building's own loops are told
+    meanwhile, None where the level itself is set: a number in the unit of the command, or the heating and the cooling
+    set-point of a room, °C; u is then the mean level that the plan expects of them. One actuator's level and command
+    may be given without a tuple.
     """
 
     u: tuple[float | None, ...]
     duration_s: float
-    band_C: tuple[tuple[float, float] | None, ...]
+    command: tuple[CommandValue | None, ...]
 
-    def __init__(self, u: Levels, duration_s: float, band_C: Bands = None) -> None:
+    def __init__(self, u: Levels, duration_s: float, command: Commands = None) -> None:
         levels: tuple[Any, ...] = tuple(u) if isinstance(u, Sequence) else (u,)
-        if band_C is None:
-            bands: tuple[Any, ...] = (None,) * len(levels)
-        elif len(levels) == 1 and len(band_C) == 2:
-            bands = (band_C,)
-        else:
-            bands = tuple(band_C)
-        if len(bands) != len(levels):
-            raise DataError(f"a block of {len(levels)} levels has {len(bands)} bands")
+        commands = commands_of_each(command, len(levels))
+        if len(commands) != len(levels):
+            raise DataError(f"a block of {len(levels)} levels has {len(commands)} commands")
         object.__setattr__(self, "u", tuple(None if level is None else float(level) for level in levels))
         object.__setattr__(self, "duration_s", duration_s)
-        object.__setattr__(self, "band_C", bands)
+        object.__setattr__(self, "command", commands)
 
     @classmethod
     def native(cls, n_actuators: int, duration_s: float) -> Block:
         """All actuators under the plant's own control."""
         return cls((None,) * n_actuators, duration_s)
 
+    @property
+    def told(self) -> tuple[CommandValue | None, ...]:
+        """What is set at each actuator (A,): its command, where it has one, else its level; None: native control."""
+        pairs = zip(self.u, self.command, strict=True)
+        return tuple(level if level is None or command is None else command for level, command in pairs)
+
     def as_array(self) -> Array:
         """Levels (A,), NaN under native control."""
         return np.array([np.nan if level is None else level for level in self.u])
+
+
+def commands_of_each(command: Commands, n: int) -> tuple[Any, ...]:
+    """Commands as a tuple, one for each of `n` actuators, where as many were given; a pair for one actuator is one."""
+    if command is None:
+        return (None,) * n
+    if n == 1 and len(command) == 2:
+        return (tuple(command),)
+    return tuple(command)
 
 
 class PlanStatus(StrEnum):
@@ -104,12 +148,13 @@ class Plan:
     `origin` where the record has time stamps. `T_free_now_C` (Z,) is the control-free temperature the plan starts from;
     `lower_C` and `upper_C` (Z, N) are the comfort bounds with the margins that it kept inside them. `margins` of the
     first step by name: K inside the lower and the upper bound of each zone (2, Z); `offset` (Z,), K, is added to the
-    prediction, `unused_capacity` (M,) the share of each machine that is not planned for. `acting` (A,): source of the
-    action of each actuator; `status` is that of the plan, or of what took its place at one of them. `why` is one
-    sentence for people; `news` (part of it) what was learned in this step of sensors, meters or the model;
-    `solver_status` is the solver's, `export_calls` how often it called the exported operator, `own` the values of your
-    own variables by name (`controller.options.terms`). `state` goes to the controller's next plan of this run and is
-    opaque to others.
+    prediction, `unused_capacity` (M,) the share of each machine that is not planned for. `settings` (A,): the commands
+    of each actuator over the horizon, none where its level is set; () where none has a command; `saving`: what they
+    save. `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took its place
+    at one of them. `why` is one sentence for people; `news` (part of it) what was learned in this step of sensors,
+    meters or the model; `solver_status` is the solver's, `export_calls` how often it called the exported operator,
+    `own` the values of your own variables by name (`controller.options.terms`). `state` goes to the controller's next
+    plan of this run and is opaque to others.
     """
 
     blocks: tuple[Block, ...]
@@ -136,6 +181,8 @@ class Plan:
     acting: tuple[PlanStatus, ...] = ()
     lower_C: Array = field(default_factory=lambda: np.empty(0))
     upper_C: Array = field(default_factory=lambda: np.empty(0))
+    settings: tuple[tuple[HeldCommand, ...], ...] = ()
+    saving: PlannedSaving | None = None
     state: object = field(default=None, repr=False)
 
     def __post_init__(self) -> None:

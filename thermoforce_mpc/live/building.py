@@ -12,10 +12,11 @@ import numpy as np
 import pandas as pd
 
 from controllers.safety.deadline import BoundedCalls, Crashed
+from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Record
 from thermoforce_mpc.errors import DataError, InputError, NoForecast, PlantError
 from thermoforce_mpc.measurements.forecast import read_forecast
-from thermoforce_mpc.measurements.load import Measurements, read_measurements
+from thermoforce_mpc.measurements.load import Measurements, learned_commands, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.protocols import Connection
 
@@ -116,6 +117,11 @@ class LiveBuilding:
         conditions = replace(measured.conditions, time_s=measured.conditions.time_s + shift_s)
         self._measured = replace(measured, record=record, conditions=conditions)
         return record
+
+    def commands(self) -> dict[str, LearnedCommand]:
+        """The commands of the map, with what the measurements tell of them; raises as `record`, and `DataError`."""
+        measured = read_measurements(self._call("measurements"), self._rules, step_s=self._step_s)
+        return learned_commands(measured.served())
 
     def _ahead(self, measured: Measurements, now: pd.Timestamp) -> tuple[str, ...]:
         """A note on readings stamped a little after the clock; raises `DataError` where it is more: what is of now?"""

@@ -17,7 +17,7 @@ from typing import Protocol
 import pandas as pd
 
 from thermoforce_mpc.connections.sole import set_by, sole_control
-from thermoforce_mpc.data import Block, Boundary, Plan, PlanStatus
+from thermoforce_mpc.data import Block, Boundary, CommandValue, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ControllerRaised, PlantError, ThermoForceError
 from thermoforce_mpc.live.building import Applied, LiveBuilding
@@ -226,7 +226,7 @@ class _Building:
         return self._instant
 
     def _apply(self, decided: Decided) -> object:
-        """Set the levels of each block at its time, until the step ends; what is past by then is left out.
+        """Set the levels or commands of each block at its time, until the step ends; what is past by then is left out.
 
         What is known is kept first, and again after every block. Returns the state to go on from.
         """
@@ -239,11 +239,13 @@ class _Building:
             if until > self._clock.now():
                 self._clock.wait_until(begin)
                 hold_s = (end - self._clock.now()).total_seconds() + beyond_s
-                taken = self._write(block.u, hold_s)
+                taken = self._write(block.told, hold_s)
                 start_s = self._building.time_s(begin)
                 # A plan whose levels were not taken did not act.
                 state = state if taken else decided.before
-                done = Applied(start_s, block.duration_s, block.u if taken else (None,) * len(block.u))
+                # What a command brings is measured, not known.
+                levels = tuple(None if told is not None else u for u, told in zip(block.u, block.command, strict=True))
+                done = Applied(start_s, block.duration_s, levels if taken else (None,) * len(block.u))
                 self._applied = [*self._applied, done][-_REMEMBERED:]
                 self._keep(self._at, decided.before, state)
             begin = until
@@ -256,11 +258,11 @@ class _Building:
             origin = self._building.origin.isoformat()
             self._kept_state.save(Kept(origin, instant.isoformat(), before, after, tuple(self._applied)))
 
-    def _write(self, u: Sequence[float | None], seconds: float) -> bool:
+    def _write(self, told: Sequence[CommandValue | None], seconds: float) -> bool:
         names = self._building.names
-        levels = {name: None if level is None else float(level) for name, level in zip(names, u, strict=True)}
+        levels = {name: value if isinstance(value, float) else None for name, value in zip(names, told, strict=True)}
         # Before the call: one that fails, or is interrupted, may have set them.
-        self._set = self._set or any(level is not None for level in u)
+        self._set = self._set or any(value is not None for value in levels.values())
         try:
             self._building.write(levels, seconds)
         except Exception as error:  # somebody's connection may raise anything

@@ -323,14 +323,14 @@ def time_rat(steps: Sequence[StepRecord], step_s: float) -> float:
 
 def advanced(plant: Plant, block: Block) -> Measurement:
     """Apply `block` to `plant`; room set-points go only to plants that have them. Raises as `Plant.advance` does."""
-    if all(band is None for band in block.band_C):
+    if all(command is None for command in block.command):
         return plant.advance(block.u, block.duration_s)
-    return cast(RoomSetpointPlant, plant).advance(block.u, block.duration_s, block.band_C)
+    return cast(RoomSetpointPlant, plant).advance(block.u, block.duration_s, block.command)
 
 
 def with_level(measurement: Measurement, block: Block) -> Measurement:
     """The measurement with the applied levels where u was not measured; u stays NaN where native control acts."""
-    by_level = np.array([band is None for band in block.band_C])
+    by_level = np.array([command is None for command in block.command])
     return replace(measurement, u=np.where(np.isnan(measurement.u) & by_level, block.as_array(), measurement.u))
 
 

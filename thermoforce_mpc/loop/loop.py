@@ -156,7 +156,8 @@ class Loop:
         # Records do not hold the controller's state, which grows with the run; only the latest is kept.
         plan, after = replace(plan, state=None), plan.state
         blocks, refused = checked_blocks(plan, controller.step_s, believed.left_s, believed.lowest, history.names)
-        if not self._driver.takes_room_setpoints and any(band is not None for block in blocks for band in block.band_C):
+        bands = any(isinstance(command, tuple) for block in blocks for command in block.command)
+        if bands and not self._driver.takes_room_setpoints:
             refused = "refused room set-points, which a connection has none of: native control instead"
             blocks = (Block.native(len(history.names.actuators), min(controller.step_s, believed.left_s)),)
         return Decided(
@@ -202,7 +203,7 @@ def wrong_blocks(blocks: Sequence[Block], duration_s: float, lowest: float | Seq
     """What is wrong with blocks for `duration_s`, in words; empty where they may be applied."""
     try:
         for block in blocks:
-            check_levels(block.u, block.duration_s, block.band_C, names=names, lowest=lowest)
+            check_levels(block.u, block.duration_s, block.command, names=names, lowest=lowest)
     except InputError as error:
         return str(error)
     total_s = math.fsum(block.duration_s for block in blocks)

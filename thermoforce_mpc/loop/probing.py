@@ -49,7 +49,8 @@ class Probed:
         found: list[Directions] = []
         for a, (z, sign, lowest) in enumerate(zip(layout.home, layout.signs, layout.lowest, strict=True)):
             levels = np.array([math.nan if block.u[a] is None else block.u[a] for block in self.blocks])
-            bands = [block.band_C[a] or (math.nan, math.nan) for block in self.blocks]
+            told = [block.command[a] for block in self.blocks]
+            bands = [pair if isinstance(pair, tuple) else (math.nan, math.nan) for pair in told]
             heating_C, cooling_C = np.reshape(bands, (-1, 2)).T
             asked = called_for(levels, heating_C, cooling_C, self.record.T_zone_C[z])
             each = each_direction(asked, self.record.part(z, [a]), sign, signed=lowest < 0.0)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pandas as pd
 
+from thermoforce_mpc.commands.kinds import AnyCommand
+from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, learn_command
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.dataframes import new_year, seconds_at, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError, counted
 from thermoforce_mpc.measurements import readings
+from thermoforce_mpc.measurements.map.entries import Signal
 from thermoforce_mpc.measurements.map.guesses import rooms_beside
 from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MappedActuator, MeasurementMap, load_map
 from thermoforce_mpc.measurements.signals import SignalReader
@@ -36,6 +39,8 @@ _STEPS_S = (900.0, 3600.0)
 _LEAST_STEPS = 2
 # Rows that are looked at for rooms outside the map.
 _ROWS = 2000
+# A command that is not logged anew holds for so long, h.
+_COMMAND_HOLDS_H = 14 * 24.0
 # A single reading so long after the clock has a wrong stamp.
 _LATEST = pd.Timedelta("2D")
 # A stamp is beside a minute by this share of the usual distance of rows at most; rows are dense from so many steps on
@@ -131,7 +136,8 @@ class Measurements:
     """Measurements of a building: the record, what acts where, the conditions of the time, and what was understood.
 
     `conditions`: measured weather with the bounds and prices of the map, NaN where it names none. `left_out`: what was
-    left out of a table that a machine appends to, in words.
+    left out of a table that a machine appends to, in words. `commands`: what was set, by actuator, of those with a
+    command.
     """
 
     record: Record
@@ -140,6 +146,7 @@ class Measurements:
     understood: Understood
     map: MeasurementMap
     left_out: tuple[str, ...] = ()
+    commands: Mapping[str, CommandRecord] = field(default_factory=dict)
 
     def newest_s(self) -> float:
         """Time of the newest temperature of a zone, s; NaN without one."""
@@ -299,6 +306,7 @@ def _from_table(
     ] or unknown
     heat = np.array([reader.mean(f"actuators.{name}.heat", a.heat, readings.POWER) for name, a in actuators] or unknown)
     u, of_levels = actuator_levels(rules, reader, heat, power)
+    commands = {name: _commanded(reader, name, a.command) for name, a in actuators if a.command is not None}
     record = Record(
         grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
         np.array(water), origin, names,
@@ -329,7 +337,26 @@ def _from_table(
         (*table.notes, *of_clock(zone, rows_every_s, step_s), *of_sun, *of_levels, *of_changes(reader.on_change)),
         missing(rules, record, conditions),
     )
-    return Measurements(record, layout, conditions, understood, rules)
+    return Measurements(record, layout, conditions, understood, rules, commands=commands)
+
+
+def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
+    """The commands of the actuators with their maps, by name; raises `DataError` where the record does not tell one."""
+    record, out = measured.record, {}
+    for a, name in enumerate(record.names.actuators):
+        command = measured.map.actuators[name].command if name in measured.commands else None
+        if command is not None:
+            T_zone_C, was = record.T_zone_C[measured.layout.home[a]], measured.commands[name]
+            where = f"actuators.{name}.command (column {command.column})"
+            out[name] = learn_command(command, was, T_zone_C, record.T_out_C, record.u[a], record.time_s, where)
+    return out
+
+
+def _commanded(reader: SignalReader, name: str, command: AnyCommand) -> CommandRecord:
+    """What was set: a command holds until the next reading."""
+    signal = Signal(column=command.column, hold_h=_COMMAND_HOLDS_H)
+    at = reader.scheduled(f"actuators.{name}.command", signal, readings.COMMAND)
+    return CommandRecord(at, reader.again(signal, readings.COMMAND))
 
 
 def _bounds_C(rules: MeasurementMap, reader: SignalReader, origin: pd.Timestamp) -> tuple[Array, Array]:

@@ -66,6 +66,7 @@ SIGNED_LEVEL = replace(LEVEL, range=(-1.0 - LEVEL_SLACK, 1.0 + LEVEL_SLACK))
 HUMIDITY = replace(LEVEL, range=(0.0, 1.0 + LEVEL_SLACK))
 BOUND = SignalRule("temperature", "°C", ZONE.range, ZONE.usual)
 PRICE = SignalRule("price", "per kWh")
+COMMAND = SignalRule("command", "")
 
 
 @dataclass(frozen=True)

@@ -110,13 +110,18 @@ class SignalReader:
         values = means(starts, lasts, readings.values, self.grid_s, self._coverage)
         return self._summarised(key, signal, unit, readings, values, flags)
 
+    def again(self, signal: Signal, rules: SignalRule) -> Array:
+        """Means over the steps (n,) of a signal that is read as `scheduled` too: it holds until the next reading."""
+        readings, _, _ = self._readings("", signal, rules)
+        return means(readings.time_s, self._lasts_s(readings, "start"), readings.values, self.grid_s, self._coverage)
+
     def _readings(self, key: str, signal: Signal, rules: SignalRule) -> tuple[Readings, SignalRule, tuple[Flag, ...]]:
         """The readings of a signal that hold, in the unit inside, its rules, and what was flagged."""
         declared = getattr(signal, "unit", "")
         rules = with_map(rules, signal)
         raw, time_s = self._raw(signal)
         raw = raw * signal.factor
-        values = converted(raw, declared)
+        values = converted(raw, declared) if declared else raw
         if declared.endswith(PER_STEP):
             values = values / _intervals_s(time_s, np.isfinite(values), signal.hold_h, self._marks)
         flags: list[Flag] = []

@@ -19,6 +19,7 @@ from thermoforce_mpc.files import check_replaceable
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.model.machine.change import UNKNOWN, Share, share_of_change
 from thermoforce_mpc.model.machine.foreign_load import own_W
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
@@ -175,6 +176,19 @@ class ThermalModel:
     def in_rooms(self, record: Record) -> Record:
         """`record` with the temperatures of the rooms and the heat of the actuators, as `own_heat`."""
         return off_sensors(self.own_heat(record), self.sun_on_sensors)
+
+    def power_change(self, m: int, record: Record) -> Share:
+        """How much of what the power law of machine `m` says of other levels was in `record`."""
+        power, layout = self.power[m], self.layout
+        fed = list(layout.fed_by(m))
+        if power is None or (len(fed) > 1 and power.cooling is not None):
+            return Share(1.0, UNKNOWN)
+        u = np.clip(record.u[fed], np.array(layout.lowest)[fed, None], 1.0)
+        T_out_C, T_return_C = record.T_out_C[:-1], record.T_return_C[m]
+        weights = np.array(layout.weights)[fed]
+        own = power(u[0], T_out_C, T_return_C) if len(fed) == 1 else power.of_actuators(u, weights, T_out_C)
+        other = 0.0 if power.foreign is None else power.foreign(record.time_s[:-1], T_out_C)
+        return share_of_change(own, record.power_W[m] - other, record)
 
     def predict(
         self,

@@ -8,7 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, SINGLE, YEAR_S, Array, Bands, Block, Levels, Names, Period
+from thermoforce_mpc.data import (
+    DAY_S,
+    SINGLE,
+    YEAR_S,
+    Array,
+    Block,
+    Commands,
+    CommandValue,
+    Levels,
+    Names,
+    Period,
+    commands_of_each,
+)
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.files import plain_number
 from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
@@ -43,43 +55,50 @@ def check_start(start_s: float, warmup_s: float) -> None:
 
 
 def check_levels(
-    u: Levels, duration_s: float, band_C: Bands = None, *, names: Names = SINGLE, lowest: float | Sequence[float] = 0.0
+    u: Levels,
+    duration_s: float,
+    command: Commands = None,
+    *,
+    names: Names = SINGLE,
+    lowest: float | Sequence[float] = 0.0,
 ) -> Block:
-    """Return levels and room set-points as given to a plant, one entry for each of its A actuators.
+    """Return levels and commands as given to a plant, one entry for each of its A actuators.
 
     Args:
         u: levels (A,), None for the plant's own control; a number for one actuator, None for all.
         duration_s: how long to apply them, s.
-        band_C: heating and cooling set-point of each actuator, °C; one pair for one actuator, None for all.
+        command: of each actuator, a number or a heating and a cooling set-point, °C, see `Block`; None for all.
         names: names of the actuators.
         lowest: lowest level, of all actuators or of each.
 
     Raises:
-        InputError: entries that are not one per actuator, a level not in [`lowest`, 1], a band that is not two rising
-            finite numbers, or a duration that is not positive and less than a year; names the actuator.
+        InputError: entries that are not one per actuator, a level not in [`lowest`, 1], a command that is neither a
+            finite number nor two rising ones, or a duration that is not positive and less than a year; names the
+            actuator.
     """
     n, alone = len(names.actuators), len(names.actuators) == 1
     levels: tuple[Any, ...] = (None,) * n if u is None else (u,) if np.ndim(u) == 0 else tuple(u)  # type: ignore[arg-type]
-    bands: tuple[Any, ...] = (None,) * n if band_C is None else tuple(band_C)
-    if alone and len(bands) == 2:  # one pair
-        bands = (bands,)
-    for what, values in (("levels", levels), ("room set-points", bands)):
+    commands = commands_of_each(command, n)
+    for what, values in (("levels", levels), ("commands", commands)):
         if len(values) != n:
             raise InputError(
                 f"{what} of {len(values)} actuators: expected one for each of {', '.join(names.actuators)}"
             )
     each = np.broadcast_to(lowest, n)
-    for name, level, least, band in zip(names.actuators, levels, each, bands, strict=True):
+    for name, level, least, told in zip(names.actuators, levels, each, commands, strict=True):
         of = "" if alone else f" for '{name}'"
         if level is not None and not (_is_number(level) and least <= level <= 1.0):
             raise InputError(f"level of {level!r}{of}: expected a number from {least:g} to 1, or None")
-        if band is not None and not (np.shape(band) == (2,) and all(map(_is_number, band)) and band[0] <= band[1]):
-            raise InputError(
-                f"room set-points of {band!r} °C{of}: expected a heating set-point not above the cooling one"
-            )
+        if np.shape(told) == (2,):
+            if not (all(map(_is_number, told)) and told[0] <= told[1]):
+                raise InputError(
+                    f"room set-points of {told!r} °C{of}: expected a heating set-point not above the cooling one"
+                )
+        elif told is not None and not _is_number(told):
+            raise InputError(f"command of {told!r}{of}: expected a finite number or two rising set-points, °C")
     if not (_is_number(duration_s) and 0 < duration_s < YEAR_S):
         raise InputError(f"step of {duration_s!r} s: expected a positive number, less than a year")
-    return Block(levels, float(duration_s), bands)
+    return Block(levels, float(duration_s), commands)
 
 
 def _is_number(value: Any) -> bool:
@@ -87,18 +106,22 @@ def _is_number(value: Any) -> bool:
 
 
 def plant_inputs(
-    actuator: Actuator | RoomSetpoints, u: float | None, band_C: tuple[float, float] | None, T_zone_C: float
+    actuator: Actuator | RoomSetpoints, u: float | None, command: CommandValue | None, T_zone_C: float
 ) -> dict[str, float]:
-    """Return an actuator's inputs for a level with the room at `T_zone_C` or, for room set-points, the band, °C.
+    """Return an actuator's inputs for a level with the room at `T_zone_C` or, for room set-points, the command, °C.
 
-    Raises `InputError` for a band without room set-points, or a level between the limits for a loop without a band.
+    Raises `InputError` for a command that the actuator does not have, or a level between the limits for a loop without
+    set-points.
     """
+    pair = command if isinstance(command, tuple) else None
+    if command is not None and pair is None:
+        raise InputError(f"command of {command!r}: the actuator takes levels or room set-points")
     if isinstance(actuator, RoomSetpoints):
-        if band_C is None and u is not None and u not in (-1.0, 0.0, 1.0) and u != actuator.lowest:
+        if pair is None and u is not None and u not in (-1.0, 0.0, 1.0) and u != actuator.lowest:
             raise InputError(f"level of {u:g} without room set-points: a loop can only be driven to its limits")
-        return actuator.inputs(u, band_C)
-    if band_C is not None:
-        raise InputError(f"room set-points of {band_C!r}: the actuator '{actuator.point}' has none")
+        return actuator.inputs(u, pair)
+    if pair is not None:
+        raise InputError(f"room set-points of {pair!r}: the actuator '{actuator.point}' has none")
     return actuator.inputs(u, T_zone_C)
 
 

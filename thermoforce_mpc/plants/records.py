@@ -146,7 +146,7 @@ def inputs(points: BuildingPoints, block: Block, T_zone_C: Array, last: Measurem
         u = block.u[a]
         if points.machines[m].supply is not None and u:
             u = 1.0
-        for name, value in plant_inputs(one.actuator, u, block.band_C[a], rooms_C[a]).items():
+        for name, value in plant_inputs(one.actuator, u, block.command[a], rooms_C[a]).items():
             out[name] = max(out.get(name, value), value) if name.endswith("_activate") else value
     for m, machine in enumerate(points.machines):
         fed = layout.fed_by(m)

@@ -15,7 +15,7 @@ from typing import Any, Generic, Protocol, Self, TypeVar, cast
 import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.data import SINGLE, Array, Bands, Block, Boundary, Levels, Measurement, Names, Record
+from thermoforce_mpc.data import SINGLE, Array, Block, Boundary, Commands, Levels, Measurement, Names, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_levels, check_start, forecast_times, record_times
 from thermoforce_mpc.plants.kpis import Between, CountedKpis
@@ -155,9 +155,9 @@ class PlantShell(Releasing, ABC):
 class RoomSetpointShell(PlantShell):
     """A `RoomSetpointPlant` in a shell."""
 
-    def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
-        """As `PlantShell.advance`, or with the room set-points `band_C`, °C."""
-        return self._advanced(check_levels(u, duration_s, band_C, names=self._names, lowest=self._lowest))
+    def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
+        """As `PlantShell.advance`, or with the room set-points `command`, °C."""
+        return self._advanced(check_levels(u, duration_s, command, names=self._names, lowest=self._lowest))
 
 
 @dataclass

@@ -141,17 +141,21 @@ def repeated_rows(content: Mapping[str, Any], before: Array | None) -> Array:
 
 
 def block_json(block: Block) -> Json:
-    """Levels, duration and, where there are any, room set-points."""
+    """Levels, duration and, where there are any, commands: numbers, or room set-points as pairs."""
     content: Json = {"u": list(block.u), "duration_s": float(block.duration_s)}
-    if any(band is not None for band in block.band_C):
-        content["band_C"] = [None if band is None else [float(value) for value in band] for band in block.band_C]
+    if any(command is not None for command in block.command):
+        content["command"] = [
+            [float(value) for value in command] if isinstance(command, tuple) else command for command in block.command
+        ]
     return content
 
 
 def block_of(content: Mapping[str, Any]) -> Block:
     """The block of `block_json`."""
-    bands = [band and (float(band[0]), float(band[1])) for band in content.get("band_C") or ()]
-    return Block(content["u"], float(content["duration_s"]), bands or None)
+    commands = [
+        tuple(map(float, command)) if isinstance(command, list) else command for command in content.get("command") or ()
+    ]
+    return Block(content["u"], float(content["duration_s"]), commands or None)
 
 
 def plan_json(plan: Plan, blocks: Sequence[Block], refused: str) -> Json:

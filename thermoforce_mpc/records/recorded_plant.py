@@ -14,9 +14,9 @@ from typing import Any, TypeVar, cast
 from thermoforce_mpc.data import (
     SINGLE,
     Array,
-    Bands,
     Block,
     Boundary,
+    Commands,
     Levels,
     Measurement,
     Period,
@@ -87,9 +87,9 @@ class RecordedPlant:
         self._names, self._reset = self._last.names, request
         return self._last
 
-    def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
+    def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
         """See `Plant.advance` and `RoomSetpointPlant.advance`."""
-        block = Block(u, duration_s, band_C)
+        block = Block(u, duration_s, command)
         answer = self._advanced(block_json(block), lambda: self._told(advanced(self.inside, block)))
         self._last = measurement_of(answer, self._names)
         return self._last

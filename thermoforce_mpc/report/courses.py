@@ -124,7 +124,7 @@ def _band_C(step: StepRecord, k: int) -> Array:
     """Heating and cooling set-point of each actuator in the block number `k` of a step (A, 2), °C."""
     nothing = (np.nan, np.nan)
     refused = bool(step.refused) or k >= len(step.plan.blocks)
-    bands = (None,) * len(step.boundary.names.actuators) if refused else step.plan.blocks[k].band_C
+    bands = (None,) * len(step.boundary.names.actuators) if refused else step.plan.blocks[k].command
     return np.array([nothing if band is None else band for band in bands], dtype=np.float64)
 
 

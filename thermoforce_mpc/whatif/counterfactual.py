@@ -26,6 +26,9 @@ from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.whatif.identified import BAND, step_response_of
 
+# Error of a change of power, as a share, up to which its law alone counts.
+_EXACT = 0.1
+
 
 @dataclass(frozen=True)
 class Counterfactual:
@@ -37,6 +40,9 @@ class Counterfactual:
     where the model's card has none (the errors of all steps are taken to have one sign, so it is rather too wide);
     `certified_low_K`, `certified_high_K`: proven bounds in any weather and state. `energy_kWh`, `energy_other_kWh`
     (M,): by the model's power, NaN where a machine has none, or heats and cools and feeds several actuators.
+    `energy_low_kWh`, `energy_high_kWh` (M,): 90 % band of the latter. Where levels followed the rooms' demand the
+    record does not tell what they do to power by themselves: the band then reaches from what the law of power says to
+    what the rooms' temperatures ask for.
     """
 
     time_s: Array
@@ -51,6 +57,8 @@ class Counterfactual:
     certified_high_K: Array
     energy_kWh: Array
     energy_other_kWh: Array
+    energy_low_kWh: Array
+    energy_high_kWh: Array
 
     @property
     def other_C(self) -> Array:
@@ -120,6 +128,8 @@ def counterfactual(
     effect = context.effect(levels, applied)
     levels = levels if levels.ndim == 2 else levels[None]
     low, high = _certified_bounds(model, levels - applied, record.step_s)
+    was, other = _energy_kWh(model, applied, stretch), _energy_kWh(model, levels, stretch)
+    energy_low, energy_high = _energy_band(model, record, stretch, effect, was, other)
     return Counterfactual(
         time_s=stretch.time_s[:-1],
         origin=record.origin,
@@ -131,9 +141,31 @@ def counterfactual(
         sd_K=_identified_sd(model, levels - applied, record.step_s),
         certified_low_K=low,
         certified_high_K=high,
-        energy_kWh=_energy_kWh(model, applied, stretch),
-        energy_other_kWh=_energy_kWh(model, levels, stretch),
+        energy_kWh=was,
+        energy_other_kWh=other,
+        energy_low_kWh=energy_low,
+        energy_high_kWh=energy_high,
     )
+
+
+def _energy_band(
+    model: ThermalModel, record: Record, stretch: Record, effect_K: Array, was: Array, other: Array
+) -> tuple[Array, Array]:
+    """90 % band of the energy under other levels, (M,) each, kWh, whose effect is `effect_K` (Z, N).
+
+    `was`, `other` (M,): by the law of power.
+    """
+    low, high = np.full(was.shape, np.nan), np.full(was.shape, np.nan)
+    for m in np.flatnonzero(np.isfinite(other)):
+        share = model.power_change(int(m), record)
+        ends = [was[m] + (other[m] - was[m]) * (share.mean + sign * BAND * share.sd) for sign in (-1.0, 1.0)]
+        if share.spread > _EXACT:  # levels that follow the demand stand for it in the law
+            fed = [home for home, machine in zip(model.operator.home, model.machine_of, strict=True) if machine == m]
+            over_K = stretch.T_zone_C[fed, 1:] - stretch.T_out_C[1:]
+            asked = np.nanmean(over_K + effect_K[fed]) / max(float(np.nanmean(over_K)), 1.0)
+            ends += [float(other[m]), float(was[m] * max(asked, 0.0))]
+        low[m], high[m] = max(min(ends), 0.0), max(ends)
+    return low, high
 
 
 def _known_from(model: ThermalModel, whole: Record, first: int) -> PredictionContext:

@@ -65,7 +65,7 @@ class Algebra:
     def levels(self, q: Mapping[str, ca.SX], s: Structure) -> tuple[ca.SX, ca.SX]:
         """Levels above and below 0, (A, N)."""
         of, cold = list(s.signed), ca.SX(s.A, s.N)
-        v = self.variable("v", ca.fmax(self.u, 0.0) if of else self.u, 0.0, ca.repmat(q["u_max"], 1, s.N))
+        v = self.variable("v", ca.fmax(self.u, 0.0) if of else self.u, q["least"], q["most"])
         if of:
             cold[of, :] = self.variable("cold", ca.fmax(-self.u[of, :], 0.0), 0.0, ca.repmat(-q["u_min"][of], 1, s.N))
         return v, cold

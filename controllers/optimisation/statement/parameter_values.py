@@ -107,6 +107,7 @@ class Numbers:
         }
         capacity = np.ones(p.power_fixed_W.shape) if p.capacity is None else p.capacity
         values["capacity"] = np.minimum.reduceat(capacity, self._firsts, axis=1)
+        values["least"], values["most"] = self._reach(p)
         if p.cooling is not None:
             values["cold_power"] = self._mean(p.cooling.power_per_u_W)
             values["cold_cost"] = self._sum(p.cooling_cost_per_u)
@@ -119,6 +120,12 @@ class Numbers:
         vector = self._vector.copy()
         self._write(vector, values)
         return vector
+
+    def _reach(self, p: MPCProblem) -> tuple[Array, Array]:
+        """Least and largest level above 0 of each step of the plan, (A, N): the tightest of its control steps."""
+        low, high = p.level_bounds
+        most = np.minimum.reduceat(high, self._firsts, axis=1)
+        return np.minimum(np.maximum.reduceat(np.maximum(low, 0.0), self._firsts, axis=1), most), most
 
     def _sum(self, values: Array) -> Array:
         """Sums over the control steps of each step of the plan: (rows, control steps) → (rows, N)."""

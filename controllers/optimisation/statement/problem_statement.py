@@ -5,7 +5,7 @@ For zones z, actuators a and machines m, over steps k of the plan,
     minimise    Σ_k [ Σ_m fixed_cost_mk · on_mk  +  Σ_a ( cost_ak u_ak + bend_cost_ak c_ak )  +  Σ_z w_z · s_zk · Δt
                       +  Σ_a ε u_ak²  +  c · o_k · Δt ]  +  π · p  −  Σ_za λ_za' F_za,N
     subject to  F_za,k+1 = A_za F_za,k + g_za m(x_ak) v(u_ak)     forced response of each pair (paper eq:operator)
-                lower_zk − s_zk ≤ T_free,zk + Σ_a F_za,k ≤ upper_zk + s_zk,   s_zk ≥ 0,   u_min,a ≤ u_ak ≤ u_max,a
+                lower_zk − s_zk ≤ T_free,zk + Σ_a F_za,k ≤ upper_zk + s_zk,   s_zk ≥ 0,   least_ak ≤ u_ak ≤ most_ak
                 P_mk = fixed_mk · on_mk + Σ_{a of m} (per_u_ak u_ak + bend_ak c_ak)
                 on_mk = max( min_{θ ≥ 0} θ + Σ_{a of m} w_a max(on_ak − θ, 0),  Σ_{a of m} share_a u_ak )
                 Σ_{a of m} share_a u_ak ≤ capacity_mk
@@ -74,7 +74,7 @@ def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
     sizes = {
         **{"denominator": (G, s.r * len(s.kinds)), "numerator": (s.r * len(s.kinds), E), "begin": (G, s.r)},
         **{"poles": (P, s.r * len(set(s.lengths))), "gains": (P, s.r * len(set(s.lengths))), "forced": (P, s.r)},
-        **dict.fromkeys((*heat, "cold_power", "cold_cost"), (s.A, s.N)),
+        **dict.fromkeys((*heat, "cold_power", "cold_cost", "least", "most"), (s.A, s.N)),
         **dict.fromkeys(("T_free", "lower", "upper"), (s.Z, s.N)),
         **dict.fromkeys(("fixed", "fixed_cost", "capacity"), (s.M, s.N)),
         **dict.fromkeys(("share", "runs_for", "u_max", "u_min", "lowest", "on_per_v", "last_u"), (s.A, 1)),

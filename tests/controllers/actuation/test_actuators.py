@@ -46,7 +46,7 @@ def mean_levels(blocks: tuple[Block, ...]) -> np.ndarray:
 def test_blocks_of_all_change_wherever_those_of_one_change():
     first = (Block(0.0, 300.0), Block(1.0, 600.0))
     second = (Block(0.4, 600.0), Block(0.0, 300.0, (20.0, 24.0)))
-    assert [(block.u, block.duration_s, block.band_C) for block in merged([first, second, (Block(None, 900.0),)])] == [
+    assert [(block.u, block.duration_s, block.command) for block in merged([first, second, (Block(None, 900.0),)])] == [
         ((0.0, 0.4, None), 300.0, (None, None, None)),
         ((1.0, 0.4, None), 300.0, (None, None, None)),
         ((1.0, 0.0, None), 300.0, (None, (20.0, 24.0), None)),

@@ -112,13 +112,13 @@ def blocks(u: float, T_end_C: float, T_now_C: float, *, u_last: float = 0.0, bou
 
 def test_a_move_starts_as_late_as_it_can():
     idle, moving = blocks(0.3, 21.05, 18.0)
-    assert (idle.u, idle.band_C) == ((0.0,), ((15.0, 30.0),))
-    assert moving.band_C == ((21.05, 30.0),)
+    assert (idle.u, idle.command) == ((0.0,), ((15.0, 30.0),))
+    assert moving.command == ((21.05, 30.0),)
     assert moving.duration_s == 360.0  # 0.3 · 900 s, a quarter more, whole minutes
     assert moving.u == pytest.approx((0.75,))
     assert idle.duration_s + moving.duration_s == 900.0
     cooled = blocks(-0.3, 24.0, 27.0)
-    assert cooled[-1].band_C == ((15.0, 24.0),)
+    assert cooled[-1].command == ((15.0, 24.0),)
     assert LOWEST <= cooled[-1].u[0] < 0.0
 
 
@@ -131,7 +131,7 @@ def test_heat_that_holds_the_zone_is_no_part_of_a_move():
 def test_a_loop_at_its_bound_goes_on_where_nothing_is_planned():
     (block,) = blocks(0.0, 24.1, 23.95, u_last=-0.15, bounds=(21.03, 23.97))
     assert block.u == pytest.approx((-0.15,))
-    assert block.band_C == ((21.03, 23.97),)
+    assert block.command == ((21.03, 23.97),)
     (idle,) = blocks(0.0, 22.0, 22.5, u_last=-0.15, bounds=(21.03, 23.97))
     assert idle.u == (0.0,)
 
@@ -145,7 +145,7 @@ def test_set_points_stay_within_the_bounds_in_force_whatever_the_plan_says(u, T_
             found, refused = checked_blocks(Plan(planned, PlanStatus.SOLVED, ""), 900.0, 900.0, LOWEST)
             assert refused == ""
             for block in found:
-                (band,) = block.band_C
+                (band,) = block.command
                 assert band is not None
                 assert 21.0 <= band[0] <= band[1] <= 24.0
 
@@ -255,7 +255,7 @@ def test_a_room_that_fell_below_its_reserve_does_not_wait_for_its_heat(model):
         known = missed.meeting(night.boundary.lower_C, night.boundary.upper_C)
         kept = MPCState(night.time_s, margins=Margins(learned=known))
         ((first, *_),) = first_demands(config, actuators, mpc.step_s, replace(plan, state=kept), readings)
-        return first.band_C[0]
+        return first.command[0]
 
     assert first_band(LearnedMargin.nothing(1))[0] == pytest.approx(15.03)
     assert first_band(replace(LearnedMargin.nothing(1), reserve_K=np.array([[1.0], [0.0]])))[0] == pytest.approx(16.03)
@@ -276,7 +276,7 @@ def test_loops_are_sent_to_the_end_of_a_move_of_several_steps(model):
         plan = Plan((), PlanStatus.SOLVED, "", u=np.array([u]), T_free_C=T_C, T_forced_K=0.0 * T_C, state=state)
         actuators = Actuators(model.layout, [Actuation(config.actuation)])
         ((*_, last),) = first_demands(config, actuators, 900.0, plan, readings)
-        return last.band_C[0][0]
+        return last.command[0][0]
 
     assert sent_to_C(0.9, 0.8, 0.1) == 18.0
     assert sent_to_C(0.3, 0.8, 0.1) == 17.0
@@ -304,8 +304,8 @@ def test_a_negative_price_is_no_reason_to_heat_and_cool_at_once(model, solver):
 class DroppingOffice(LightOffice):
     """The office whose loops fail it for a moment every hour of the night, as a fan that pauses."""
 
-    def advance(self, u, duration_s, band_C=None):
-        found = super().advance(u, duration_s, band_C)
+    def advance(self, u, duration_s, command=None):
+        found = super().advance(u, duration_s, command)
         if self.now_s % HOUR_S == 0 and self.now_s % DAY_S < 7 * HOUR_S:
             self.T -= 0.8
             found = replace(found, T_zone_C=np.array([self.T]))

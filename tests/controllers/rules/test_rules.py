@@ -49,7 +49,7 @@ def test_loops_that_heat_and_cool_keep_both_set_points_whatever_is_measured():
         ahead = [21 * np.ones((2, 2)), 24 * np.ones((2, 2)), np.ones((2, 2)), np.ones((2, 2))]
         seen = Observation(history, Boundary([0, 900.0], 0 * line, 0 * line, np.ones((2, 2)), *ahead, names=names))
         (block,) = thermostat.plan(seen).blocks
-        assert (block.u, block.band_C) == ((0.0, 1.0), ((20.0, 25.0), None))
+        assert (block.u, block.command) == ((0.0, 1.0), ((20.0, 25.0), None))
 
 
 def test_options_of_an_actuator_that_there_is_not_are_refused():

@@ -27,6 +27,8 @@ _ROWS, _BACK_DAYS = 25, 28.0
 # The band promises 80 %: less than this held over a day or longer is said as a warning, where errors matter, K. Hours
 # after hours are alike, so that a shorter time says little.
 _HELD, _JUDGED_H, _MATTERS_K = 0.5, 24.0, 0.25
+# An energy is told as a figure where its 90 % band is no wider than this share of it.
+_TOLD = 0.4
 
 
 @click.command()
@@ -208,11 +210,24 @@ def other_levels(
     console = Console(highlight=False, markup=False, soft_wrap=True)
     _show_other(result, console)
     if out is not None:
-        both = zip(result.names.machines, result.energy_kWh, result.energy_other_kWh, strict=True)
-        energy = {name: {"applied": _known(was), "other": _known(other)} for name, was, other in both}
+        energies = (result.energy_kWh, result.energy_other_kWh, result.energy_low_kWh, result.energy_high_kWh)
+        energy = {
+            name: {
+                "applied": _known(was),
+                "other": _known(other) if _is_told(other, low, high) else None,
+                "other_low": _known(low),
+                "other_high": _known(high),
+            }
+            for name, was, other, low, high in zip(result.names.machines, *energies, strict=True)
+        }
         write_table(out, result.to_dataframe(), console, "Course", energy_kWh=energy)
     if plot is not None:
         write_picture(plot, _draw_other(result, record.step_s), console)
+
+
+def _is_told(kWh: float, low: float, high: float) -> bool:
+    """Whether an energy is known well enough for a figure."""
+    return bool(low <= kWh <= high and high - low <= _TOLD * max(kWh, 1e-9))
 
 
 def _known(kWh: float) -> float | None:
@@ -239,10 +254,22 @@ def _show_other(result: Counterfactual, console: Console) -> None:
             cells.append(f"{result.effect_K[z, k]:+.1f} ({proven})")
         table.add_row(*cells)
     print_whole(table, console)
-    for name, was, other in zip(names.machines, result.energy_kWh, result.energy_other_kWh, strict=True):
-        if np.isfinite(was):
+    energies = (result.energy_kWh, result.energy_other_kWh, result.energy_low_kWh, result.energy_high_kWh)
+    for name, was, other, low, high in zip(names.machines, *energies, strict=True):
+        if not np.isfinite(was):
+            continue
+        told = (
+            f"{other:.1f} kWh ({low:.1f} to {high:.1f})"
+            if _is_told(other, low, high)
+            else f"{low:.1f} to {high:.1f} kWh"
+        )
+        console.print(
+            f"Energy of {name} by the model: {was:.1f} kWh as it was, {told} under the other levels (90 % band)"
+        )
+        if not _is_told(other, low, high):
             console.print(
-                f"Energy of {name} by the model: {was:.1f} kWh as it was, {other:.1f} kWh under the other levels"
+                "  The record does not tell what levels do to power: they went with what the rooms asked for. Try "
+                "levels at other times (tf-mpc data probe-plan) to know more"
             )
     if np.isnan(result.sd_K).any():
         console.print("The model's card has no uncertainty of the effect: there is no band.")

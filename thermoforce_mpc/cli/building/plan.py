@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from thermoforce_mpc.cli.building.courses import on_clock, write_picture, write_table
+from thermoforce_mpc.cli.building.courses import on_clock, write_json_file, write_picture, write_table
 from thermoforce_mpc.cli.building.identify import NOT_COMPETENT
 from thermoforce_mpc.cli.options import (
+    PATH,
     FiniteRange,
     map_option,
     model_option,
@@ -21,7 +24,7 @@ from thermoforce_mpc.cli.options import (
     own_prices_option,
     plot_option,
 )
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan, PlannedSaving
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.map.mapping import MOST_STEP_S
@@ -31,6 +34,8 @@ from thermoforce_mpc.scenario.settings import parse_overrides, validate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from thermoforce_mpc.commands.loop import LearnedCommand
 
 # Least and usual length of a plan, h, and how much of the measurements it looks back at, days.
 _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
@@ -47,6 +52,7 @@ _LEAST_STEP_S = 300.0
 @click.option("--step", default="60min", help="Step of the plan, 5min to 1h.")
 @click.option("--hours", type=FiniteRange(_LEAST_H, 96.0), help="Length.  [default: the forecast's, up to 48]")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any option of the controller.")
+@click.option("--commands", "commands_file", type=PATH, help="Write the commands as .csv or .json.")
 @out_option("the plan")
 @plot_option(of="the plan")
 def plan(
@@ -58,14 +64,18 @@ def plan(
     step: str,
     hours: float | None,
     assignments: tuple[str, ...],
+    commands_file: Path | None,
     out: Path | None,
     plot: Path | None,
 ) -> None:
-    """Plan the levels of the next hours, print them as a table of times, and write them as CSV or JSON.
+    """Plan the next hours, print what to set as a table of times, and write it as CSV or JSON.
 
     Measurements reach back a week or more and end now; the forecast begins there or before. Its columns are those of
     the map, or of the map's key forecast: outdoor temperature, sun, and prices and comfort bounds unless the map has
     numbers. Nothing is connected: set the levels yourself, and plan again when new measurements are there.
+
+    Where the map names a command of an actuator (docs/how-it-works/commands.md), that is what to set, with what it
+    saves against leaving the building alone. Of others the level is.
 
     A level between 0 and 1 of a machine that is only on or off means that share of the step. Where a step does not hold
     its minimum on and off times (actuation.min_on_s, min_off_s), levels are those of runs that keep them, also towards
@@ -83,7 +93,7 @@ def plan(
     from controllers.mpc.config import MPCConfig
     from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.measurements.forecast import read_forecast
-    from thermoforce_mpc.measurements.load import read_measurements
+    from thermoforce_mpc.measurements.load import learned_commands, read_measurements
     from thermoforce_mpc.model.thermal_model import load_model
 
     step_s = _seconds(step)
@@ -103,8 +113,14 @@ def plan(
     history = record.last(round(_BACK_DAYS * DAY_S / step_s))
     chosen = {"step_s": step_s, "horizon_h": horizon_h, "whole_runs": True} | parse_overrides(assignments)
     config = validate(MPCConfig, chosen, "--set")
+    if commands_file is not None:
+        if not measured.commands:
+            raise ConfigError(f"--commands {commands_file}: --map {map_file} names no command of an actuator")
+        if commands_file.suffix not in (".csv", ".json"):
+            raise ConfigError(f"--commands {commands_file}: a .csv or .json file")
+    commands = learned_commands(measured)
     try:
-        controller = ThermoForceMPC(thermal, config)
+        controller = ThermoForceMPC(thermal, config, commands=commands)
     except ControllerConfigError as error:
         if "block_s" not in str(error):
             raise
@@ -123,9 +139,17 @@ def plan(
         click.get_current_context().exit(NOT_COMPETENT if plan.status == "gate" else 1)
     table = plan_table(plan, ahead.head(plan.u.shape[1]), measured.layout)
     _show(plan, table, measured.layout, display)
+    found = command_rows(plan, commands)
+    if commands:
+        _show_commands(plan, found, display)
+    if commands_file is not None:
+        _write_commands(commands_file, plan, found, display)
     if out is not None:
         acting = dict(zip(plan.names.actuators, map(str, plan.acting), strict=True))
-        beside = {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status, "acting": acting}
+        beside: dict[str, Any] = {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status}
+        beside["acting"] = acting
+        if commands:
+            beside |= {"commands": found, "saving": _saving_json(plan)}
         write_table(out, table, display.console, "Plan", **beside)
     if plot is not None:
         write_picture(plot, drawn_plan(plan, table, ahead.head(plan.u.shape[1])), display.console)
@@ -171,6 +195,64 @@ def plan_table(plan: Plan, ahead: Boundary, layout: Layout | None = None) -> pd.
     cost = plan.power_W / 1000.0 * hours * price
     table["cost"] = cost[machines].sum(axis=0) if machines.any() else np.nan
     return table
+
+
+def command_rows(plan: Plan, commands: Mapping[str, LearnedCommand]) -> list[dict[str, Any]]:
+    """The commands of a plan in the order of actuators and time, JSON types; `value` None: leave it to itself."""
+    from thermoforce_mpc.data.dataframes import stamps
+
+    rows = []
+    for name, settings in zip(plan.names.actuators, plan.settings, strict=bool(plan.settings)):
+        for one in settings:
+            begin, end = stamps(np.array([one.start_s, one.end_s]), plan.origin)
+            command = commands[name].command
+            text = "its own control" if one.value is None else command.in_words(one.value)
+            row = {"actuator": name, "kind": command.kind, "from": begin.isoformat(), "until": end.isoformat()}
+            rows.append(row | {"value": one.value, "unit": command.unit, "text": text})
+    return rows
+
+
+def _saving_json(plan: Plan) -> dict[str, float] | None:
+    if plan.saving is None:
+        return None
+    return {name: round(value, 4) for name, value in asdict(plan.saving).items()}
+
+
+def _show_commands(plan: Plan, rows: list[dict[str, Any]], display: RunDisplay) -> None:
+    shown = plain_table(["actuator", "from", "until", "set"], "Commands to set")
+    for row in rows:
+        begin, end = pd.Timestamp(row["from"]), pd.Timestamp(row["until"])
+        shown.add_row(row["actuator"], f"{begin:%a %d %b %H:%M}", f"{end:%a %H:%M}", row["text"])
+    print_whole(shown, display.console)
+    if plan.saving is not None:
+        display.say(saving_in_words(plan.saving))
+
+
+def saving_in_words(saving: PlannedSaving) -> str:
+    """What a plan saves, in two sentences."""
+    s, band = saving, f"(90 % band {saving.low:.2f} to {saving.high:.2f})"
+    if s.low > 0.0:
+        what = f"Saves {s.saved:.2f} against leaving it alone {band}"
+    elif s.high < 0.0:
+        what = f"Costs {-s.saved:.2f} more than leaving it alone {band}"
+    else:
+        what = f"Whether it saves against leaving it alone is not certain: {s.saved:.2f} {band}"
+    return (
+        f"{what}: cost {s.cost:.2f} instead of {s.cost_alone:.2f}, energy {s.energy_kWh:.1f} instead of "
+        f"{s.energy_alone_kWh:.1f} kWh, outside the bounds {s.outside_Kh:.1f} instead of {s.outside_alone_Kh:.1f} K·h, "
+        "and what is stored at the end. By the same model under the commands of the record's weeks."
+    )
+
+
+def _write_commands(path: Path, plan: Plan, rows: list[dict[str, Any]], display: RunDisplay) -> None:
+    if path.suffix == ".json":
+        content = {"status": str(plan.status), "why": plan.why, "saving": _saving_json(plan), "commands": rows}
+        write_json_file(path, content, display.console, "Commands")
+        return
+    from thermoforce_mpc.files import write_whole
+
+    write_whole(path, pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"))
+    display.say(f"Commands: {path}")
 
 
 def _told(plan: Plan, layout: Layout | None) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -18,7 +18,12 @@ from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, model_opt
 from thermoforce_mpc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from thermoforce_mpc.commands.command import Command
+    from thermoforce_mpc.commands.loop import LearnedCommand
+    from thermoforce_mpc.data import CommandValue
     from thermoforce_mpc.live import Decision
+    from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+    from thermoforce_mpc.protocols import Connection
 
 _LOG = logging.getLogger(__name__)
 # A note that stays the same is said again after so long.
@@ -49,7 +54,9 @@ def control(
     delay_s: float,
     out: Path,
 ) -> None:
-    """Control a real building: every control step read its measurements and forecast, plan, and set the levels.
+    """Control a real building: every control step read its measurements and forecast, plan, and set what it says.
+
+    Set are levels, or the commands that the map names (set-points, offsets, contacts), in their unit.
 
     Begin with --dry-run, which reads, decides once and says what it would set. Ctrl-C, SIGTERM and a closed terminal
     give every actuator back to the building's own control; so does a step in which nothing can be decided. Each
@@ -85,7 +92,7 @@ def control(
     if unknown := [key for key in chosen if key not in ("connection", "controller")]:
         raise ConfigError(f"--set {unknown[0]}: write connection.KEY=VALUE or controller.KEY=VALUE")
     thermal, rules = load_model(model), load_map(map_file)
-    mpc = ThermoForceMPC(thermal, validate(MPCConfig, chosen.get("controller", {}), "--set controller"))
+    options = validate(MPCConfig, chosen.get("controller", {}), "--set controller")
     say = _until_lost(RunDisplay().say)
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -95,6 +102,8 @@ def control(
         closing(build_connection(connection, chosen.get("connection", {}))) as building,
         logging_to(out, say),
     ):
+        commands = commands_of(building, rules, options.step_s or thermal.operator.step_s)
+        mpc = ThermoForceMPC(thermal, options, commands=commands)
         say(f"Control of {', '.join(thermal.names.actuators)} by connection {connection}; log: {out}/log.jsonl")
         say(f"Actuation: {mpc.actuation_in_words}")
         control(
@@ -104,23 +113,35 @@ def control(
             delay_s=0.0 if dry_run else delay_s,
             dry=dry_run,
             kept=None if dry_run else KeptState(out / "state.npz", controller_key(thermal, mpc.config)),
-            told=_told(say),
+            told=_told(say, commands),
             sets=set_by(building, connection, chosen.get("connection", {})),
         )
 
 
-def _told(say: Callable[[str], None]) -> Callable[[Decision], None]:
+def _told(say: Callable[[str], None], commands: Mapping[str, LearnedCommand]) -> Callable[[Decision], None]:
     """Says each decision, and what is noted of its readings when that was not said for a day."""
     said: dict[str, Any] = {}
 
     def told(decision: Decision) -> None:
-        say(in_words(decision))
+        say(in_words(decision, commands))
         for note in decision.notes:
             if note not in said or decision.instant - said[note] >= _SAID_AGAIN:
                 said[note] = decision.instant
                 say(f"  note: {note}")
 
     return told
+
+
+def commands_of(building: Connection, rules: MeasurementMap, step_s: float) -> dict[str, LearnedCommand]:
+    """The commands of the map with what the building's measurements tell of them; none are read where it names none.
+
+    Raises `DataError` where they do not tell it, and `PlantError` where the building cannot be reached.
+    """
+    from thermoforce_mpc.live import LiveBuilding
+
+    if not any(actuator.command for actuator in rules.actuators.values()):
+        return {}
+    return LiveBuilding(building, rules, step_s).commands()
 
 
 def _until_lost(say: Callable[[str], None]) -> Callable[[str], None]:
@@ -142,16 +163,24 @@ def _until_lost(say: Callable[[str], None]) -> Callable[[str], None]:
     return say_until_lost
 
 
-def in_words(decision: Decision) -> str:
-    """A decision in one line: when, what is set in turn, and why."""
+def in_words(decision: Decision, commands: Mapping[str, LearnedCommand] | None = None) -> str:
+    """A decision in one line: when, what is set in turn, and why; `commands`: of actuators that are set by one."""
+    commands = commands or {}
     names = decision.plan.names.actuators
     parts = []
     for a, name in enumerate(names):
         turns = [
-            (level, sum(block.duration_s for block in blocks))
-            for level, blocks in groupby(decision.blocks, key=lambda block: block.u[a])
+            (told, sum(block.duration_s for block in blocks))
+            for told, blocks in groupby(decision.blocks, key=lambda block: block.told[a])
         ]
-        shares = [f"{'own control' if u is None else f'{100 * u:.0f} %'} for {s / 60:g} min" for u, s in turns]
+        command = commands[name].command if name in commands else None
+        shares = [f"{_set_in_words(told, command)} for {s / 60:g} min" for told, s in turns]
         parts.append(f"{name} {', '.join(shares)}")
     why = decision.refused or decision.plan.why
     return f"{decision.instant:%a %d %b %H:%M %Z}  {'; '.join(parts)}: {why}"
+
+
+def _set_in_words(told: CommandValue | None, command: Command | None) -> str:
+    if not isinstance(told, float):
+        return "own control"
+    return f"{100 * told:.0f} %" if command is None else command.in_words(told)

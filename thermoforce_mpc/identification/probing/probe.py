@@ -194,10 +194,10 @@ class Probing:
             blocks[a] = Block(0.0, c.step_s)
             self._excites[a].withheld()
         levels = tuple(block.u[0] for block in blocks)
-        bands = tuple(block.band_C[0] for block in blocks)
-        self.blocks.append(Block(levels, c.step_s, bands))
-        if any(bands):
-            now = cast(RoomSetpointPlant, plant).advance(levels, c.step_s, bands)
+        commands = tuple(block.command[0] for block in blocks)
+        self.blocks.append(Block(levels, c.step_s, commands))
+        if any(command is not None for command in commands):
+            now = cast(RoomSetpointPlant, plant).advance(levels, c.step_s, commands)
         else:
             now = plant.advance(levels, c.step_s)
         self.record = self.record.extended(now)

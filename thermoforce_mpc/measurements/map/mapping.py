@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, field_validator, model_validator
 
+from thermoforce_mpc.commands.kinds import AnyCommand
 from thermoforce_mpc.data import Layout, Names
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.measurements.map.entries import (
@@ -69,6 +70,17 @@ class MappedActuator(StrictModel):
     )
     off_W: float = Field(0.0, ge=0, description="power while it is off, where no level is measured")
     share: float = Field(0.0, ge=0, le=1, description="share of its machine's capacity at full level")
+    command: AnyCommand | None = Field(
+        None, description="what can be set in its place: setpoint, curve_offset, flow_temperature, sg_ready or enable"
+    )
+
+    @model_validator(mode="after")
+    def _heats_by_command(self) -> MappedActuator:
+        if self.command is not None and self.mode != "heating":
+            raise ValueError(
+                f"command: of an actuator with mode heating, not {self.mode}: more of it must be more heat"
+            )
+        return self
 
 
 class MappedMachine(StrictModel):
@@ -204,6 +216,9 @@ class MeasurementMap(StrictModel):
                 for key in type(item).model_fields:
                     if isinstance(signal := getattr(item, key), Signal):
                         yield f"{kind}.{name}.{key}", signal
+        for name, actuator in self.actuators.items():
+            if actuator.command is not None:
+                yield f"actuators.{name}.command", Signal(column=actuator.command.column)
 
 
 def load_map(path: Path) -> MeasurementMap:

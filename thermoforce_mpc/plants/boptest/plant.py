@@ -25,8 +25,8 @@ from thermoforce_mpc.data import (
     YEAR_S,
     ZERO_C_K,
     Array,
-    Bands,
     Boundary,
+    Commands,
     Levels,
     Measurement,
     Period,
@@ -158,15 +158,15 @@ class BoptestPlant(Releasing):
             self._client.set_scenario(self._scenario)
         return self._at_rest(points, warmup_s, end_s=math.inf)
 
-    def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
-        """Apply `u` in [0, 1] (None: native control), or the room set-points `band_C`, °C, for `duration_s`.
+    def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
+        """Apply `u` in [0, 1] (None: native control), or the room set-points `command`, °C, for `duration_s`.
 
         Raises:
-            InputError: `u`, `band_C` or `duration_s` is out of range.
+            InputError: `u`, `command` or `duration_s` is out of range.
             PlantError: the service failed, or its scenario is over.
         """
         layout = self._points.layout
-        block = checks.check_levels(u, duration_s, band_C, names=layout.names, lowest=layout.lowest)
+        block = checks.check_levels(u, duration_s, command, names=layout.names, lowest=layout.lowest)
         applied = inputs(self._points, block, self._T_zone_C, self._last)
         if self._now_s + duration_s > self._end_s + _CLOCK_TOLERANCE_S:
             raise PlantError(

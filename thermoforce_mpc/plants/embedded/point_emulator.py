@@ -28,7 +28,7 @@ class PointEmulator(Emulator, RoomSetpointShell):
     with PointEmulator(load_testcase("bestest_air"), synthetic_weather(climate=CONTINENTAL)) as plant:
         window = plant.period("peak_cool_day")
         plant.reset(window.start_s, window.warmup_s)
-        measurement = plant.advance(u=-0.2, duration_s=900, band_C=(21.0, 24.0))
+        measurement = plant.advance(u=-0.2, duration_s=900, command=(21.0, 24.0))
     ```
     """
 

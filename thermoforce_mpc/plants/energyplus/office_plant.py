@@ -63,11 +63,11 @@ class SmallOfficePlant(EnginePlant[tuple[float, ...], office.OfficeReading], Roo
 
     def _demand(self, block: Block) -> tuple[float, ...]:
         setpoints_C = np.full(2 * _Z, math.nan)
-        for a, (level, band, one) in enumerate(zip(block.u, block.band_C, self._points.actuators, strict=True)):
+        for a, (level, told, one) in enumerate(zip(block.u, block.command, self._points.actuators, strict=True)):
             actuator = one.actuator
             if level is None or not isinstance(actuator, RoomSetpoints):
                 continue
-            values = actuator.inputs(level, band)
+            values = actuator.inputs(level, told if isinstance(told, tuple) else None)
             setpoints_C[a] = values[f"{actuator.heating}_u"] - ZERO_C_K
             setpoints_C[_Z + a] = values[f"{actuator.cooling}_u"] - ZERO_C_K
         return tuple(setpoints_C.tolist())

@@ -10,9 +10,10 @@ import numpy as np
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather as WeatherYear
-from thermoforce_mpc.data import Array, Measurement, Record
+from thermoforce_mpc.data import Array, Commands, Levels, Measurement, Record
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.drawn_houses.envelope import air_change, on_facades, year
+from thermoforce_mpc.plants.checks import check_levels
+from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S, air_change, on_facades, year
 from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
 from thermoforce_mpc.plants.people import PERSON_W, live
 from thermoforce_mpc.plants.records import means_between
@@ -23,6 +24,8 @@ from thermoforce_mpc.plants.rooms.use import USES
 from thermoforce_mpc.scenario.building import Machine, Zone, ZoneActuator
 from thermoforce_mpc.scenario.testcase import TestCase, Weather
 
+# Set-points that the thermostats of rooms take, °C.
+LEAST_SETPOINT_C, MOST_SETPOINT_C = 5.0, 30.0
 # Seed of the houses `house:Nrooms`.
 SEED = 15
 
@@ -89,15 +92,18 @@ class HouseOfRooms(DrawnHousePlant):
     A level is the share of the heat that the circuit would take now with its valve fully open, at design flow and the
     supply temperature of the moment; 0 is none, and more level is never less heat to the circuit. None leaves a valve
     to its thermostat. The thermostats of all rooms go on switching, so that native control takes over where it would
-    stand.
+    stand. A command of a valve is the set-point of its thermostat, °C, which then acts.
 
     Attributes:
+        curve_offset_K: offset of the heating curves of all circuits, K.
         layout: rooms, valves and the heat pump; valve i stands in room i.
         zones, actuators: names by row of all arrays.
         thermostat_C: of the baseline thermostat of each room, shape (Z,).
     """
 
     house: DrawnHouse
+    curve_offset_K: float = 0.0
+    _told: tuple[float | None, ...] = ()
     _kind = "house of rooms"
     _changing = (*DrawnHousePlant._changing, "_T", "_on")
 
@@ -162,10 +168,37 @@ class HouseOfRooms(DrawnHousePlant):
         first = physics.ROOMS
         return range(first, first + n), range(first + n, first + 2 * n), range(first + 2 * n, first + 3 * n)
 
+    def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
+        """As `PlantShell.advance`, or with thermostats at set-points `command` (A,), °C, where they are not None."""
+        block = check_levels(u, duration_s, command, names=self._names)
+        told = [value if value is None or isinstance(value, float | int) else math.nan for value in block.command]
+        for name, value in zip(self.actuators, told, strict=True):
+            if value is not None and not LEAST_SETPOINT_C <= value <= MOST_SETPOINT_C:
+                raise InputError(
+                    f"command of '{name}': its thermostat takes a set-point from {LEAST_SETPOINT_C:g} to "
+                    f"{MOST_SETPOINT_C:g} °C"
+                )
+        self._told = tuple(told)
+        try:
+            return self._advanced(block)
+        finally:
+            self._told = ()
+
     def _simulate(self, forced: Array, before_s: float, dt_s: float, rows: Array) -> None:
         weather, gains = self._lived
+        setpoints, network = self._setpoints, self._network
+        if any(value is not None for value in self._told):
+            setpoints, forced = setpoints.copy(), forced.copy()
+            first, last = (int(t // GRID_S) for t in (before_s, before_s + len(rows) * dt_s))
+            for a, value in enumerate(self._told):
+                if value is not None:
+                    forced[a], setpoints[first : last + 1, a] = math.nan, value
+        if self.curve_offset_K:
+            curve = network.curve.copy()
+            curve[:, physics.SHIFT] += self.curve_offset_K
+            network = network._replace(curve=curve)
         state = self._T, self._on, before_s, len(rows), dt_s
-        physics.advance(*state, forced, weather, gains, self._setpoints, self._network, rows)
+        physics.advance(*state, forced, weather, gains, setpoints, network, rows)
 
     def _measured(self, before_s: float) -> Measurement:
         rooms, valves, heats = self._blocks()

@@ -1,0 +1,144 @@
+"""From levels of a plan to commands of a loop: what is set when, for how long, and what the loop answers.
+
+A step is met on average: a command is held as long as it brings about what is planned, or two of them share the step,
+and what is missing is owed to the next one. A loop that switches is driven to its ends for a share of the step, since
+between them it does as it likes (`LoopMap.spread`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from thermoforce_mpc.commands.command import SAME
+from thermoforce_mpc.commands.loop import LearnedCommand
+from thermoforce_mpc.data import Array
+
+# A command changes at multiples of this within a step, s, or at its beginning where it is shorter.
+_PART_S = 900.0
+# What a change of the command and the scatter of a loop count, as level over a step, and a step outside its limits.
+_CHANGE, _SCATTER, _OUTSIDE = 0.35, 0.5, 10.0
+# Later steps that a command is chosen for too, with a weight that falls from step to step.
+_AHEAD, _FADES = 6, 0.6
+_MOST_OWED = 0.5
+
+Turns = tuple[tuple[float, float], ...]
+"""Commands of a step in their order, and for how long each is held, s."""
+
+
+@dataclass(frozen=True)
+class CommandState:
+    """What is set: the command, how long it has been held, s, and the level over a step that is owed."""
+
+    value: float
+    held_s: float
+    owed: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class CommandedLoop:
+    """A loop over the N steps of a plan: its command with the limits of each step, and the outdoor temperature.
+
+    `low`, `high`, `usual` (N,): limits of the command and what it is when left alone; `T_out_C` (N,): mean of the step.
+    """
+
+    learned: LearnedCommand
+    low: Array
+    high: Array
+    usual: Array
+    T_out_C: Array
+    step_s: float
+
+    def begin(self) -> CommandState:
+        """What is set where no plan was made before."""
+        value = self.learned.last if np.isfinite(self.learned.last) else float(self.usual[0])
+        return CommandState(value, self.learned.held_s)
+
+    def reach(self, T_mean_C: Array, before: float) -> tuple[Array, Array]:
+        """Least and largest level of each step (N,) that commands within the limits bring, room at `T_mean_C` (N,)."""
+        out = []
+        for commands in (self.low, self.high):
+            levels, last = np.empty(commands.size), before
+            for k, value in enumerate(commands):
+                last = levels[k] = float(self.learned.loop.level(value, T_mean_C[k], self.T_out_C[k], last))
+            out.append(levels)
+        return out[0], np.maximum(out[0], out[1])
+
+    @cached_property
+    def parts(self) -> int:
+        """Parts of a step at whose beginnings the command may change."""
+        return max(1, int(self.step_s // _PART_S)) if self.step_s % _PART_S == 0.0 else 1
+
+    def choose(
+        self, k: int, wanted: Array, T_start_C: float, T_end_C: Array, before: float, state: CommandState
+    ) -> tuple[Turns, CommandState]:
+        """Commands of step `k` as (value, s), and what is set after it.
+
+        `wanted` (n,): levels of this step and the next ones; `T_start_C`: room now; `T_end_C` (n,): at the end of each
+        of these steps, °C; `before`: level of the last step.
+        """
+        command, n, part_s = self.learned.command, self.parts, self.step_s / self.parts
+        grid = command.values(float(self.low[k]), float(self.high[k]))
+        grid = grid[np.abs(grid - state.value) <= command.most_change(state.held_s) + SAME]
+        values = np.unique(np.append(grid, state.value))
+        at = np.linspace(T_start_C, T_end_C[0], 2 * n + 1)[1::2]
+        T_out, hold_s, longest_s = self.T_out_C[k], 60.0 * command.hold_min, command.longest_s(state.value)
+        levels = self.learned.loop.level(values[:, None], at, T_out, before)  # (values, parts)
+        cost = self.learned.loop.scatter(values[:, None], at, T_out)
+        now = int(np.argmin(np.abs(values - state.value)))
+        later = self._later(k, values, wanted, T_end_C)
+        outside = np.where((values < self.low[k] - SAME) | (values > self.high[k] + SAME), _OUTSIDE, 0.0)
+        target = wanted[0] + state.owed
+        best, chosen = np.inf, (n, now)
+        for i in range(n + 1):  # the command changes after `i` parts
+            kept_s = state.held_s + i * part_s
+            if kept_s > longest_s + SAME or (i < n and kept_s < hold_s - SAME and state.value in grid):
+                continue
+            share = i / n
+            mean = (levels[now, :i].sum() + levels[:, i:].sum(axis=1)) / n
+            scatter = (cost[now, :i].sum() + cost[:, i:].sum(axis=1)) / n
+            score = np.abs(mean - target) + _SCATTER * scatter + share * outside[now] + (1.0 - share) * outside
+            score = score + (later if i < n else later[now]) + (_CHANGE if i < n else 0.0)
+            if i < n:
+                score[now] = np.inf
+                v = int(np.argmin(score))
+            else:
+                v = now
+            if score[v] < best - 1e-9:
+                best, chosen = float(score[v]), (i, v)
+        i, v = chosen
+        mean = float(levels[now, :i].sum() + levels[v, i:].sum()) / n
+        owed = float(np.clip(target - mean, -_MOST_OWED, _MOST_OWED))
+        if i == n:
+            return ((state.value, self.step_s),), CommandState(state.value, state.held_s + self.step_s, owed)
+        turns = ((state.value, i * part_s), (float(values[v]), (n - i) * part_s))
+        return tuple(turn for turn in turns if turn[1] > 0.0), CommandState(float(values[v]), (n - i) * part_s, owed)
+
+    def _later(self, k: int, values: Array, wanted: Array, T_end_C: Array) -> Array:
+        """How far commands that are held beyond step `k` are from what is planned then, (values,)."""
+        n = min(_AHEAD, wanted.size - 1, self.low.size - 1 - k)
+        out = np.zeros(values.size)
+        for j in range(1, n + 1):
+            T = 0.5 * (T_end_C[j - 1] + T_end_C[j])
+            level = self.learned.loop.level(values, T, self.T_out_C[k + j], wanted[j - 1])
+            off = np.abs(level - wanted[j])
+            off += np.where((values < self.low[k + j] - SAME) | (values > self.high[k + j] + SAME), 1.0, 0.0)
+            out += 0.3 * _FADES ** (j - 1) * off
+        return out
+
+    def answer(
+        self, turns: Turns, k: int, T_start_C: Array, T_end_C: Array, before: Array, z: Array | float = 0.0
+    ) -> Array:
+        """Mean level of step `k` with commands `turns`, rooms from `T_start_C` to `T_end_C`, (S,) each.
+
+        `z` (S,): see `LoopMap.level`.
+        """
+        total, at_s = np.zeros(np.shape(T_end_C)), 0.0
+        for value, seconds in turns:
+            middle = (at_s + 0.5 * seconds) / self.step_s
+            T = T_start_C + middle * (T_end_C - T_start_C)
+            total = total + seconds * self.learned.loop.level(value, T, self.T_out_C[k], before, z)
+            at_s += seconds
+        return np.asarray(total / self.step_s)

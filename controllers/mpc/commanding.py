@@ -1,0 +1,387 @@
+"""Plans as commands: levels within what commands bring, the commands of all steps, and what they save.
+
+The plan is made in heat. Before it, the level that the commands of each step can bring is worked out from the maps of
+the loops and the predicted temperatures, and bounds the plan; where the plan's own temperatures say otherwise, it is
+made anew. After it, levels become commands, and what counts is what the loops answer: temperatures, power and cost of
+the plan are those of its commands. A building left alone is the same model under the commands of the record's week.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from controllers.actuation.actuator import ActuationConfig, ActuationState
+from controllers.actuation.commands import CommandedLoop, CommandState, Turns
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.state import MPCState
+from controllers.optimisation.plan_model import Evaluator
+from controllers.optimisation.problem import MPCProblem
+from thermoforce_mpc.commands.loop import LearnedCommand
+from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving
+from thermoforce_mpc.data.superposition import compose
+from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.features import OUTDOOR, ZONE
+
+# A plan that asks for more than this beyond what commands bring is made anew, at most so often in all.
+_BEYOND, MOST_SOLVES = 0.05, 3
+NOT_BETTER = "commands that were found are not better than leaving the building alone: its own control acts"
+"""What a plan says that is not carried out."""
+# Rounds in which level and temperature of a step are made to agree.
+_ROUNDS = 8
+_DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
+# Error of a change of power, as a share, below which its law alone counts.
+_EXACT = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Commanded:
+    """A plan in commands: levels `u` (A, N) that the loops answer with, and of each step the `turns` of each actuator.
+
+    `turns[a]` is None where an actuator has no command, or is in `left_alone`; `states` (A,): what is set after the
+    first step.
+    """
+
+    u: Array
+    turns: tuple[tuple[Turns, ...] | None, ...]
+    states: tuple[CommandState | None, ...]
+    left_alone: frozenset[int]
+
+    def blocks(self, a: int) -> tuple[Block, ...]:
+        """The first step of actuator `a`."""
+        steps = self.turns[a]
+        assert steps is not None  # of one that has a command
+        return tuple(Block(float(self.u[a, 0]), seconds, (value,)) for value, seconds in steps[0])
+
+
+class BuildingCommands:
+    """The commands of a building's actuators."""
+
+    def __init__(self, layout: Layout, learned: Mapping[int, LearnedCommand], spread: Sequence[float]) -> None:
+        """`learned`: by number of the actuator; `spread` (A,): standard error of each one's effect, as a share."""
+        self._layout, self._learned, self._spread = layout, dict(learned), np.array(spread)
+
+    def begin(
+        self, operator: BuildingOperator, problem: MPCProblem, boundary: Boundary, left_alone: Collection[int]
+    ) -> CommandedPlan | None:
+        """What is needed for one plan, None without commands; `left_alone`: actuators that will not follow it."""
+        if not self._learned:
+            return None
+        loops, T_out_C = {}, 0.5 * (boundary.T_out_C[:-1] + boundary.T_out_C[1:])
+        for a, learned in self._learned.items():
+            z, usual = self._layout.home[a], learned.usual_at(boundary.time_s[:-1])
+            low, high = learned.command.limits(boundary.lower_C[z, 1:], boundary.upper_C[z, 1:], usual)
+            loops[a] = CommandedLoop(learned, low, high, usual, T_out_C, boundary.step_s)
+        return CommandedPlan(operator, problem, boundary, loops, frozenset(left_alone), self._spread)
+
+
+@dataclass(frozen=True, eq=False)
+class CommandedPlan:
+    """One plan in commands: `loops` by number of the actuator, of which those `left_alone` keep their usual commands.
+
+    `spread` (A,): see `BuildingCommands`.
+    """
+
+    operator: BuildingOperator
+    problem: MPCProblem
+    boundary: Boundary
+    loops: Mapping[int, CommandedLoop]
+    left_alone: frozenset[int]
+    spread: Array
+
+    def within_reach(self, guess: Array | None) -> MPCProblem:
+        """The problem with the levels that commands bring at the temperatures of a plan `guess` (A, N).
+
+        None: those of the usual commands. What is left alone has the levels of its usual commands, and no more is asked
+        of its zone than these bring.
+        """
+        problem, m = self.problem, self.problem.machinery
+        least, most = (np.repeat(u[:, None], problem.n_steps, axis=1) for u in (m.u_min, m.u_max))
+        last = np.zeros(len(m.actuators)) if problem.last_u is None else problem.last_u
+        T_C = self._alone.T_bounds_C if guess is None else _zone_C(problem, self.operator, guess)
+        for a, (low, high) in self._reach(T_C, last).items():
+            low, high = (self._alone.levels[0, a],) * 2 if a in self.left_alone else (low, high)
+            most[a] = np.clip(high, 0.0, m.u_max[a])
+            least[a] = np.minimum(low, most[a])
+        for machine, fed in enumerate(m.fed_by > 0.0):  # what valves ask for beyond the machine is not given
+            room = np.ones(problem.n_steps) if problem.capacity is None else problem.capacity[machine]
+            asked = (m.share[fed, None] * np.maximum(least[fed], 0.0)).sum(axis=0)
+            least[fed] *= np.minimum(1.0, 0.99 * np.maximum(room, 0.0) / np.maximum(asked, 1e-9))
+        for group in m.exclusive:
+            least[list(group)] = np.minimum(least[list(group)], 0.0)
+        alone_C, lower_C, upper_C = self._alone.T_bounds_C[:, 1:], problem.lower_C.copy(), problem.upper_C.copy()
+        for z in range(len(lower_C)):
+            own = {a for a, home in enumerate(self.operator.home) if home == z}
+            if own and own <= self.left_alone & set(self.loops):
+                lower_C[z], upper_C[z] = np.fmin(lower_C[z], alone_C[z]), np.fmax(upper_C[z], alone_C[z])
+        return replace(problem, least_u=least, most_u=most, lower_C=lower_C, upper_C=upper_C)
+
+    def beyond(self, u: Array) -> bool:
+        """Whether levels (A, N) ask for more than commands bring at the temperatures that they lead to."""
+        T_C, last = _zone_C(self.problem, self.operator, u), self.problem.last_u
+        reach = self._reach(T_C, np.zeros(len(u)) if last is None else last)
+        return any((u[a] > high + _BEYOND).any() for a, (_, high) in reach.items())
+
+    def _reach(self, T_C: Array, last: Array) -> dict[int, tuple[Array, Array]]:
+        """Least and largest levels that commands bring at temperatures of the zones (Z, N + 1), by actuator."""
+        return {
+            a: loop.reach(0.5 * (T_C[z, :-1] + T_C[z, 1:]), float(last[a]))
+            for a, loop in self.loops.items()
+            for z in [self.operator.home[a]]
+        }
+
+    def realise(self, u: Array, states: Sequence[ActuationState]) -> Commanded:
+        """Commands for levels `u` (A, N) from what is set now, and what the loops answer."""
+        set_now = {
+            a: loop.begin()
+            if (state := states[a]).command is None
+            else CommandState(state.command, state.held_s, state.owed_s)
+            for a, loop in self.loops.items()
+        }
+        planned = _zone_C(self.problem, self.operator, u)
+        turns: dict[int, list[Turns]] = {a: [] for a in self.loops if a not in self.left_alone}
+        after: dict[int, CommandState] = {}
+
+        def choose(a: int, k: int, T_C: Array, before: float) -> Turns:
+            if a in self.left_alone:
+                return self._usual(a, k)
+            z = self.operator.home[a]
+            # From where the commands have brought the room, the rest of the way is as planned.
+            T_end_C = planned[z, k + 1 :] + (T_C[z] - planned[z, k])
+            found, set_now[a] = self.loops[a].choose(k, u[a, k:], float(T_C[z]), T_end_C, before, set_now[a])
+            turns[a].append(found)
+            after.setdefault(a, set_now[a])
+            return found
+
+        levels = _followed(self.operator, self.problem, self.loops, u, choose).levels[0]
+        numbers = range(len(u))
+        return Commanded(
+            levels,
+            tuple(tuple(turns[a]) if a in turns else None for a in numbers),
+            tuple(after.get(a) for a in numbers),
+            self.left_alone & set(self.loops),
+        )
+
+    @property
+    def without(self) -> CommandedPlan:
+        """The same plan with all loops left alone."""
+        return replace(self, left_alone=self.left_alone | set(self.loops))
+
+    def settings(self, commanded: Commanded, time_s: Array) -> tuple[tuple[HeldCommand, ...], ...]:
+        """The commands of each actuator in time, (A,); of one that is left to itself, that it is."""
+        out, step_s = [], self.problem.step_s
+        for a, steps in enumerate(commanded.turns):
+            found: list[HeldCommand] = []
+            if steps is None and a in self.loops:
+                found = [HeldCommand(float(time_s[0]), float(time_s[-1]) + step_s, None)]
+            for at_s, turns in zip(time_s.tolist(), steps or (), strict=bool(steps)):
+                for value, seconds in turns:
+                    if found and found[-1].value == value:
+                        found[-1] = replace(found[-1], end_s=at_s + seconds)
+                    else:
+                        found.append(HeldCommand(at_s, at_s + seconds, value))
+                    at_s += seconds
+            out.append(tuple(found))
+        return tuple(out)
+
+    def saving(self, plan: Commanded, evaluator: Evaluator, power_spread: float) -> PlannedSaving:
+        """What the commands of a plan save against the usual ones, by the same model.
+
+        Both are followed in houses that differ by the uncertainty of effects and maps, with what is stored at the end
+        at its mean cost. `power_spread`: error of what a change of levels does to power, as a share: where the record
+        does not tell it exactly, energy lies between what the law of power says of the levels and what the rooms'
+        temperatures ask for, the figure in the middle.
+        """
+
+        def own(a: int, k: int, T_C: Array, before: float) -> Turns:
+            steps = plan.turns[a]
+            return self._usual(a, k) if steps is None else steps[k]
+
+        def usual(a: int, k: int, T_C: Array, before: float) -> Turns:
+            return self._usual(a, k)
+
+        problem, A = self.problem, len(self.spread)
+        rng = np.random.default_rng(_SEED)
+        z = np.vstack([np.zeros(A + 2), rng.standard_normal((_DRAWS, A + 2))])
+        uniform = rng.random(len(z))
+        gain = np.exp(np.clip(z[:, :A] * self.spread, -1.0, 1.0))
+        numbers, step_h = evaluator.numbers(problem), problem.step_s / HOUR_S
+        with_plan, alone = (
+            _followed(self.operator, problem, self.loops, plan.u, turns, gain, z[:, A]) for turns in (own, usual)
+        )
+        found = [[evaluator.evaluate(numbers, u) for u in one.levels] for one in (with_plan, alone)]
+        cost, cost_alone = (np.array([one.energy_cost.sum() for one in of]) for of in found)
+        energy, energy_alone = (np.array([one.power_W.sum() for one in of]) / 1000.0 * step_h for of in found)
+        # The energy of the rooms' demand: what is lost to outdoors follows their temperature, whatever the levels.
+        T_out_C = 0.5 * (self.boundary.T_out_C[:-1] + self.boundary.T_out_C[1:])
+        lost_K = [float(np.maximum(one.T_bounds_C[:, 1:] - T_out_C, 1.0).mean()) for one in (with_plan, alone)]
+        by_demand = energy_alone * lost_K[0] / lost_K[1] / np.maximum(energy, 1e-9)
+        demand = np.where(np.arange(len(z)) > 0, uniform, 0.5) if power_spread > _EXACT else np.zeros(len(z))
+        as_asked = 1.0 + demand * (by_demand - 1.0)
+        cost, energy = cost * as_asked, energy * as_asked
+        worth = _worth(self.operator, problem, with_plan.forced_K - alone.forced_K, alone.levels, cost_alone)
+        saved = cost_alone - cost + worth + (cost_alone - cost) * power_spread * z[:, A + 1]
+        low, high = np.quantile(saved[1:], _QUANTILES)
+
+        outside = [self._outside_Kh(one.T_bounds_C) for one in (with_plan, alone)]
+        comfort = float((problem.weights.comfort * (outside[1] - outside[0])).sum())
+        return PlannedSaving(
+            saved=float(saved[0]),
+            low=float(min(low, saved[0])),
+            high=float(max(high, saved[0])),
+            cost=float(cost[0]),
+            cost_alone=float(cost_alone[0]),
+            energy_kWh=float(energy[0]),
+            energy_alone_kWh=float(energy_alone[0]),
+            outside_Kh=float(outside[0].sum()),
+            outside_alone_Kh=float(outside[1].sum()),
+            gain=float(saved[0]) + comfort,
+        )
+
+    def _outside_Kh(self, T_C: Array) -> Array:
+        """K·h outside the comfort bounds of each zone (Z,) at temperatures (Z, N + 1), °C."""
+        below = np.maximum(self.boundary.lower_C[:, 1:] - T_C[:, 1:], 0.0)
+        above = np.maximum(T_C[:, 1:] - self.boundary.upper_C[:, 1:], 0.0)
+        return np.asarray((below + above).sum(axis=1) * self.problem.step_s / HOUR_S)
+
+    @cached_property
+    def _alone(self) -> _Followed:
+        """The building under its usual commands."""
+        nothing = np.zeros((len(self.spread), self.problem.n_steps))
+        return _followed(self.operator, self.problem, self.loops, nothing, lambda a, k, T_C, before: self._usual(a, k))
+
+    def _usual(self, a: int, k: int) -> Turns:
+        return ((float(self.loops[a].usual[k]), self.problem.step_s),)
+
+
+def with_commands(config: MPCConfig, commands: Collection[str]) -> MPCConfig:
+    """`config` with any level held for actuators that are set by `commands`: the mean of what their loops answer."""
+    any_level = ActuationConfig(mode="modulating", lowest_level=0.0)
+    if not commands:
+        return config
+    return config.model_copy(update={"actuations": {**config.actuations, **dict.fromkeys(commands, any_level)}})
+
+
+def effect_spread(card: ModelCard) -> float:
+    """Standard error of an actuator's effect of a day on its home zone, as a share; 0 where its card has none."""
+    effect, sd = (card.uncertainty.get(f"step_response_24h{what}_K", 0.0) for what in ("", "_sd"))
+    return min(sd / abs(effect), 1.0) if effect else 0.0
+
+
+def with_command_states(plan: Plan, commanded: Commanded) -> Plan:
+    """The plan, its state with what is set after its first step."""
+    assert isinstance(plan.state, MPCState)
+    states = tuple(
+        state
+        if told is None or state.native
+        else replace(state, command=told.value, held_s=told.held_s, owed_s=told.owed)
+        for state, told in zip(plan.state.actuation, commanded.states, strict=True)
+    )
+    return replace(plan, state=replace(plan.state, actuation=states))
+
+
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """S houses under commands: levels (S, A, N), and forced states at the end (S, Z, A, r), K.
+
+    `T_bounds_C` (Z, N + 1): temperatures of the zones of the first house, now and at the end of each step.
+    """
+
+    levels: Array
+    T_bounds_C: Array
+    forced_K: Array
+
+
+def _followed(
+    operator: BuildingOperator,
+    problem: MPCProblem,
+    loops: Mapping[int, CommandedLoop],
+    u: Array,
+    turns_of: Callable[[int, int, Array, float], Turns],
+    gain: Array | None = None,
+    z: Array | None = None,
+) -> _Followed:
+    """Follow a building under commands, step by step; an actuator without one has its levels `u` (A, N).
+
+    `turns_of`: of an actuator in a step, for rooms now (Z,), °C, and its last level, the commands. `gain` (S, A):
+    effect of what the actuators do from now on, as a multiple; `z` (S,): see `LoopMap.level`.
+    """
+    A, n = u.shape
+    gain = np.ones((1, A)) if gain is None else gain
+    z = np.zeros(len(gain)) if z is None else z
+    S, T_free = len(gain), problem.T_free_C
+    old, new = problem.forced_state_K, np.zeros((S, *problem.forced_state_K.shape))
+    T = np.repeat((problem.features[:, 0, ZONE] + old.sum(axis=(1, 2)))[None], S, axis=0)
+    last = np.zeros(A) if problem.last_u is None else problem.last_u
+    before, levels, course = np.repeat(last[None], S, axis=0), np.empty((S, A, n)), [T[0]]
+    nothing = np.zeros(A)
+    for k in range(n):
+        turns = {a: turns_of(a, k, T[0], float(before[0, a])) for a in loops}
+        faded = operator.advance(old, nothing)
+        at_rest = T_free[:, k] + faded.sum(axis=(1, 2)) + (operator.poles * new).sum(axis=(2, 3))
+        per_drive = operator.gains.sum(axis=2)  # (Z, A), K in this step
+        seen = old + new[0]
+        modulation = operator.modulated(np.ones(A), problem.features[:, k], seen)
+        level = np.repeat(u[None, :, k], S, axis=0)
+        for a in loops:
+            level[:, a] = before[:, a]
+        for _ in range(_ROUNDS if loops else 1):
+            heat = _heat(operator, problem, level, k)
+            drive = modulation * heat * gain
+            T_end = at_rest + drive @ per_drive.T
+            moved = level.copy()
+            for a, loop in loops.items():
+                home = operator.home[a]
+                answer = loop.answer(turns[a], k, T[:, home], T_end[:, home], before[:, a], z)
+                moved[:, a] = 0.5 * (level[:, a] + answer)
+            if np.abs(moved - level).max(initial=0.0) < 1e-4:
+                break
+            level = moved
+        drive = modulation * _heat(operator, problem, level, k) * gain
+        old, new = faded, operator.poles * new + operator.gains * drive[:, None, :, None]
+        T = T_free[:, k] + old.sum(axis=(1, 2)) + new.sum(axis=(2, 3))
+        levels[:, :, k], before = level, level
+        course.append(T[0])
+    return _Followed(levels, np.stack(course, axis=1), old + new)
+
+
+def _heat(operator: BuildingOperator, problem: MPCProblem, level: Array, k: int) -> Array:
+    """Heat v (S, A) of levels (S, A) in step `k`."""
+    T_out_C = problem.features[:, k, OUTDOOR]
+    each = [
+        operator.of_actuator(a).heat_input(level[:, a], np.full(len(level), T_out_C[home]))
+        for a, home in enumerate(operator.home)
+    ]
+    return np.stack(each, axis=-1)
+
+
+def _zone_C(problem: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
+    """Zone temperatures at the boundaries under levels (A, N), (Z, N + 1), °C."""
+    forced_K = problem.forced_state_K.sum(axis=(1, 2))
+    now = problem.features[:, 0, ZONE] + forced_K
+    brought = operator.rollout(problem.forced_state_K, u, problem.features).sum(axis=(1, 3))
+    return np.concatenate([now[:, None], compose(problem.T_free_C, brought)], axis=1)
+
+
+def _worth(operator: BuildingOperator, problem: MPCProblem, more_K: Array, levels: Array, cost: Array) -> Array:
+    """What the states at the end (S, Z, A, r) that differ by `more_K` are worth, (S,).
+
+    A kelvin of an actuator's slowest mode in its home zone took so many steps at full level; they count at the mean
+    cost of a level, by what its actuator takes of the power. `levels` (S, A, N) cost `cost` (S,).
+    """
+    per_u = np.maximum(problem.power_per_u_W.mean(axis=1), 0.0)
+    per_u = per_u if per_u.any() else np.ones(per_u.size)
+    used = (per_u * levels.sum(axis=2)).sum(axis=1)
+    price = np.where(used > 1e-6, cost / np.maximum(used, 1e-6), 0.0)
+    worth, ones = np.zeros(len(more_K)), np.ones(1)
+    for a, home in enumerate(operator.home):
+        pair, features = operator.of_actuator(a), problem.features[home, -1]
+        slowest = int(np.flatnonzero(pair.acting)[-1])
+        drive = float(pair.drive(ones, features[None])[0])
+        if pair.gains[slowest] * drive:
+            worth += price * per_u[a] * more_K[:, home, a, slowest] / (pair.gains[slowest] * drive)
+    return worth

@@ -1,0 +1,90 @@
+"""`tf-mpc plan` and `tf-mpc control` say and write commands with their units; a drawn house takes set-points."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+import yaml
+from click.testing import CliRunner
+from home_by_setpoint import RULES, HomeBySetpoint
+from simple_house import simple_model
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.plants.rooms import house_of_rooms
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder, home = tmp_path_factory.mktemp("home"), HomeBySetpoint(days=14)
+    simple_model().save(folder / "model")
+    home.measurements().to_csv(folder / "house.csv", index=False)
+    home.forecast().to_csv(folder / "tomorrow.csv")
+    (folder / "map.yaml").write_text(yaml.safe_dump(RULES))
+    return folder
+
+
+def run(files, *words):
+    given = ["--model", files / "model", "--map", files / "map.yaml", "--data", files / "house.csv"]
+    given += ["--forecast", files / "tomorrow.csv", "--hours", "12", *words]
+    return CliRunner().invoke(cli, ["plan", *map(str, given)])
+
+
+@pytest.mark.parametrize("suffix", [".json", ".csv"])
+def test_commands_are_printed_and_written_with_their_units(files, suffix):
+    out = files / f"commands{suffix}"
+    result = run(files, "--commands", out)
+    assert result.exit_code == 0, result.output
+    assert "Commands to set" in result.output
+    assert "leaving it alone (90 % band" in result.output
+    rows = json.loads(out.read_text())["commands"] if suffix == ".json" else pd.read_csv(out).to_dict("records")
+    assert {row["unit"] for row in rows} == {"°C"}
+    assert all(row["text"] == f"{row['value']:.10g} °C" and row["text"] in result.output for row in rows)
+    assert rows[0]["from"] == "2025-01-29T00:00:00+00:00"
+
+
+def test_what_may_not_be_acted_on_has_no_value(files):
+    thermal = simple_model()
+    unjudged = replace(thermal, cards=(replace(thermal.cards[0], source="a record"),))
+    unjudged.save(files / "unjudged")
+    result = run(files, "--commands", files / "none.json", "--model", files / "unjudged")
+    assert result.exit_code == 4
+    assert not (files / "none.json").exists()
+
+
+def test_commands_that_the_map_does_not_name_are_refused(files, tmp_path):
+    rules = RULES | {"actuators": {"actuator": {"level": "u"}}}
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(rules))
+    result = run(files, "--commands", tmp_path / "c.json", "--map", tmp_path / "map.yaml")
+    assert "names no command of an actuator" in str(result.exception or result.output)
+
+
+@pytest.mark.slow
+def test_a_drawn_house_keeps_the_set_points_that_it_is_told():
+    plant = house_of_rooms("house:2rooms:31")
+    plant.reset(20 * 86400.0, 86400.0)
+    for _ in range(36):
+        plant.advance(None, 3600.0, (19.0, 22.0))
+    record = plant.past(3600.0)
+    assert record.T_zone_C[0, -6:].mean() < record.T_zone_C[1, -6:].mean() - 1.0
+    assert abs(record.T_zone_C[0, -6:].mean() - 19.0) < 0.6
+    assert record.u[1, -24:].mean() > record.u[0, -24:].mean()
+    with pytest.raises(InputError, match="its thermostat takes a set-point from 5 to 30 °C"):
+        plant.advance(None, 3600.0, (19.0, 40.0))
+
+
+@pytest.mark.slow
+def test_a_higher_curve_brings_hotter_water_and_more_heat_to_all_rooms():
+    taken = []
+    for offset_K in (0.0, 5.0):
+        plant = house_of_rooms("house:2rooms:31")
+        plant.reset(80 * 86400.0, 86400.0)
+        plant.curve_offset_K = offset_K
+        for _ in range(6):
+            done = plant.advance((1.0, 1.0), 3600.0)
+        taken.append((done.heat_W, done.points["T_supply_C"]))
+    assert (taken[1][0] > taken[0][0]).all()
+    assert taken[1][1] > taken[0][1]

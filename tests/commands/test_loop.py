@@ -1,0 +1,135 @@
+"""The map from a command to a level: learned from records of known loops, and monotone whatever was learned."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thermoforce_mpc.commands.contacts import SGReady
+from thermoforce_mpc.commands.heating_curve import CurveOffset
+from thermoforce_mpc.commands.loop import CommandRecord, learn_command
+from thermoforce_mpc.commands.setpoint import Setpoint
+from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.errors import DataError
+
+SETPOINT = Setpoint(kind="setpoint", column="set")
+N = 21 * 24
+HOURS = HOUR_S * np.arange(N + 1.0)
+
+
+def lived(loop, *, setback=True, seed=0):
+    """Set-points, room and outdoor temperatures, and levels of a room with a loop that is called every 5 min."""
+    rng = np.random.default_rng(seed)
+    out = 4.0 + 3.0 * np.cos(2 * np.pi * (HOURS / HOUR_S - 15) / 24) + np.cumsum(rng.normal(0.0, 0.3, N + 1)) * 0.3
+    day = (HOURS / HOUR_S % 24 >= 6) & (HOURS / HOUR_S % 24 < 22)
+    setpoint = np.where(day, 21.0, 18.0) if setback else np.full(N + 1, 21.0)
+    T, rooms, levels = 20.0, [20.0], []
+    for k in range(N):
+        total = 0.0
+        for _ in range(12):
+            u = loop(setpoint[k] - T)
+            T += (1.2 * u - 0.03 * (T - out[k])) / 12.0
+            total += u / 12.0
+        rooms.append(T)
+        levels.append(total)
+    return setpoint, np.array(rooms), out, np.array(levels)
+
+
+class Hysteresis:
+    def __init__(self, band_K=0.2):
+        self.band_K, self.on = band_K, False
+
+    def __call__(self, error_K):
+        self.on = error_K > (-self.band_K if self.on else self.band_K)
+        return float(self.on)
+
+
+class PI:
+    def __init__(self):
+        self.total = 0.4
+
+    def __call__(self, error_K):
+        u = 0.4 * error_K + self.total
+        self.total = float(np.clip(self.total + 0.02 * error_K, 0.0, 1.0))
+        return float(np.clip(u, 0.0, 1.0))
+
+
+def p_band(error_K):
+    return float(np.clip(error_K + 0.5, 0.0, 1.0))
+
+
+def learned(loop, **options):
+    setpoint, T, out, u = lived(loop, **options)
+    return learn_command(SETPOINT, CommandRecord(setpoint, setpoint[:-1]), T, out, u, HOURS, "set-point")
+
+
+def test_a_valve_with_a_p_band_is_found_where_the_room_was():
+    loop = learned(p_band).loop
+    for error_K in (-1.5, -0.4, 0.0, 0.4):
+        assert float(loop.level(21.0 + error_K, 21.0, 5.0, 0.5)) == pytest.approx(p_band(error_K), abs=0.08)
+    assert loop.r2 > 0.9
+
+
+@pytest.mark.parametrize("loop", [p_band, Hysteresis(), PI()], ids=["P band", "hysteresis", "PI"])
+def test_more_of_a_command_is_never_less_heat_now_or_later(loop):
+    found = learned(loop).loop
+    rng = np.random.default_rng(3)
+    less = rng.uniform(17.0, 23.0, (200, 12))
+    more = less + rng.uniform(0.0, 2.0, less.shape)
+    rooms = rng.uniform(18.0, 23.0, less.shape)
+    low = high = np.full(200, 0.5)
+    for k in range(12):
+        low, high = found.level(less[:, k], rooms[:, k], 5.0, low), found.level(more[:, k], rooms[:, k], 5.0, high)
+        assert (high >= low - 1e-12).all()
+
+
+def test_what_a_switching_thermostat_does_between_its_ends_is_not_promised():
+    switching, valve = learned(Hysteresis()).loop, learned(p_band).loop
+    at_work = {name: float(loop.scatter(21.0, 21.0, 5.0)) for name, loop in (("on/off", switching), ("valve", valve))}
+    assert at_work["on/off"] > 3.0 * at_work["valve"]
+
+
+def test_a_level_that_follows_something_else_is_refused_with_what_to_do():
+    setpoint, T, out, _ = lived(p_band)
+    u = np.random.default_rng(1).uniform(0.0, 1.0, N)
+    with pytest.raises(DataError, match=r"the record does not tell what it does.*Try"):
+        learn_command(SETPOINT, CommandRecord(setpoint, setpoint[:-1]), T, out, u, HOURS, "living")
+
+
+def test_a_command_that_was_never_changed_is_refused():
+    _, T, out, u = lived(p_band)
+    same = np.zeros(N + 1)
+    with pytest.raises(DataError, match="curve: it was 0 all the time: try other values"):
+        learn_command(
+            CurveOffset(kind="curve_offset", column="x"), CommandRecord(same, same[:-1]), T, out, u, HOURS, "curve"
+        )
+
+
+def test_an_offset_is_told_from_the_weather():
+    rng = np.random.default_rng(5)
+    out, T = 2.0 + 6.0 * np.sin(HOURS / DAY_S) + rng.normal(0.0, 0.5, N + 1), np.full(N + 1, 21.0)
+    offset = np.repeat(rng.choice([-2.0, 0.0, 2.0], N // 12 + 1), 12)[: N + 1]
+    u = np.clip(0.45 + 0.05 * offset[:-1] - 0.02 * out[:-1] + rng.normal(0.0, 0.02, N), 0.0, 1.0)
+    command = CurveOffset(kind="curve_offset", column="x")
+    loop = learn_command(command, CommandRecord(offset, offset[:-1]), T, out, u, HOURS, "curve").loop
+    for weather in (-3.0, 5.0):
+        more = float(loop.level(2.0, 21.0, weather, 0.4) - loop.level(-2.0, 21.0, weather, 0.4))
+        assert more == pytest.approx(0.2, abs=0.05)
+
+
+def test_states_of_a_contact_have_an_effect_of_their_own_each():
+    rng = np.random.default_rng(6)
+    out, T = 3.0 + rng.normal(0.0, 1.0, N + 1), np.full(N + 1, 21.0)
+    state = np.repeat(rng.choice([1.0, 2.0, 3.0], N // 2 + 1, p=[0.2, 0.5, 0.3]), 2)[: N + 1]
+    level = {1.0: 0.0, 2.0: 0.4, 3.0: 0.5}
+    u = np.array([level[s] for s in state[:-1]])
+    command = SGReady(kind="sg_ready", column="x")
+    loop = learn_command(command, CommandRecord(state, state[:-1]), T, out, u, HOURS, "SG-Ready").loop
+    assert [float(loop.level(s, 21.0, 3.0, 0.4)) for s in (1.0, 2.0, 3.0)] == pytest.approx([0.0, 0.4, 0.5], abs=0.03)
+
+
+def test_the_usual_command_is_that_of_the_same_time_of_the_week():
+    found = learned(p_band)
+    later = (30 * 24 + np.arange(24)) * HOUR_S
+    assert found.usual_at(later).tolist() == [18.0] * 6 + [21.0] * 16 + [18.0] * 2
+    assert (found.last, found.held_s) == (18.0, 2 * HOUR_S)

@@ -1,0 +1,110 @@
+"""Plans in commands: within what a loop can bring, held as long as they must be, and cheaper in the closed loop."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import pytest
+from home_by_setpoint import RULES, START, HomeBySetpoint, price
+from simple_house import simple_model
+
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
+from thermoforce_mpc.data import Observation
+from thermoforce_mpc.live import LiveBuilding, control
+from thermoforce_mpc.measurements.forecast import read_forecast
+from thermoforce_mpc.measurements.load import learned_commands, read_measurements
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+
+
+def controller(measured, **options):
+    off = {"enabled": False}
+    base = {"step_s": 3600.0, "horizon_h": 24.0, "free_response": {"name": "persistence"}, "gate": off, "watch": off}
+    return ThermoForceMPC(simple_model(), MPCConfig.model_validate(base | options), commands=learned_commands(measured))
+
+
+@pytest.fixture(scope="module")
+def home():
+    return HomeBySetpoint()
+
+
+def planned(home, rules=None, **options):
+    measured = read_measurements(home.measurements(), rules or RULES, step_s=3600.0).served()
+    return controller(measured, **options).plan(Observation(measured.record, read_forecast(home.forecast(), measured)))
+
+
+def with_command(**keys):
+    command = RULES["actuators"]["actuator"]["command"] | keys
+    return RULES | {"actuators": {"actuator": {"level": "u", "command": command}}}
+
+
+@pytest.fixture(scope="module")
+def plan(home):
+    return planned(home)
+
+
+def test_set_points_stay_near_the_comfort_band_in_steps_of_their_resolution(plan):
+    values = np.array([one.value for one in plan.settings[0]])
+    assert ((values >= 18.0) & (values <= 25.0)).all()
+    assert np.allclose(values / 0.5, np.round(values / 0.5))
+    assert {block.command for block in plan.blocks} <= {(value,) for value in values}
+
+
+@pytest.mark.parametrize("hold_min", [30, 180])
+def test_a_set_point_is_held_for_its_least_time(home, hold_min):
+    (settings,) = planned(home, with_command(hold_min=hold_min)).settings
+    assert len(settings) > 2
+    assert all(one.end_s == later.start_s for one, later in pairwise(settings))
+    assert all(one.end_s - one.start_s >= 60.0 * hold_min for one in settings[1:-1])
+
+
+def test_a_plan_asks_for_no_more_than_its_set_points_bring(home):
+    # The room may be 21 °C: at the highest set-point the valve is then half open.
+    narrow = planned(home, with_command(beyond_K=0, maximum=21.0))
+    warm = narrow.T_zone_C[0, :-1] >= 21.0
+    assert narrow.u.max() <= 1.0
+    assert (narrow.u[0, 1:][warm] <= 0.6).all()
+
+
+def test_what_is_saved_has_a_band_and_what_it_is_compared_with(plan):
+    saving = plan.saving
+    assert saving.low < saving.saved < saving.high
+    assert saving.saved > 0.0
+    assert saving.cost_alone > 0.0
+    assert saving.outside_Kh <= saving.outside_alone_Kh + 0.5
+
+
+def test_the_house_left_alone_costs_what_the_model_says(plan, home):
+    alone = HomeBySetpoint()
+    alone.wait_until(START + pd.Timedelta(days=1))
+    cost = sum(price(row["time"]) * row["P"] / 1000.0 / 12.0 for row in alone.rows[len(home.rows) :])
+    assert plan.saving.cost_alone == pytest.approx(cost, rel=0.15)
+
+
+def lived_under_control(days):
+    """What two days of a home cost under planned and under its own set-points, and its temperatures; by `control`."""
+    home, alone = HomeBySetpoint(), HomeBySetpoint()
+    first = len(home.rows)
+    measured = read_measurements(home.measurements(), RULES, step_s=3600.0).served()
+    building = LiveBuilding(home, MeasurementMap.model_validate(RULES), 3600.0)
+    control(building, controller(measured), clock=home, steps=24 * days, delay_s=0.0)
+    alone.wait_until(home.at)
+
+    def cost(one):
+        return sum(price(row["time"]) * row["P"] / 1000.0 / 12.0 for row in one.rows[first:])
+
+    return cost(home), cost(alone), np.array([row["T"] for row in home.rows[first:]]), home.written
+
+
+@pytest.mark.slow
+def test_a_home_that_only_takes_set_points_is_heated_more_cheaply_and_kept_warm():
+    planned_cost, own_cost, T_C, written = lived_under_control(2)
+    assert planned_cost < 0.97 * own_cost
+    assert T_C.min() > 19.5
+    assert all(value is None or 18.0 <= value <= 25.0 for _, value in written)
+    assert written[-1][1] is None
+    changes = [(at, value) for at, value in written if value is not None]
+    kept = [at for k, (at, value) in enumerate(changes) if k == 0 or value != changes[k - 1][1]]
+    assert all(later - at >= pd.Timedelta(minutes=30) for at, later in pairwise(kept))

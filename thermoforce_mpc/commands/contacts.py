@@ -1,0 +1,72 @@
+"""Contacts: SG-Ready, and enabling a machine."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from thermoforce_mpc.commands.command import SAME, Command
+from thermoforce_mpc.data import Array
+
+_SG_STATES = {1: "blocked", 2: "normal", 3: "recommended", 4: "ordered"}
+
+
+class SGReady(Command):
+    """State of the SG-Ready contacts (bwp, SG Ready 1.1): 1 blocked, 2 normal, 3 recommended, 4 ordered.
+
+    Of `states` only those are planned that the record holds.
+    """
+
+    name_in_words: ClassVar[str] = "SG-Ready"
+
+    kind: Literal["sg_ready"]
+    hold_min: float = Field(10.0, ge=10, le=720, description="least time between two changes, min")
+    blocked_at_most_min: float = Field(120.0, gt=0, le=120, description="longest time blocked at a time, min")
+    states: tuple[int, ...] = Field((1, 2, 3), description="states that may be set")
+
+    @field_validator("states")
+    @classmethod
+    def _are_states(cls, states: tuple[int, ...]) -> tuple[int, ...]:
+        if not states or not set(states) <= set(_SG_STATES):
+            raise ValueError("states of SG-Ready are 1 blocked, 2 normal, 3 recommended, 4 ordered")
+        return tuple(sorted(set(states)))
+
+    def values(self, low: float, high: float) -> Array:
+        """See `Command.values`."""
+        allowed = np.array(self.states, dtype=np.float64)
+        inside = allowed[(allowed >= low - SAME) & (allowed <= high + SAME)]
+        return inside if inside.size else allowed[[int(np.argmin(np.abs(allowed - 0.5 * (low + high))))]]
+
+    def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
+        """See `Command.limits`."""
+        return np.full(lower_C.shape, float(self.states[0])), np.full(upper_C.shape, float(self.states[-1]))
+
+    def longest_s(self, value: float) -> float:
+        """See `Command.longest_s`."""
+        return 60.0 * self.blocked_at_most_min if round(value) == 1 else float("inf")
+
+    def in_words(self, value: float) -> str:
+        """See `Command.in_words`."""
+        return f"SG-Ready {round(value)} ({_SG_STATES.get(round(value), 'unknown')})"
+
+
+class Enable(Command):
+    """A contact that lets a machine run (1) or not (0)."""
+
+    name_in_words: ClassVar[str] = "an enable contact"
+
+    kind: Literal["enable"]
+
+    def values(self, low: float, high: float) -> Array:
+        """See `Command.values`."""
+        return np.array([0.0, 1.0])
+
+    def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
+        """See `Command.limits`."""
+        return np.zeros(lower_C.shape), np.ones(upper_C.shape)
+
+    def in_words(self, value: float) -> str:
+        """See `Command.in_words`."""
+        return "enabled" if value >= 0.5 else "off"

@@ -1,0 +1,54 @@
+"""The heating curve: an offset of it in K, or the flow temperature itself."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from thermoforce_mpc.commands.command import StepwiseCommand
+from thermoforce_mpc.data import Array
+
+
+class CurveOffset(StepwiseCommand):
+    """Offset of the heating curve, in K or in the steps of the device."""
+
+    unit: ClassVar[str] = "K"
+
+    name_in_words: ClassVar[str] = "the offset of the heating curve"
+
+    kind: Literal["curve_offset"]
+    resolution: float = Field(1.0, gt=0, description="step between two offsets")
+    minimum: float | None = Field(-3.0, description="lowest offset")
+    maximum: float | None = Field(3.0, description="highest offset")
+
+    def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
+        """See `Command.limits`."""
+        return self.within(np.full(lower_C.shape, -np.inf), np.full(upper_C.shape, np.inf))
+
+    def in_words(self, value: float) -> str:
+        """See `Command.in_words`."""
+        return f"{value:+.10g} K" if value else "0 K"
+
+
+class FlowTemperature(StepwiseCommand):
+    """Flow temperature, °C, within `beyond_K` of what it usually is at that time."""
+
+    unit: ClassVar[str] = "°C"
+
+    name_in_words: ClassVar[str] = "the flow temperature"
+
+    kind: Literal["flow_temperature"]
+    resolution: float = Field(1.0, gt=0, description="step between two flow temperatures, K")
+    minimum: float | None = Field(20.0, ge=5, le=90, description="lowest flow temperature, °C")
+    maximum: float | None = Field(45.0, ge=5, le=90, description="highest flow temperature, °C")
+    beyond_K: float = Field(5.0, ge=0, le=30, description="largest difference from what it usually is, K")
+
+    def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
+        """See `Command.limits`."""
+        return self.within(usual - self.beyond_K, usual + self.beyond_K)
+
+    def in_words(self, value: float) -> str:
+        """See `Command.in_words`."""
+        return f"{value:.10g} °C flow"

@@ -1,0 +1,327 @@
+"""What a building's own loop makes of a command: the level that it answers with, learned from a record.
+
+    u_k = clip(c u_{k−1} + g(s_k), 0, 1),   s_k = e(command_k) − w_zone T_zone,k − w_out T_out,k
+
+g and e do not fall, c lies in [0, 1] and the weights are not negative: more of a command is never less heat, in the
+same step and in all later ones, whatever was learned. A valve with a P band and a thermostat have c = 0 (g is the
+valve's line, or the share of a step that the thermostat is on); the integral part of a PI controller is c near 1. What
+the loop does within a step, and what else moves it, is `spread`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression, nnls
+
+from thermoforce_mpc.commands.command import SAME, Command
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.errors import DataError
+
+# Least record of a command, and least difference that it must have made to the level, with 95 % certainty.
+_LEAST_H, _LEAST_EFFECT, _CERTAIN = 72.0, 0.02, 1.645
+# What of the last level may be left; the least of those is taken that are nearly as good as the best.
+_CARRIES, _AS_GOOD = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0), 1.05
+_BINS, _LEAST_IN_BIN = 24, 8
+_DRAWS, _SEED = 30, 64
+# Least share of the scatter of the level that the map must explain: below it, the loop follows something else.
+_LEAST_R2 = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class CommandRecord:
+    """What was set: `at` the boundaries of n steps (n + 1,), and the `mean` over each step (n,); NaN: not known."""
+
+    at: Array
+    mean: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LoopMap:
+    """The level that a loop answers with, see the head of this module.
+
+    `carry` is c; `values`, `effects` (k,): e of the command, straight between; `zone`, `outdoor`: the weights; `knots`,
+    `levels`, `spread`, `uncertain` (m,): s, g(s), scatter of a step's level and standard error of g, straight between
+    and constant beyond what was seen. `rmse`, `r2`: of levels followed from the commands alone over `days`.
+    """
+
+    carry: float
+    values: Array
+    effects: Array
+    zone: float
+    outdoor: float
+    knots: Array
+    levels: Array
+    spread: Array
+    uncertain: Array
+    rmse: float
+    r2: float
+    days: float
+
+    def index(self, value: float | Array, T_zone_C: float | Array, T_out_C: float | Array) -> Array:
+        """s of commands at temperatures, °C; of one shape."""
+        effect = np.interp(value, self.values, self.effects)
+        return np.asarray(effect - self.zone * np.asarray(T_zone_C) - self.outdoor * np.asarray(T_out_C))
+
+    def level(
+        self,
+        value: float | Array,
+        T_zone_C: float | Array,
+        T_out_C: float | Array,
+        before: float | Array,
+        z: float | Array = 0.0,
+    ) -> Array:
+        """Mean level of a step with the command `value`, mean temperatures, °C, and the level `before`; of one shape.
+
+        `z`: how many standard errors the loop lies above what was learned.
+        """
+        s = self.index(value, T_zone_C, T_out_C)
+        moved = np.interp(s, self.knots, self.levels) + z * np.interp(s, self.knots, self.uncertain)
+        return np.clip(self.carry * np.asarray(before) + moved, 0.0, 1.0)
+
+    def scatter(self, value: float | Array, T_zone_C: float | Array, T_out_C: float | Array) -> Array:
+        """Standard deviation of the level of a step around `level`."""
+        return np.asarray(np.interp(self.index(value, T_zone_C, T_out_C), self.knots, self.spread))
+
+    @property
+    def in_words(self) -> str:
+        """What was learned in a few words."""
+        followed = "" if self.carry == 0.0 else f", {100 * self.carry:.0f} % of the last level stays"
+        return f"explains {100 * self.r2:.0f} % of the level's scatter over {self.days:.0f} days{followed}"
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedCommand:
+    """A command with its map, and what was set until now.
+
+    `last`: the command now (NaN: not known), held for `held_s`; `usual` (n,): what it is when left alone, at the times
+    of a week from its beginning on, in equal parts.
+    """
+
+    command: Command
+    loop: LoopMap
+    last: float
+    held_s: float
+    usual: Array
+
+    @property
+    def in_words(self) -> str:
+        """What is set, and what is known of its loop."""
+        return f"set by {self.command.name_in_words}, whose map {self.loop.in_words}"
+
+    def usual_at(self, time_s: Array) -> Array:
+        """What the command is when it is left alone, at `time_s` (N,), s."""
+        part_s = 7.0 * DAY_S / self.usual.size
+        return np.asarray(self.usual[np.floor(time_s / part_s + 1e-6).astype(np.intp) % self.usual.size])
+
+
+def learn_command(
+    command: Command, was: CommandRecord, T_zone_C: Array, T_out_C: Array, u: Array, time_s: Array, where: str
+) -> LearnedCommand:
+    """Learn what the loop makes of `command` from a record of n steps.
+
+    Args:
+        command: the command.
+        was: what was set.
+        T_zone_C, T_out_C: at the boundaries (n + 1,), °C.
+        u: mean level of each step (n,).
+        time_s: boundaries (n + 1,), s.
+        where: what it is the command of, for messages.
+
+    Raises:
+        DataError: the record is too short, or does not tell what the command does; says what to do.
+    """
+    step_s = float(time_s[1] - time_s[0])
+    loop, value = _learn_loop(command, was.mean, _means(T_zone_C), _means(T_out_C), u, step_s, time_s, where), was.at
+    known = np.flatnonzero(np.isfinite(value))
+    if not known.size:
+        raise DataError(f"{where}: it was never read: check its column")
+    last = float(value[known[-1]])
+    changed = known[np.abs(value[known] - last) > SAME]
+    since = int(changed[-1]) + 1 if changed.size else int(known[0])
+    return LearnedCommand(command, loop, last, float(time_s[-1] - time_s[since]), _usual(value[:-1], time_s[:-1]))
+
+
+def _means(values: Array) -> Array:
+    return np.asarray(0.5 * (values[:-1] + values[1:]))
+
+
+def _learn_loop(
+    command: Command, value: Array, T_zone_C: Array, T_out_C: Array, u: Array, step_s: float, time_s: Array, where: str
+) -> LoopMap:
+    measured = np.isfinite(value) & np.isfinite(T_zone_C) & np.isfinite(T_out_C) & np.isfinite(u)
+    follows = measured.copy()
+    follows[1:] &= measured[:-1]
+    follows[0] = False
+    hours = follows.sum() * step_s / HOUR_S
+    if hours < _LEAST_H:
+        raise DataError(
+            f"{where}: {hours:.0f} h of the record hold command, level and temperatures together, need {_LEAST_H:g}: "
+            "check the column, or give a longer record"
+        )
+    day = np.floor(time_s[:-1] / DAY_S).astype(np.intp)
+    rows = np.flatnonzero(follows)
+    candidates = [_fit(command, rows, value, T_zone_C, T_out_C, u, carry) for carry in _CARRIES]
+    errors = [u[rows] - _followed(loop, rows, value, T_zone_C, T_out_C, u, measured)[rows] for loop in candidates]
+    rmse = [float(np.sqrt(np.mean(error**2))) for error in errors]
+    chosen = next(i for i, one in enumerate(rmse) if one <= _AS_GOOD * min(rmse))
+    loop, error = candidates[chosen], errors[chosen]
+    r2 = 1.0 - rmse[chosen] ** 2 / max(float(np.var(u[rows])), 1e-12)
+    rng, days = np.random.default_rng(_SEED), np.unique(day[rows])
+    again = []
+    for _ in range(_DRAWS):
+        some = rng.choice(days, days.size)
+        again.append(np.concatenate([rows[day[rows] == one] for one in some]))
+    drawn = [_fit(command, draw, value, T_zone_C, T_out_C, u, loop.carry) for draw in again]
+    s = loop.index(value, T_zone_C, T_out_C)[rows]
+    uncertain = np.std([_at(one, loop) for one in drawn], axis=0)
+    _check_acts(command, loop, drawn, value[rows], T_zone_C[rows], T_out_C[rows], r2, where)
+    spread = _by_bins(s, error**2, loop.knots) ** 0.5
+    return replace(
+        loop,
+        spread=spread,
+        uncertain=uncertain,
+        rmse=rmse[chosen],
+        r2=r2,
+        days=hours * HOUR_S / DAY_S,
+    )
+
+
+def _fit(
+    command: Command, rows: NDArray[np.intp], value: Array, T_zone_C: Array, T_out_C: Array, u: Array, carry: float
+) -> LoopMap:
+    """The map with the least squares of one-step errors in `rows`."""
+    y = u[rows] - carry * u[rows - 1]
+    seen = np.unique(np.round(value[rows], 6))
+    values, effects, zone, outdoor = np.array([seen[0], seen[-1]]), np.array([seen[0], seen[-1]]), 1.0, 0.0
+    if command.of_zone != -1.0:
+        rise = [np.ones(rows.size), -np.ones(rows.size)]
+        kinds = [seen[0], *seen[1:]] if seen.size <= 4 else [seen[0], seen[-1]]
+        columns = [np.interp(value[rows], kinds, np.eye(len(kinds))[i:].sum(axis=0)) for i in range(1, len(kinds))]
+        free = [-T for T, weight in ((T_zone_C, command.of_zone), (T_out_C, command.of_outdoor)) if weight is None]
+        found, _ = nnls(np.column_stack([*columns, *(T[rows] for T in free), *rise]), y)
+        weights = list(found[len(columns) :])
+        values, effects = np.array(kinds), np.concatenate([[0.0], np.cumsum(found[: len(columns)])])
+        zone = float(weights.pop(0)) if command.of_zone is None else 0.0
+        outdoor = float(weights.pop(0)) if command.of_outdoor is None else 0.0
+    if values.size == 1 or values[0] == values[-1]:  # one value all the time
+        values, effects = np.array([seen[0] - 0.5, seen[0] + 0.5]), np.array([seen[0] - 0.5, seen[0] + 0.5])
+    nothing = np.zeros(1)
+    loop = LoopMap(carry, values, effects, zone, outdoor, nothing, nothing, nothing, nothing, 0.0, 0.0, 0.0)
+    if command.of_zone == -1.0:  # the difference counts, also of commands that were never set
+        loop = replace(loop, values=np.array([-1e3, 1e3]), effects=np.array([-1e3, 1e3]))
+    s = loop.index(value, T_zone_C, T_out_C)[rows]
+    parts = _bins(s)
+    knots = np.array([s[part].mean() for part in parts])
+    levels = isotonic_regression(
+        np.array([y[part].mean() for part in parts]), weights=np.array([float(part.size) for part in parts])
+    ).x
+    keep = np.concatenate([[True], np.diff(knots) > 1e-9])
+    none = np.zeros(int(keep.sum()))
+    return replace(loop, knots=knots[keep], levels=np.asarray(levels)[keep], spread=none, uncertain=none)
+
+
+def _bins(s: Array) -> list[NDArray[np.intp]]:
+    """Rows by rising `s`: as many in each, and none wider than the range over their number, with a few in each."""
+    order, widest = np.argsort(s, kind="stable"), max(float(np.ptp(s)) / _BINS, 1e-9)
+    most = max(_LEAST_IN_BIN, -(-s.size // _BINS))
+    parts, begin = [], 0
+    for end in range(1, s.size + 1):
+        count, full = end - begin, end == s.size
+        wide = not full and s[order[end]] - s[order[begin]] > widest
+        if full or count >= most or (wide and count >= _LEAST_IN_BIN):
+            parts.append(order[begin:end])
+            begin = end
+    if len(parts) > 1 and parts[-1].size < _LEAST_IN_BIN:
+        parts[-2:] = [np.concatenate(parts[-2:])]
+    return parts
+
+
+def _followed(
+    loop: LoopMap,
+    rows: NDArray[np.intp],
+    value: Array,
+    T_zone_C: Array,
+    T_out_C: Array,
+    u: Array,
+    measured: NDArray[np.bool_],
+) -> Array:
+    """Levels (n,) that follow from the commands alone, from each gap and each beginning on."""
+    s = loop.index(value, T_zone_C, T_out_C)
+    moved = np.interp(s, loop.knots, loop.levels)
+    out = np.where(measured, u, np.nan)
+    if loop.carry == 0.0:
+        out[rows] = np.clip(moved[rows], 0.0, 1.0)
+        return out
+    for k in rows:
+        out[k] = min(max(loop.carry * out[k - 1] + moved[k], 0.0), 1.0)
+    return out
+
+
+def _at(one: LoopMap, loop: LoopMap) -> Array:
+    """g of another draw at the places of `loop`, by quantile where the two have weights of their own."""
+    if (one.zone, one.outdoor) == (loop.zone, loop.outdoor):
+        return np.asarray(np.interp(loop.knots, one.knots, one.levels))
+    places = np.linspace(0.0, 1.0, loop.knots.size)
+    return np.asarray(np.interp(places, np.linspace(0.0, 1.0, one.levels.size), one.levels))
+
+
+def _by_bins(s: Array, values: Array, knots: Array) -> Array:
+    """Means (m,) of `values` of the rows nearest to each knot."""
+    if knots.size == 1:
+        return np.array([values.mean()])
+    nearest = np.searchsorted(0.5 * (knots[1:] + knots[:-1]), s)
+    count = np.bincount(nearest, minlength=knots.size)
+    total = np.bincount(nearest, weights=values, minlength=knots.size)
+    return np.where(count > 0, total / np.maximum(count, 1), values.mean())
+
+
+def _check_acts(
+    command: Command,
+    loop: LoopMap,
+    drawn: list[LoopMap],
+    value: Array,
+    T_zone_C: Array,
+    T_out_C: Array,
+    r2: float,
+    where: str,
+) -> None:
+    """Raise `DataError` where the record does not tell that more of the command is more heat."""
+    if command.of_zone == -1.0:
+        low, high = np.quantile(value - T_zone_C, (0.05, 0.95)) + np.median(T_zone_C)
+    else:
+        low, high = float(value.min()), float(value.max())
+    middle = float(np.median(T_zone_C)), float(np.median(T_out_C))
+    if high - low <= SAME:
+        raise DataError(f"{where}: it was {low:g} all the time: try other values for some days, then plan")
+
+    def effect(one: LoopMap) -> float:
+        before = one.carry * 0.0
+        return float(one.level(high, *middle, before) - one.level(low, *middle, before))
+
+    found, error = effect(loop), float(np.std([effect(one) for one in drawn]))
+    if found - _CERTAIN * error < _LEAST_EFFECT or r2 < _LEAST_R2:
+        raise DataError(
+            f"{where}: the record does not tell what it does: from {low:.3g} to {high:.3g} the level changes by "
+            f"{found:.2f} ± {error:.2f}, and it explains {100 * max(r2, 0.0):.0f} % of the level's scatter. Try "
+            "different values at the same times of the day for some days, or check the columns of command and level"
+        )
+
+
+def _usual(value: Array, time_s: Array) -> Array:
+    """What a command usually is at the times of a week: the median of the same times of weeks, else of days."""
+    step_s = float(time_s[1] - time_s[0])
+    per_day = max(1, round(DAY_S / step_s))
+    place = np.floor(time_s / step_s + 1e-6).astype(np.intp)
+    out = np.full(7 * per_day, np.nan)
+    for of_week in range(7 * per_day):
+        same = value[(place % (7 * per_day)) == of_week]
+        same = same[np.isfinite(same)]
+        if not same.size:
+            same = value[(place % per_day) == of_week % per_day]
+            same = same[np.isfinite(same)]
+        # Of an even number the earlier of the two in the middle: a value that was set.
+        out[of_week] = np.sort(same)[(same.size - 1) // 2] if same.size else np.nanmedian(value)
+    return out

@@ -1,0 +1,33 @@
+"""Set-point of a room or of the house: thermostat with hysteresis, valve with a P band, or PI controller."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from thermoforce_mpc.commands.command import StepwiseCommand
+from thermoforce_mpc.data import Array
+
+
+class Setpoint(StepwiseCommand):
+    """Room set-point, °C. Its loop answers to the difference of set-point and room temperature."""
+
+    of_zone: ClassVar[float | None] = -1.0
+    of_outdoor: ClassVar[float | None] = 0.0
+    unit: ClassVar[str] = "°C"
+
+    name_in_words: ClassVar[str] = "its set-point"
+
+    kind: Literal["setpoint"]
+    beyond_K: float = Field(
+        2.0, ge=0, le=10, description="how far commands may lie outside the comfort bounds of the room, K"
+    )
+
+    def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
+        """See `Command.limits`."""
+        return self.within(lower_C - self.beyond_K, upper_C + self.beyond_K)
+
+    def in_words(self, value: float) -> str:
+        """See `Command.in_words`."""
+        return f"{value:.10g} °C"
