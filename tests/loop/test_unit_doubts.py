@@ -13,7 +13,6 @@ from simulated_building import RULES, SimulatedBuilding, mpc
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, ZERO_C_K, Layout, Period
-from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
@@ -22,6 +21,9 @@ from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 # Day 10 to 12 with three days before it.
 PERIOD = Period("test", 10 * DAY_S, 2 * DAY_S, 3 * DAY_S)
 LAYOUT = Layout.single("heating", floor_area_m2=100.0)
+
+# How notes begin that are about units.
+DOUBTS = ("unit of", "prices of", "zones.")
 
 
 class WrongHouse(SimpleHouse):
@@ -54,9 +56,7 @@ def noted(model, currency="EUR", **changes) -> dict[int, str]:
     options = {"step_s": 3600.0, "horizon_h": 12.0, "gate": {"enabled": False}}
     controller = ThermoForceMPC(model, MPCConfig.model_validate(options), free_response=OutdoorResponse())
     result = run_closed_loop(WrongHouse(**changes), controller, PERIOD, units=UnitDoubts(LAYOUT, model, currency))
-    notes = {
-        step.index: [note for note in step.notes if note.startswith(("unit of", "prices of"))] for step in result.steps
-    }
+    notes = {step.index: [note for note in step.notes if note.startswith(DOUBTS)] for step in result.steps}
     return {index: "; ".join(found) for index, found in notes.items() if found}
 
 
@@ -112,7 +112,7 @@ def told_by(house, rules=RULES):
     told = []
     building = LiveBuilding(house, MeasurementMap.model_validate(rules), 3600.0)
     control(building, mpc(), clock=house, steps=2, told=told.append)
-    return [[note for note in decision.notes if note.startswith(("unit of", "prices of"))] for decision in told]
+    return [[note for note in decision.notes if note.startswith(DOUBTS)] for decision in told]
 
 
 class WrongBuilding(SimulatedBuilding):
@@ -135,5 +135,5 @@ def test_in_live_operation_too():
     assert not second, "said once"
     dear = {**RULES, "machines": {"machine": {"power": "P", "price": 25.0}}}
     assert "per MWh, or in cents, or in another currency?" in told_by(SimulatedBuilding(), dear)[0][0]
-    with pytest.raises(DataError, match=r"they look like K: set unit: 'K'"):
-        told_by(WrongBuilding("T", 1.0, ZERO_C_K))
+    (in_kelvin, *_), _ = told_by(WrongBuilding("T", 1.0, ZERO_C_K))
+    assert "in K they were usual: set unit: 'K'" in in_kelvin, "and the building is left to its own control"

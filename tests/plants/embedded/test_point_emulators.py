@@ -162,7 +162,7 @@ def test_beside_the_records_of_the_real_test_case(shared, name):
     assert case.name == name
     plant = point_scores.recorded_plant(case, folder, None)
     rows, targets, _ = point_scores.score(plant, folder, quick=True, progress=lambda _: None)
-    # A mode that switches a moment earlier, and BOPTEST's peak, which counts the sample of a jump twice.
+    # A mode that switches a moment earlier, and the gas peak of the quarter in which the set-point jumps.
     known = ("excite_set", "excite_mix", "pgas_tot")
     missed = [target for target in targets if not target.holds and not any(word in target.name for word in known)]
     assert not missed, missed
