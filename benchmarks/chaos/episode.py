@@ -14,7 +14,7 @@ from typing import Any
 
 from benchmarks.chaos.inside import FailingMPC
 from benchmarks.chaos.judging import jumps, unsaid_units, wrong_inputs, wrong_steps
-from benchmarks.chaos.live import MOST_SILENT_S
+from benchmarks.chaos.live import MOST_SILENT_S, Silence
 from benchmarks.chaos.proxy import Proxy, serving
 from benchmarks.chaos.troubles import Trouble
 from boptest_client import TransportConfig
@@ -38,16 +38,15 @@ _CONNECT_S, _READ_S, _SILENT_S = 10.0, 5.0, 5.5
 
 
 class _Heard(logging.Handler):
-    """How long the package said nothing, at most, s."""
+    """How long the package said nothing."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
-        self.longest_s, self._last = 0.0, time.perf_counter()
+        self.silence = Silence()
 
     def emit(self, record: logging.LogRecord) -> None:
         """A word is said."""
-        now = time.perf_counter()
-        self.longest_s, self._last = max(self.longest_s, now - self._last), now
+        self.silence.word()
 
 
 @contextmanager
@@ -155,8 +154,8 @@ def _run(setting: Setting, troubles: tuple[Trouble, ...], seed: int, most_Kh: fl
     faults += wrong_inputs(seen.inputs) + wrong_steps(entries, seen.step_ends_s, troubles, ended == "done")
     if ended == "done":
         faults += unsaid_units(entries, seen.made)
-    if heard.longest_s > MOST_SILENT_S:
-        faults.append(f"silent for {heard.longest_s:.0f} s")
+    if heard.silence.longest_s > MOST_SILENT_S:
+        faults.append(f"silent for {heard.silence.longest_s:.0f} s")
     if not (seen.stopped or seen.restarted):
         faults.append("the test was not stopped")
     discomfort_Kh = seen.kpis.get("tdis_tot", math.nan)

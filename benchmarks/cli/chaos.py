@@ -42,17 +42,18 @@ def command(
     before or after the request was handed on, half answers, doubled and late requests, JSON of another kind, redirects,
     pages, null and old answers in place of the service's, clocks that are wrong, readings in °C, prices times 100,
     power or heat in kW, a service away for up to 14 minutes, one that gives no forecasts, for hours or for good, or
-    forgot its test, readings missing, NaN or stuck, and a solver or forecaster that raises, hangs or returns NaN.
-    Pauses of the client pass at once; services run in these processes.
+    forgot its test, readings missing, NaN or stuck, and a solver or forecaster that raises, hangs, returns NaN, levels
+    out of range or of another shape, or 59,574 °C. Pauses of the client pass at once; services run in these processes.
 
     A quarter as many trials follow: journals with flipped bits, folders of other people with a link, a pipe or an
-    address, tables that never end, FMUs that hang, creep, fail or crash.
+    address, tables that never end, are damaged, or torn while they are read, models whose heat cannot be or whose card
+    is made up, stamps ahead or behind, two controllers of one house, FMUs that hang, creep, fail or crash.
 
     Of every episode it is checked that no error ended it (a service that forgot its test may, with a named one), that
     every action sent was finite and in range, that the journal has every simulated step once, that the test was
-    stopped, that wrong units were said, and that discomfort was at most 1.5 times that of the same run without faults
-    and 1 K·h. Exit code 1 where one of these does not hold. After Ctrl-C the table is that of the episodes until then
-    (exit code 130).
+    stopped, that wrong units were said, that it was not silent for 10 s, and that discomfort was at most 1.5 times that
+    of the same run without faults and 1 K·h. Exit code 1 where one of these does not hold. After Ctrl-C the table is
+    that of the episodes until then (exit code 130).
 
     \b
     Examples:

@@ -10,10 +10,10 @@ import numpy as np
 
 from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.faults.faulty_plant import FaultyPlant
-from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.boundary.weather import CONTINENTAL, synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
-from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants.embedded import EmbeddedPlant, PointEmulator
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
 from thermoforce_mpc.plants.rooms import house_of_rooms
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -23,6 +23,8 @@ from thermoforce_mpc.scenario.testcase import TestCase
 _SEASONS = ("16", "44", "108", "290")
 # Outdoors in the mean, °C, and most sun, W/m², of an air unit in winter, spring and summer.
 _AIR = ((-4.0, 400.0), (3.0, 600.0), (12.0, 800.0), (24.0, 800.0))
+# Windows of BOPTEST's test cases.
+_HEAT_WINDOWS, _COOL_WINDOWS = ("peak_heat_day", "typical_heat_day"), ("peak_cool_day", "typical_cool_day")
 # A fault begins so long after the run, s; a day of it.
 _AFTER_S = 2.0 * DAY_S
 # Another load on the meter by day, W; sun on a sensor, K; hours until which a machine stands.
@@ -105,12 +107,28 @@ def _rooms(use: str) -> Callable[[PanelCase], BuiltCase]:
     return of
 
 
+def _by_points(name: str, days: tuple[str, ...]) -> Callable[[PanelCase], BuiltCase]:
+    """An embedded plant that acts by the points of its test case file, one of its windows after another."""
+
+    def of(case: PanelCase) -> BuiltCase:
+        testcase = load_testcase(name)
+        weather = synthetic_weather(climate=CONTINENTAL) if name == "bestest_air" else synthetic_weather()
+        plant = PointEmulator(testcase, weather)
+        return BuiltCase(plant, testcase, plant.period(days[case.number % len(days)]))
+
+    return of
+
+
 KINDS: dict[str, Callable[[PanelCase], BuiltCase]] = {
     "generated house": _drawn,
     "embedded": _embedded,
     "generated house, other": lambda case: _drawn(replace(case, number=1000 + case.number)),
     "air unit": _air,
     "office": _rooms("office"),
+    "bestest_air": _by_points(
+        "bestest_air", ("peak_heat_day", "peak_cool_day", "typical_heat_day", "typical_cool_day")
+    ),
+    "bestest_hydronic": _by_points("bestest_hydronic", ("peak_heat_day", "typical_heat_day")),
     "house of rooms": _rooms("house"),
 }
 """Plants by kind; generated houses are drawn twice as often as the rest."""

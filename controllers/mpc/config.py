@@ -102,7 +102,7 @@ class DeadlineConfig(StrictModel):
 
     forecast_s: float = Field(60.0, gt=0, description="free forecasts of all zones of a step, s")
     solve_s: float = Field(60.0, gt=0, description="solve of a step, s; solvers have limits of their own as well")
-    look_s: float = Field(20.0, gt=0, description="look for sun on the zone sensors, at night, s")
+    look_s: float = Field(60.0, gt=0, description="look for sun on the zone sensors, at night, s")
 
 
 class MoveBlockingConfig(StrictModel):
@@ -127,8 +127,12 @@ class MPCConfig(StrictModel):
         description="chance level of the bound that actuation protects (heating: the lower): comfort is planned for "
         "this quantile of the free forecast; 0.5: for the median",
     )
-    backoff_level_other: float = Field(
-        0.3, gt=0, le=0.5, description="chance level of the other bound (heating: the upper, exceeded by solar gains)"
+    backoff_level_other: float | None = Field(
+        None,
+        gt=0,
+        le=0.5,
+        description="chance level of the other bound (heating: the upper, exceeded by solar gains); null: what heat "
+        "costs over what discomfort counts, between 0.05 and 0.3, since heat cannot be taken back",
     )
     backoff_violation_K: float | None = Field(
         0.0135,

@@ -132,9 +132,9 @@ class Formulation:
         cap_kW = math.inf if aims.power_cap_kW is None else aims.power_cap_kW
         left_W = np.maximum(1000.0 * cap_kW - foreign_W, 0.0)
         dearest = price.max(axis=1)[fed_by]
-        comfort, news = self._comfort_weights(operator, context.features[:, -1], dearest * highest_W)
+        comfort, heat, news = self._comfort_weights(operator, context.features[:, -1], dearest * highest_W)
         T_C = history.T_zone_C[:, -1]
-        bounds = self.margins.bounds(operator, context.free, boundary, margins.learned, T_C)
+        bounds = self.margins.bounds(operator, context.free, boundary, margins.learned, T_C, heat / comfort)
         bounds = self._left_to_others(bounds, boundary, T_C, overridden)
         problem = MPCProblem(
             forced_state_K=context.forced_K,
@@ -215,8 +215,9 @@ class Formulation:
         power = self._expected[self._layout.machine_of[a]]
         return power.metered(levels, record.time_s[:-1], record.T_out_C[:-1], record.T_return_C[0])
 
-    def _comfort_weights(self, operator: BuildingOperator, features: Array, price_W: Array) -> tuple[Array, str]:
-        """Penalty on comfort violation (Z,), currency/(K·h), and which of them were raised so that heat stays cheaper.
+    def _comfort_weights(self, operator: BuildingOperator, features: Array, price_W: Array) -> tuple[Array, Array, str]:
+        """Penalty on comfort violation (Z,), currency/(K·h), what the heat costs that avoids one, infinite where there
+        is none, and which penalties were raised so that heat stays cheaper.
 
         What avoids a K·h costs the heat of a day at full level over what it adds to the zone, from rest. `features`
         (Z, 4) are those of the last step, `price_W` (A,) is the highest price per kWh times power at full level, W.
@@ -236,7 +237,7 @@ class Formulation:
             f"costs {heat[z]:.3g}"
             for z in np.flatnonzero(least > weights)
         ]
-        return np.maximum(weights, least), "; ".join(raised)
+        return np.maximum(weights, least), heat, "; ".join(raised)
 
     def _full_drive(self, pair: OperatorParameters, a: int, features: Array) -> float:
         """Drive of actuator `a` at its highest level, with `features` (4,) of its home zone."""

@@ -45,6 +45,9 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Share of the highest level from which an actuator counts as fully used.
 _FULLY_USED = 0.95
+# Chance levels of the bound that actuation does not protect. A margin there costs heat that is not stored, and saves
+# discomfort that cannot be taken back: best is the quantile at the ratio of the two (newsvendor, Arrow et al. 1951).
+_OTHER_LEVELS = (0.05, 0.3)
 # Hours before a bound begins in which a recovery could have begun: those of a setback.
 _BEFORE_H = 12.0
 # Largest offset added to a prediction, K: beyond, the model is wrong rather than off.
@@ -128,20 +131,27 @@ class MarginRules:
         )
 
     def bounds(
-        self, operator: BuildingOperator, free: FreeForecast, boundary: Boundary, learned: LearnedMargin, T_C: Array
+        self,
+        operator: BuildingOperator,
+        free: FreeForecast,
+        boundary: Boundary,
+        learned: LearnedMargin,
+        T_C: Array,
+        heat_share: Array,
     ) -> Bounds:
         """Comfort bounds at the end of each step with all margins inside: the only place where they are added.
 
         `operator`: adjusted to the actuation; `boundary`: the bounds, N steps; `T_C` (Z,): temperatures of the zones
-        now, °C.
+        now, °C; `heat_share` (Z,): what the heat costs that avoids a K·h of discomfort, over what that counts.
         """
         c, rows, soon = self._config, [], steps_soon(self._step_s)
         for z in range(len(operator.zones)):
             own = self._layout.actuators_of(z)
             signs = {self._layout.signs[a] for a in own}
             # The bound that actuation protects has the chance level of its own; both, where heat and cold are at hand.
-            low = c.backoff_level if 1 in signs or not own else c.backoff_level_other
-            high = c.backoff_level if -1 in signs else c.backoff_level_other
+            other = c.backoff_level_other or float(np.clip(heat_share[z], *_OTHER_LEVELS))
+            low = c.backoff_level if 1 in signs or not own else other
+            high = c.backoff_level if -1 in signs else other
             below, above = (
                 np.minimum(
                     backoff_K(free, self._step_s, level, c.backoff_violation_K, below=is_lower)[z], c.backoff_max_K

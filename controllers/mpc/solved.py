@@ -229,7 +229,7 @@ def reason_of(
         what = f"{'lower' if low else 'upper'} bound with its margin, {bound_C:.2f} °C, binds"
     hours = (when + 1) * problem.step_s / HOUR_S
     where = _of(zones, z)
-    return f"{what}{where} in {hours:g} h (80 % band of the free forecast there: {band[z, when]:.2f} K)"
+    return f"{what}{where} in {hours:.4g} h (80 % band of the free forecast there: {band[z, when]:.2f} K)"
 
 
 def _of(zones: Sequence[str], z: int) -> str:

@@ -57,6 +57,15 @@ class ThermostatConfig(StrictModel):
     )
     setback: Setback | None = Field(None, description="weekday hours during which the machine stays off; null: none")
 
+    @property
+    def in_words(self) -> str:
+        """What it keeps, and when."""
+        of_each = ", ".join(f"{setpoint:g} °C at {name}" for name, setpoint in self.setpoints_C.items())
+        kept = f"keeps {of_each or f'{self.setpoint_C:g} °C'} (± {self.deadband_K:g} K)"
+        if self.setback is None:
+            return f"{kept} day and night, whatever the comfort bounds are"
+        return f"{kept}, off from {self.setback.from_hour:g} to {self.setback.to_hour:g} h on weekdays"
+
 
 def thermostat_for(testcase: TestCase, comfort: Comfort | None, options: Mapping[str, Any]) -> dict[str, Any]:
     """Defaults of its options for a test case, see `Entry.suited`.

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 import pytest
 from pydantic import BaseModel
 
+from thermoforce_mpc.cli.running.comparing import contestants_in_words
 from thermoforce_mpc.comparison import cells
 from thermoforce_mpc.comparison.cells import expand
 from thermoforce_mpc.comparison.variants import (
@@ -248,3 +249,29 @@ def test_a_sweep_is_one_variant_per_value():
         swept_variants("pi", "kp", [float("nan")], testcase)
     with pytest.raises(ConfigError, match="kp"):
         swept_variants("pi", "kp", [-1.0], testcase)
+
+
+def test_limits_of_the_building_are_given_to_all_who_know_them_and_the_thermostat_is_described():
+    cap = {"power_cap_kW": 2.5, "power_cap_price_per_kWh": 2.0}
+    options = {"objective": {**cap, "comfort_weight_per_m2": 0.1}}
+    base = Scenario(testcase=TESTCASE, days=1, controller={"name": "thermoforce_mpc", "options": options})
+    other = Variant(controller="rc_mpc", options={"objective": {"power_cap_price_per_kWh": 3.0}})
+    low = Variant(controller="thermostat", options={"setback": {"from_hour": 22, "to_hour": 6}})
+    named = {
+        "ours": Variant(controller="thermoforce_mpc"),
+        "rc": other,
+        "low": low,
+        "native": Variant(controller="native"),
+    }
+    cells_ = expand(base, named, ["44"], ["constant"])
+    of = {cell.variant: cell.scenario.controller.options for cell in cells_}
+    assert of["ours"]["objective"]["power_cap_kW"] == 2.5
+    assert of["rc"] == {"objective": {"power_cap_kW": 2.5, "power_cap_price_per_kWh": 3.0}}, "a limit, no aim"
+    assert not of["native"]
+    said = contestants_in_words(base, cells_)
+    assert said[0].startswith(
+        "power_cap_kW 2.5, power_cap_price_per_kWh 2: given to ours, rc; low, native know no limits"
+    )
+    assert said[1] == "low keeps 21.3 °C (± 0.1 K), off from 22 to 6 h on weekdays"
+    plain = contestants_in_words(BASE, expand(BASE, {"t": Variant(controller="thermostat")}, ["44"], ["constant"]))
+    assert plain == ["t keeps 21.3 °C (± 0.1 K) day and night, whatever the comfort bounds are"]

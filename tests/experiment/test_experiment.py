@@ -16,6 +16,7 @@ from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.identifying import IdentificationTask, SavedModel
 from thermoforce_mpc.plants import testcases
 from thermoforce_mpc.scenario import settings
+from thermoforce_mpc.scenario import testcase as testcase_module
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import named_configs
 
@@ -40,7 +41,7 @@ def done(monkeypatch) -> Counter[tuple[str, object]]:
     counted(registry, "validate", "validated", lambda model, data, source: source)
     counted(settings, "read_yaml", "read", str)
     counted(testcases, "read_yaml", "read", str)
-    counted(testcases, "parse_yaml", "read", lambda content, path: str(path))
+    counted(testcase_module, "parse_yaml", "read", lambda content, path: str(path))
     monkeypatch.setattr(experiment_run, "build_plant", lambda *_: SimpleHouse())
     return times
 

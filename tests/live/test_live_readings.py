@@ -116,6 +116,19 @@ def test_outdoors_in_another_unit_is_said_and_the_forecast_stands_in():
     assert any("outdoor (column out)" in note and "set unit: 'K'" in note for note in told[0].notes)
 
 
+@pytest.mark.parametrize("source", ["measured", "in the forecast"])
+def test_outdoors_in_fahrenheit_is_seen_beside_the_forecast(source):
+    house = SimulatedBuilding()
+    if source == "measured":
+        changed(house, lambda table: table.assign(out=table["out"] * 1.8 + 32))
+    else:
+        live = house.forecast
+        house.forecast = lambda: live().assign(out=lambda table: table["out"] * 1.8 + 32)
+    told = controlled(house, 1)
+    assert any(f"°F {source}? set unit" in note for note in told[0].notes)
+    assert not any("°F" in note for note in controlled(SimulatedBuilding(), 1)[0].notes)
+
+
 def test_a_logger_between_the_steps_is_believed():
     """Rows at 20 and 50 minutes past, decisions at the hour: no reading stands at the instant of one."""
     house = SimulatedBuilding()

@@ -10,7 +10,8 @@ from two_houses import TWO, TwoHouses
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Period, Plan, PlanStatus
 from thermoforce_mpc.errors import PlantError
-from thermoforce_mpc.loop.closed_loop import checked_blocks, run_closed_loop
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.loop import checked_blocks
 from thermoforce_mpc.records.run_folder import steps_frame, trajectory_frame
 
 

@@ -13,7 +13,6 @@ from simulated_building import RULES, SimulatedBuilding, mpc
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, ZERO_C_K, Layout, Period
-from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
@@ -22,6 +21,9 @@ from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 # Day 10 to 12 with three days before it.
 PERIOD = Period("test", 10 * DAY_S, 2 * DAY_S, 3 * DAY_S)
 LAYOUT = Layout.single("heating", floor_area_m2=100.0)
+
+# How notes begin that are about units.
+DOUBTS = ("unit of", "prices of", "zones.")
 
 
 class WrongHouse(SimpleHouse):
@@ -54,9 +56,7 @@ def noted(model, currency="EUR", **changes) -> dict[int, str]:
     options = {"step_s": 3600.0, "horizon_h": 12.0, "gate": {"enabled": False}}
     controller = ThermoForceMPC(model, MPCConfig.model_validate(options), free_response=OutdoorResponse())
     result = run_closed_loop(WrongHouse(**changes), controller, PERIOD, units=UnitDoubts(LAYOUT, model, currency))
-    notes = {
-        step.index: [note for note in step.notes if note.startswith(("unit of", "prices of"))] for step in result.steps
-    }
+    notes = {step.index: [note for note in step.notes if note.startswith(DOUBTS)] for step in result.steps}
     return {index: "; ".join(found) for index, found in notes.items() if found}
 
 
@@ -91,6 +91,13 @@ def test_prices_in_another_currency_are_not_judged():
     assert "where 0.01 to 2 EUR are usual" in noted(simple_model(), factor=120.0, signals=PRICES)[0]
 
 
+def test_gas_may_be_a_tenth_as_dear_as_electricity_at_least():
+    """That of BOPTEST's `bestest_air` costs 0.0029 USD per kWh."""
+    assert noted(simple_model(), factor=0.02, signals=["heating_price_per_kWh"]) == {}
+    assert "too low by a factor" in noted(simple_model(), factor=0.002, signals=["heating_price_per_kWh"])[0]
+    assert "too low by a factor" in noted(simple_model(), factor=0.02, signals=PRICES)[0]
+
+
 def test_a_meter_that_changes_its_unit_is_said_within_a_day():
     found = noted(simple_model(), factor=1e-3, signals=["power_W"], from_day=10.1)
     assert list(found) == [24], found
@@ -105,7 +112,7 @@ def told_by(house, rules=RULES):
     told = []
     building = LiveBuilding(house, MeasurementMap.model_validate(rules), 3600.0)
     control(building, mpc(), clock=house, steps=2, told=told.append)
-    return [[note for note in decision.notes if note.startswith(("unit of", "prices of"))] for decision in told]
+    return [[note for note in decision.notes if note.startswith(DOUBTS)] for decision in told]
 
 
 class WrongBuilding(SimulatedBuilding):
@@ -128,5 +135,5 @@ def test_in_live_operation_too():
     assert not second, "said once"
     dear = {**RULES, "machines": {"machine": {"power": "P", "price": 25.0}}}
     assert "per MWh, or in cents, or in another currency?" in told_by(SimulatedBuilding(), dear)[0][0]
-    with pytest.raises(DataError, match=r"they look like K: set unit: 'K'"):
-        told_by(WrongBuilding("T", 1.0, ZERO_C_K))
+    (in_kelvin, *_), _ = told_by(WrongBuilding("T", 1.0, ZERO_C_K))
+    assert "in K they were usual: set unit: 'K'" in in_kelvin, "and the building is left to its own control"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import time
 from dataclasses import replace
 
 import pytest
@@ -12,9 +13,10 @@ from simple_house import SimpleHouse
 from controllers.registry import build_controller
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.probing import ProbingProgress
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.report import display
-from thermoforce_mpc.report.display import LoopDisplay
+from thermoforce_mpc.report.display import LoopDisplay, ProbingDisplay
 
 KPIS = {"cost_tot": 0.5, "tdis_tot": 1.0}
 
@@ -59,8 +61,23 @@ def test_a_loop_is_one_line_with_what_it_found(result):
 def test_a_loop_that_takes_long_says_so_now_and_then_and_ever_less_often(result, monkeypatch):
     lines = lines_of(result, seconds_a_step=2.0, monkeypatch=monkeypatch)
     days = [line.split("day")[1].split("/")[0].strip() for line in lines[:-1]]
-    assert days == ["2.00", "3.00", "5.00"], "after 1, 2 and 4 minutes or the first day that ends then"
+    assert days == ["0.12", "0.21", "0.42", "0.83", "1.67", "3.33", "6.67"], "after 5, 10, 20, … s"
+
     assert lines[-1].startswith("native: 9 days in 7 min")
+
+
+def test_until_a_plant_has_warmed_up_it_is_said_that_it_does(monkeypatch):
+    monkeypatch.setattr(display, "SAID_AFTER_S", 0.1)
+    console = Console(file=io.StringIO(), width=200)
+    with ProbingDisplay(console, False, "Probing for 3 days and identifying") as progress:
+        time.sleep(0.35)
+        progress(ProbingProgress(0.5, 3.0))
+        said = console.file.getvalue()
+        time.sleep(0.3)
+    begins, *lines = said.splitlines()
+    assert begins == "Probing for 3 days and identifying"
+    assert "the plant warms up under its own control before the probing: " in lines[0]
+    assert len(console.file.getvalue().splitlines()) <= len(lines) + 1, "once it has, nothing more is said of that"
 
 
 def test_a_loop_that_fails_has_no_line_of_what_it_found(result):

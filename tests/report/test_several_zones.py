@@ -87,7 +87,7 @@ def test_progress_shows_every_zone_and_marks_those_outside_their_bounds(result, 
     with LoopDisplay(console, "planner", result.period, lambda: {}, "EUR", quiet=False) as display:
         for step in result.steps:
             display.step(step)
-    line = next(text for text in console.export_text().splitlines() if "°C" in text)
+    line = next(text for text in console.export_text().splitlines() if "day  1.00/" in text)
     last = result.samples[len(result.samples) // 2 - 1]  # at the end of the first of two days
     marks = [
         "" if low <= T <= high else "!" for T, low, high in zip(last.T_zone_C, last.lower_C, last.upper_C, strict=True)

@@ -10,7 +10,7 @@ from boptest_client import BoptestClient
 from thermoforce_mpc.boundary.weather import CONTINENTAL, MARITIME, synthetic_weather
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant
-from thermoforce_mpc.plants.embedded import emulator_of
+from thermoforce_mpc.plants.registry import emulator_of
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.service.server import serving
 

@@ -150,12 +150,16 @@ def tariff_from_file(path: Path) -> Tariff:
     return held_prices(time_s, price, str(path))
 
 
-def price_doubt(price: Array, currency: str = "") -> str:
-    """What is doubtful about the size of prices per kWh in EUR or USD; '' where nothing is."""
+def price_doubt(price: Array, currency: str = "", *, fuel: bool = False) -> str:
+    """What is doubtful about the size of prices per kWh in EUR or USD; '' where nothing is.
+
+    `fuel`: of another carrier than electricity, which may be a tenth as dear: gas of `bestest_air` costs 0.0029 USD.
+    """
     if currency and currency not in _USUAL_IN:
         return ""
     known = np.abs(price[np.isfinite(price)])
     mean, (low, high) = (float(known.mean()) if known.size else 0.0), _USUAL_PRICES
+    low = low / 10.0 if fuel else low
     if mean == 0.0 or low <= mean <= high:
         return ""
     unit = "per MWh, or in cents" if mean > high else "too low by a factor of 10, 100 or 1000"

@@ -210,6 +210,8 @@ def plot_option(default: Path | None = None, of: str = "") -> Callable[[Function
 
 
 # Keys of a scenario by option.
+# Test cases whose plants need nothing beside the package.
+_READY = "bestest_hydronic_heat_pump, bestest_hydronic, bestest_air, house:3rooms or generated:2026:0"
 _KEYS = {
     **{name: name for name in ("testcase", "period", "days", "price", "seed", "equal_comfort")},
     "start": "period",
@@ -265,7 +267,10 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     keys = merge(keys, parse_overrides(options.get("assignments", ())))
     given = merge(defaults or {}, keys)
     if path is None and "testcase" not in given:
-        raise click.UsageError("no test case: give --testcase NAME or --config FILE (see `tf-mpc testcases`)")
+        raise click.UsageError(
+            f"no test case: give --testcase NAME or --config FILE; nothing else is needed for {_READY} (`tf-mpc "
+            "testcases` lists all)"
+        )
     scenario = load_scenario(path, given)
     check_named_code([scenario.model_dump()], [keys], options.get("code", ()), str(path or options.get("variants")))
     if "url" in keys.get("plant", ()):

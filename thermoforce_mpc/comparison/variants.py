@@ -16,6 +16,8 @@ from thermoforce_mpc.scenario.scenario import Scenario, full_name
 from thermoforce_mpc.scenario.settings import StrictModel, find_config, merge, nested, read_yaml, suggestion, validate
 from thermoforce_mpc.scenario.testcase import Price, TestCase
 
+# Options of an objective that are limits of the building, not aims of a controller.
+_LIMITS = ("power_cap_kW", "power_cap_price_per_kWh", "peak_price_per_kW")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 _.,=+%-]*")
 
 
@@ -130,7 +132,8 @@ def numeric_option(controller: str, key: str) -> str:
 def variant_scenario(base: Scenario, variant: Variant, window: str, price: str, uncertainty: str) -> Scenario:
     """Scenario of one cell: `base` with this variant, window, tariff and forecast error level; raises `ConfigError`.
 
-    The controller's options are those of `base` where it is the same controller, then the variant's.
+    The controller's options are those of `base` where it is the same controller, else the limits among them
+    (`shared_limits`), then the variant's.
     """
     over: dict[str, Any] = {
         "period": window,
@@ -138,10 +141,25 @@ def variant_scenario(base: Scenario, variant: Variant, window: str, price: str, 
         "plant": {"forecast_uncertainty": uncertainty},
         "identification": variant.identification,
     } | ({} if variant.step_s is None else {"step_s": variant.step_s})
-    own = base.controller.options if variant.controller == base.controller.name else {}
+    same = variant.controller == base.controller.name
+    own = base.controller.options if same else shared_limits(base, variant.controller)
     controller = {"name": variant.controller, "options": merge(own, variant.options)}
     data = merge(base.model_dump(), over) | {"controller": controller, "baselines": (), "equal_comfort": None}
     return validate(Scenario, data, f"variant of '{variant.controller}'")
+
+
+def building_limits(base: Scenario) -> dict[str, Any]:
+    """What the options of `base`'s controller say of limits that are those of the building, such as a power cap."""
+    objective = base.controller.options.get("objective")
+    return {key: objective[key] for key in _LIMITS if key in objective} if isinstance(objective, dict) else {}
+
+
+def shared_limits(base: Scenario, controller: str) -> dict[str, Any]:
+    """`building_limits` a scenario as options of another controller; {} where it knows none of them."""
+    objective = find_entry(controller).config().model_fields.get("objective")
+    known = getattr(objective and objective.annotation, "model_fields", {})
+    given = {key: value for key, value in building_limits(base).items() if key in known}
+    return {"objective": given} if given else {}
 
 
 def known_names(text: str, option: str, known: Collection[str]) -> tuple[str, ...]:

@@ -15,8 +15,8 @@ from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.plants.boptest.plant import failures
-from thermoforce_mpc.plants.embedded import emulator_of
 from thermoforce_mpc.plants.embedded.cases import CASES, HEAT_PUMP
+from thermoforce_mpc.plants.registry import emulator_of
 
 Limits = tuple[float | None, float | None]
 

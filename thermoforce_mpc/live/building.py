@@ -23,6 +23,8 @@ from thermoforce_mpc.protocols import Connection
 _BACK_DAYS, _OLDEST_DAYS = 28.0, 1.0
 # Longest time for an answer of the connection, s, at most half a step; calls that may be left behind without one.
 ANSWER_S, _LEFT_BEHIND = 60.0, 3
+# Outdoor temperature of so many seconds, so far from its forecast, and as °F so near to it, K: a wrong unit.
+_LATELY_S, _FAR_K, _NEAR_K = 10800.0, 10.0, 4.0
 # Readings stamped after the clock: so little is nothing, so much two clocks that are not the same, s; more is refused,
 # and so much more probably the zone, of half an hour at least less what a reading is old.
 _SAME_CLOCK_S, _CLOCKS_S, _ZONE_S = 60.0, 300.0, 1200.0
@@ -146,7 +148,7 @@ class LiveBuilding:
                 now=self._now,
                 left_out=left_out,
             )
-            self.left_out = (*self.left_out, *left_out)
+            self.left_out = (*self.left_out, *left_out, *_doubt_of_outdoors(self._measured.record, ahead))
             return ahead.head(n)
         except (InputError, PlantError) as error:
             raise NoForecast(str(error)) from error
@@ -163,6 +165,23 @@ class LiveBuilding:
             return self._calls(self._reader, getattr(self.connection, what), self._answer_s)
         except Exception as error:  # somebody's connection may raise anything
             raise PlantError(f"the connection gives no {what} ({type(error).__name__}: {error})") from error
+
+
+def _doubt_of_outdoors(record: Record, ahead: Boundary) -> tuple[str, ...]:
+    """A note where outdoor temperature and its forecast for now differ as °F and °C do."""
+    measured = record.T_out_C[-max(1, round(_LATELY_S / record.step_s)) :]
+    known, given = measured[np.isfinite(measured)], float(ahead.T_out_C[0])
+    if not known.size or not math.isfinite(given):
+        return ()
+    now_C = float(np.median(known))
+    if abs(now_C - given) <= _FAR_K:
+        return ()
+    for what, one, other in (("measured", now_C, given), ("in the forecast", given, now_C)):
+        if abs((one - 32.0) / 1.8 - other) < _NEAR_K:
+            return (
+                f"outdoors it is {now_C:.1f} °C as measured and {given:.1f} °C by the forecast: °F {what}? set unit",
+            )
+    return ()
 
 
 def _duration(seconds: float) -> str:

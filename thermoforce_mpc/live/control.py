@@ -11,20 +11,19 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 import pandas as pd
 
 from thermoforce_mpc.connections.sole import set_by, sole_control
-from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
+from thermoforce_mpc.data import Block, Boundary, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.errors import PlantError, ThermoForceError
+from thermoforce_mpc.errors import ControllerRaised, PlantError, ThermoForceError
 from thermoforce_mpc.live.building import Applied, LiveBuilding
 from thermoforce_mpc.live.kept import Kept, KeptState
-from thermoforce_mpc.loop.closed_loop import checked_blocks
-from thermoforce_mpc.loop.forecasts import OUTAGE_H, Forecasts
+from thermoforce_mpc.loop.forecasts import OUTAGE_H
+from thermoforce_mpc.loop.loop import Believed, Decided, Loop
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of, screened_history
 from thermoforce_mpc.protocols import Controller
@@ -110,128 +109,152 @@ def control(
         PlantError: the building did not take its levels back at the end.
     """
     sets = set_by(building.connection) if sets is None else sets
+    driver = _Building(building, controller, clock or WallClock(), steps, delay_s, dry, kept, told)
     with sole_control(sets) if sets and not dry else nullcontext():
-        _Loop(building, controller, clock or WallClock(), delay_s, dry, outage_h, kept, told).run(steps)
+        Loop(driver, controller, outage_h).run()
 
 
-class _Loop:
+class _Building:
+    """A real building as the driver of a loop: it goes on by itself, and may fail at any time."""
+
+    takes_room_setpoints = False
+
     def __init__(
         self,
         building: LiveBuilding,
         controller: Controller,
         clock: Clock,
+        steps: int | None,
         delay_s: float,
         dry: bool,
-        outage_h: float,
         kept_state: KeptState | None,
         on_decision: Callable[[Decision], None],
     ) -> None:
         self._building, self._controller, self._clock = building, controller, clock
         self._step, self._delay = pd.Timedelta(seconds=controller.step_s), pd.Timedelta(seconds=delay_s)
-        self._dry, self._on_decision, self._kept_state = dry, on_decision, kept_state
-        self._new_forecasts = partial(Forecasts, building, controller.horizon_s, controller.step_s, outage_h)
-        self._forecasts = self._new_forecasts()
+        self._left, self._dry = steps, dry
+        self._on_decision, self._kept_state = on_decision, kept_state
         self._allowed = limits_of(controller)
-        self._units: UnitDoubts | None = None
-        self._state: object = None
+        self._instant: pd.Timestamp | None = None
         self._applied: list[Applied] = []
         self._set = False
-        self._decided: tuple[pd.Timestamp, object] | None = None
+        self._decided: tuple[pd.Timestamp, object, object] | None = None
+        self.begun_anew = False
 
-    def run(self, steps: int | None) -> None:
-        """Decide and act, `steps` times."""
-        index = 0
-        instant = self._building.instant(self._clock.now())
-        if self._kept_state is not None and (kept := self._kept_state.load(instant)):
-            self._building.count_from(pd.Timestamp(kept.origin))
-            self._state, self._applied = kept.state_at(instant), list(kept.applied)
-        try:
-            while steps is None or index < steps:
-                self._clock.wait_until(instant + self._delay)
-                before = self._state
-                decision = self._decision(instant) if index == 0 else self._safe_decision(instant)
-                levels = [block.u for block in decision.blocks]
-                time_s = self._building.time_s(instant)
-                log_decision(
-                    self._controller.name, index, time_s, decision.plan, levels, decision.refused, decision.notes
+    def begin(self) -> object:
+        """See `LoopDriver.begin`: the state that was kept, if it is of this controller and young enough."""
+        self._next = self._building.instant(self._clock.now())
+        if self._kept_state is None or (kept := self._kept_state.load(self._next)) is None:
+            return None
+        self._building.count_from(pd.Timestamp(kept.origin))
+        self._applied = list(kept.applied)
+        return kept.state_at(self._next)
+
+    def next_step(self) -> bool:
+        """See `LoopDriver.next_step`."""
+        self.begun_anew = False
+        if self._instant is not None:
+            # Steps that passed while this one was planned, or while the machine slept, are left out.
+            now = self._building.instant(self._clock.now() - self._delay)
+            self.begun_anew = now < self._instant
+            if self.begun_anew:  # what is known is of times that are to come again
+                _LOG.warning(
+                    "the clock was set back, from the step of %s to that of %s: begun anew", self._instant, now
                 )
-                self._on_decision(decision)
-                if self._dry:
-                    return
-                self._act(decision, before)
-                index += 1
-                # Steps that passed while this one was planned, or while the machine slept, are left out.
-                now = self._building.instant(self._clock.now() - self._delay)
-                if now < instant:  # what is known is of times that are to come again
-                    _LOG.warning("the clock was set back, from the step of %s to that of %s: begun anew", instant, now)
-                    self._state, self._applied, self._forecasts = None, [], self._new_forecasts()
-                    instant = now
-                else:
-                    instant = max(instant + self._step, now)
-        finally:
-            self._release()
+                self._applied, self._next = [], now
+            else:
+                self._next = max(self._instant + self._step, now)
+        if self._left == 0:
+            return False
+        self._left = None if self._left is None else self._left - 1
+        self._instant = self._next
+        self._clock.wait_until(self._instant + self._delay)
+        return True
 
-    def _decision(self, instant: pd.Timestamp) -> Decision:
+    def read(self) -> Believed:
+        """See `LoopDriver.read`."""
         building, controller = self._building, self._controller
-        as_read = building.record(instant, self._applied, self._clock.now())
+        as_read = building.record(self._at, self._applied, self._clock.now())
         record, doubts = screened_history(as_read, self._allowed)
         model = getattr(controller, "model", None)
         if model is not None:
             check_same_building("the model", model.names, "the map", record.names)
-        forecast, filled, gaps = self._forecasts.now(record)
-        self._units = self._units or UnitDoubts(building.layout, model)
-        gaps += self._units.now(as_read, filled)
-        plan = controller.plan(Observation(record, forecast), self._state)
-        plan, after = replace(plan, state=None), plan.state
-        blocks, refused = checked_blocks(
-            plan, controller.step_s, controller.step_s, building.layout.lowest, record.names
-        )
-        if any(band is not None for block in blocks for band in block.band_C):
-            refused = "refused room set-points, which a connection has none of: native control instead"
-            blocks = (Block.native(len(building.names), controller.step_s),)
-        # A plan that was refused did not act: the controller goes on from what it knew before.
-        self._state = self._state if refused else after
-        return Decision(instant, plan, blocks, refused, (*building.left_out, *doubts, *gaps))
+        return Believed(record, as_read, doubts, controller.step_s, building.layout.lowest)
 
-    def _safe_decision(self, instant: pd.Timestamp) -> Decision:
-        try:
-            return self._decision(instant)
-        except Exception as error:  # nobody is there to start it again: the next step may be better
-            expected = isinstance(error, ThermoForceError)
-            _LOG.warning("no decision at %s: %s", instant, error, exc_info=None if expected else error)
-            why = f"the building's own control: {error if expected else f'{type(error).__name__}: {error}'}"
-            native = Block.native(len(self._building.names), self._controller.step_s)
-            return Decision(instant, Plan((native,), PlanStatus.NATIVE, why), (native,))
+    def units(self) -> UnitDoubts | None:
+        """See `LoopDriver.units`."""
+        return UnitDoubts(self._building.layout, getattr(self._controller, "model", None))
 
-    def _act(self, decision: Decision, before: object) -> None:
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """See `Plant.forecast`."""
+        return self._building.forecast(horizon_s, interval_s)
+
+    def instead(self, index: int, error: Exception, state: object) -> Decided:
+        """See `LoopDriver.instead`: the building's own control, but for what is wrong from the start."""
+        if index == 0:
+            raise error
+        # Nobody is there to start it again: the next step may be better.
+        raised = error.__cause__ if isinstance(error, ControllerRaised) and error.__cause__ else error
+        expected = isinstance(raised, ThermoForceError)
+        _LOG.warning("no decision at %s: %s", self._at, raised, exc_info=None if expected else raised)
+        why = f"the building's own control: {raised if expected else f'{type(raised).__name__}: {raised}'}"
+        native = Block.native(len(self._building.names), self._controller.step_s)
+        plan = Plan((native,), PlanStatus.NATIVE, why)
+        return Decided(index, None, None, plan, (native,), before=state, after=state)
+
+    def act(self, decided: Decided) -> object:
+        """See `LoopDriver.act`."""
+        levels, time_s = [block.u for block in decided.blocks], self._building.time_s(self._at)
+        name, plan, refused = self._controller.name, decided.plan, decided.refused
+        # Of the forecast's table too, which was read after the measurements.
+        notes = decided.notes if decided.observation is None else (*self._building.left_out, *decided.notes)
+        log_decision(name, decided.index, time_s, plan, levels, refused, notes)
+        self._on_decision(Decision(self._at, plan, decided.blocks, refused, notes))
+        if self._dry:
+            self._left = 0
+            return decided.after
+        return self._apply(decided)
+
+    def end(self) -> None:
+        """See `LoopDriver.end`."""
+        self._release()
+
+    @property
+    def _at(self) -> pd.Timestamp:
+        """Begin of the step."""
+        assert self._instant is not None
+        return self._instant
+
+    def _apply(self, decided: Decided) -> object:
         """Set the levels of each block at its time, until the step ends; what is past by then is left out.
 
-        `before`: the controller's state before the decision. What is known is kept first, and again after every block.
+        What is known is kept first, and again after every block. Returns the state to go on from.
         """
-        begin = decision.instant + self._delay
+        begin, state = self._at + self._delay, decided.after
         end = begin + self._step
         beyond_s = min(_NEXT_DECISION_S, self._step.total_seconds())
-        self._keep(decision.instant, before)
-        for block in decision.blocks:
+        self._keep(self._at, decided.before, state)
+        for block in decided.blocks:
             until = min(begin + pd.Timedelta(seconds=block.duration_s), end)
             if until > self._clock.now():
                 self._clock.wait_until(begin)
                 hold_s = (end - self._clock.now()).total_seconds() + beyond_s
                 taken = self._write(block.u, hold_s)
                 start_s = self._building.time_s(begin)
-                # Nor did one whose levels were not taken.
-                self._state = self._state if taken else before
+                # A plan whose levels were not taken did not act.
+                state = state if taken else decided.before
                 done = Applied(start_s, block.duration_s, block.u if taken else (None,) * len(block.u))
                 self._applied = [*self._applied, done][-_REMEMBERED:]
-                self._keep(decision.instant, before)
+                self._keep(self._at, decided.before, state)
             begin = until
         self._clock.wait_until(end)
+        return state
 
-    def _keep(self, instant: pd.Timestamp, before: object) -> None:
-        self._decided = instant, before
+    def _keep(self, instant: pd.Timestamp, before: object, after: object) -> None:
+        self._decided = instant, before, after
         if self._kept_state is not None:
             origin = self._building.origin.isoformat()
-            self._kept_state.save(Kept(origin, instant.isoformat(), before, self._state, tuple(self._applied)))
+            self._kept_state.save(Kept(origin, instant.isoformat(), before, after, tuple(self._applied)))
 
     def _write(self, u: Sequence[float | None], seconds: float) -> bool:
         names = self._building.names

@@ -1,10 +1,9 @@
-"""Closed loop of controller and plant: measure, forecast, plan, check, apply."""
+"""The loop on a simulated plant, and what comes of it: samples, steps, results."""
 
 from __future__ import annotations
 
 import math
 import time
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Protocol, cast
@@ -24,16 +23,14 @@ from thermoforce_mpc.data import (
     Plan,
     PlanStatus,
 )
-from thermoforce_mpc.errors import ControllerRaised, DataError, InputError, ThermoForceError
-from thermoforce_mpc.loop.forecasts import OUTAGE_H, Forecasts
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.loop.forecasts import OUTAGE_H
 from thermoforce_mpc.loop.kept_steps import KeptSteps
+from thermoforce_mpc.loop.loop import CLOCK_TOLERANCE_S, Believed, Decided, Loop, wrong_blocks
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
-from thermoforce_mpc.plants.checks import check_levels
 from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
 
-# Tolerance on times, s: shorter remainders are rounding errors of the clock.
-_CLOCK_TOLERANCE_S = 1e-6
 # A plant's clock that is further off after a step has jumped, s.
 _CLOCK_JUMP_S = 0.01
 # Controllers get the record of these latest days. It is cut once a day.
@@ -186,79 +183,136 @@ def run_closed_loop(
         DataError: what the keeper says acted then could not have.
     """
     began = time.perf_counter()
-    start = plant.reset(period.start_s, period.warmup_s, price)
-    allowed = allowed or limits_of(controller)
-    lowest = [allowed.lowest] if lowest is None else lowest
-    as_read = plant.past(controller.step_s)
-    history, doubts = screened_history(as_read, allowed)
-    end_s = period.start_s + period.scored_s
-    now_s = start.time_s
-    records: KeptSteps[StepRecord] = KeptSteps() if steps is None else steps
-    state: object = None
-    forecasts = Forecasts(plant, controller.horizon_s, controller.step_s, outage_h)
-    while end_s - now_s > _CLOCK_TOLERANCE_S:
+    driver = _Simulated(plant, controller, period, price, on_step, allowed, lowest, keeper, steps, record_days, units)
+    state = Loop(driver, controller, outage_h).run()
+    kpis = plant.kpis() | {"time_rat": time_rat(driver.steps, controller.step_s)}
+    return RunResult(period, controller.name, kpis, driver.steps, driver.start, time.perf_counter() - began, state)
+
+
+class _Simulated:
+    """A simulated plant as the driver of a loop: its clock goes on where it is advanced."""
+
+    takes_room_setpoints = True  # a plant that has none refuses them itself
+    begun_anew = False
+    start: Measurement
+
+    def __init__(
+        self,
+        plant: Plant,
+        controller: Controller,
+        period: Period,
+        price: str,
+        on_step: Callable[[StepRecord], None] | None,
+        allowed: Limits | None,
+        lowest: Sequence[float] | None,
+        keeper: StepKeeper | None,
+        steps: KeptSteps[StepRecord] | None,
+        record_days: float,
+        units: UnitDoubts | None,
+    ) -> None:
+        self._plant, self._period, self._price, self._step_s = plant, period, price, controller.step_s
+        self._allowed = allowed or limits_of(controller)
+        self._lowest: Sequence[float] = [self._allowed.lowest] if lowest is None else lowest
+        self._on_step, self._keeper, self._units, self._record_days = on_step, keeper, units, record_days
+        self.steps: KeptSteps[StepRecord] = KeptSteps() if steps is None else steps
+        self._notes: tuple[str, ...] = ()
+
+    def begin(self) -> object:
+        """See `LoopDriver.begin`."""
+        self.start = self._plant.reset(self._period.start_s, self._period.warmup_s, self._price)
+        self._end_s, self._now_s = self._period.start_s + self._period.scored_s, self.start.time_s
+        self._as_read = self._plant.past(self._step_s)
+        self._history, self._notes = screened_history(self._as_read, self._allowed)
+        return None
+
+    def next_step(self) -> bool:
+        """See `LoopDriver.next_step`."""
+        return self._end_s - self._now_s > CLOCK_TOLERANCE_S
+
+    def read(self) -> Believed:
+        """See `LoopDriver.read`."""
+        as_read = self._history if self.steps else self._as_read
+        return Believed(self._history, as_read, self._notes, self._end_s - self._now_s, self._lowest)
+
+    def units(self) -> UnitDoubts | None:
+        """See `LoopDriver.units`."""
+        return self._units
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """See `Plant.forecast`."""
+        return self._plant.forecast(horizon_s, interval_s)
+
+    def instead(self, index: int, error: Exception, state: object) -> Decided:
+        """See `LoopDriver.instead`: nothing acts in the place of what cannot be decided about a simulated plant."""
+        raise error
+
+    def act(self, decided: Decided) -> object:
+        """See `LoopDriver.act`."""
         t0 = time.perf_counter()
-        forecast, boundary, gaps = forecasts.now(history)
-        doubts += units.now(history if records else as_read, boundary) if units else ()
-        t1 = time.perf_counter()
-        # The controller fills holes of the forecast itself, and says so.
-        observation = Observation(history, forecast)
-        plan = _planned(controller, observation, state, len(records))
-        t2 = time.perf_counter()
-        # Records do not hold the controller state, which grows with the run; only the latest is kept.
-        plan, next_state = replace(plan, state=None), plan.state
-        blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s, lowest, history.names)
-        # A plan that was refused did not act: the controller goes on from what it knew before.
-        state = state if refused else next_state
-        if keeper:
-            kept = tuple(keeper.decided(len(records), observation.time_s, plan, blocks, refused))
-            if wrong := _wrong(kept, min(controller.step_s, end_s - now_s), lowest, history.names):
-                raise DataError(f"the journal tells of {wrong}; was it edited? Start the run again")
-            blocks = kept
-        doubts += gaps
-        samples: list[Sample] = []
+        observation, boundary = decided.observation, decided.boundary
+        assert observation is not None
+        assert boundary is not None
+        blocks = self._kept(decided, observation)
+        notes, samples = decided.notes, list[Sample]()
         parts: list[tuple[float, Measurement]] = []
         ahead_s = 0.0
         for block in blocks:
-            reported = advanced(plant, block)
-            measurement, notes = screened(reported, allowed, history)
+            reported = advanced(self._plant, block)
+            measurement, rejected = screened(reported, self._allowed, self._history)
             parts.append((block.duration_s, with_level(measurement, block)))
-            doubts += notes
-            samples.append(sample_of(now_s, block, reported, boundary))
-            ahead_s += reported.time_s - now_s - block.duration_s
-            now_s = reported.time_s
-        t3 = time.perf_counter()
-        if abs(ahead_s) > _CLOCK_JUMP_S:
-            doubts += (
-                f"the plant's clock ran ahead by {ahead_s:g} s: what happened meanwhile is read from its record",
-            )
+            notes += rejected
+            samples.append(sample_of(self._now_s, block, reported, boundary))
+            ahead_s += reported.time_s - self._now_s - block.duration_s
+            self._now_s = reported.time_s
+        t1 = time.perf_counter()
+        jumped = abs(ahead_s) > _CLOCK_JUMP_S
+        if jumped:
+            notes += (f"the plant's clock ran ahead by {ahead_s:g} s: what happened meanwhile is read from its record",)
         record = StepRecord(
-            index=len(records),
+            index=decided.index,
             time_s=observation.time_s,
             T_zone_C=observation.T_zone_C,
             boundary=boundary,
-            plan=plan,
-            refused=refused,
-            plan_seconds=round(t2 - t1, 6),
-            forecast_seconds=round(t1 - t0, 6),
-            plant_seconds=round(t3 - t2, 6),
+            plan=decided.plan,
+            refused=decided.refused,
+            plan_seconds=decided.plan_seconds,
+            forecast_seconds=decided.forecast_seconds,
+            plant_seconds=round(t1 - t0, 6),
             samples=tuple(samples),
-            notes=tuple(dict.fromkeys(doubts)),
+            notes=tuple(dict.fromkeys(notes)),
         )
-        doubts = ()
-        record = keeper.ended(record) if keeper else record
-        records.append(record)
-        if end_s - now_s > _CLOCK_TOLERANCE_S:  # the last step may be cut short, and no plan follows it
-            if abs(ahead_s) > _CLOCK_JUMP_S:
-                history, doubts = screened_history(plant.past(controller.step_s), allowed)
-            else:
-                history = history.extended(parts[-1][1].averaged_with(parts))
-            if history.time_s[-1] - history.time_s[0] > (record_days + 1.0) * DAY_S:
-                history = history.last(round(record_days * DAY_S / controller.step_s))
-        if on_step:
-            on_step(record)
-    kpis = plant.kpis() | {"time_rat": time_rat(records, controller.step_s)}
-    return RunResult(period, controller.name, kpis, records, start, time.perf_counter() - began, state)
+        record = self._keeper.ended(record) if self._keeper else record
+        self.steps.append(record)
+        self._notes = ()
+        if self.next_step():  # the last step may be cut short, and no plan follows it
+            self._learn(parts, jumped)
+        if self._on_step:
+            self._on_step(record)
+        return decided.after
+
+    def _kept(self, decided: Decided, observation: Observation) -> tuple[Block, ...]:
+        """The blocks to apply, once the decision is recorded: of a run that is resumed those of then."""
+        if self._keeper is None:
+            return decided.blocks
+        kept = tuple(
+            self._keeper.decided(decided.index, observation.time_s, decided.plan, decided.blocks, decided.refused)
+        )
+        left_s = min(self._step_s, self._end_s - self._now_s)
+        if wrong := wrong_blocks(kept, left_s, self._lowest, self._history.names):
+            raise DataError(f"the journal tells of {wrong}; was it edited? Start the run again")
+        return kept
+
+    def _learn(self, parts: list[tuple[float, Measurement]], jumped: bool) -> None:
+        """Extend the history by what was measured in a step; after a jump of the clock it is read again."""
+        if jumped:
+            self._history, self._notes = screened_history(self._plant.past(self._step_s), self._allowed)
+        else:
+            self._history = self._history.extended(parts[-1][1].averaged_with(parts))
+        if self._history.time_s[-1] - self._history.time_s[0] > (self._record_days + 1.0) * DAY_S:
+            self._history = self._history.last(round(self._record_days * DAY_S / self._step_s))
+
+    def end(self) -> None:
+        """See `LoopDriver.end`: the plant is its owner's."""
 
 
 def time_rat(steps: Sequence[StepRecord], step_s: float) -> float:
@@ -271,58 +325,6 @@ def advanced(plant: Plant, block: Block) -> Measurement:
     if all(band is None for band in block.band_C):
         return plant.advance(block.u, block.duration_s)
     return cast(RoomSetpointPlant, plant).advance(block.u, block.duration_s, block.band_C)
-
-
-def checked_blocks(
-    plan: Plan, step_s: float, remaining_s: float, lowest: float | Sequence[float] = 0.0, names: Names = SINGLE
-) -> tuple[tuple[Block, ...], str]:
-    """The blocks of `plan` cut to the window and "", or one step of native control and the reason for the refusal.
-
-    Last check before the plant: there must be one level for each actuator of `names`, None or finite and in
-    [`lowest`, 1] (`lowest` of all or of each), room set-points finite and in order; a duration must be finite and
-    positive; the durations must sum to `step_s`. What is wrong with one actuator refuses the plan for all.
-    """
-    native = (Block.native(len(names.actuators), min(step_s, remaining_s)),)
-    if not plan.blocks:
-        return native, "the plan had no action: native control instead"
-    if wrong := _wrong(plan.blocks, step_s, lowest, names):
-        return native, f"refused {wrong}: native control instead"
-    cut: list[Block] = []
-    left_s = remaining_s
-    for block in plan.blocks:
-        if left_s <= _CLOCK_TOLERANCE_S:
-            break
-        cut.append(replace(block, duration_s=min(block.duration_s, left_s)))
-        left_s -= block.duration_s
-    return tuple(cut), ""
-
-
-def _wrong(blocks: Sequence[Block], duration_s: float, lowest: float | Sequence[float], names: Names) -> str:
-    """What is wrong with blocks for `duration_s`, in words; empty where they may be applied."""
-    try:
-        for block in blocks:
-            check_levels(block.u, block.duration_s, block.band_C, names=names, lowest=lowest)
-    except InputError as error:
-        return str(error)
-    total_s = math.fsum(block.duration_s for block in blocks)
-    if abs(total_s - duration_s) > _CLOCK_TOLERANCE_S:
-        return f"blocks of {total_s:g} s in all for a step of {duration_s:g} s"
-    return ""
-
-
-def _planned(controller: Controller, observation: Observation, state: object, index: int) -> Plan:
-    """The controller's plan; raises `ControllerRaised` for whatever else it does."""
-    at = f"{controller.name} in step {index}, day {observation.time_s / DAY_S:.3f}"
-    try:
-        plan = controller.plan(observation, state)
-    except ThermoForceError:  # has its own exit code, and says what to do
-        raise
-    except Exception as error:
-        last = "".join(traceback.format_tb(error.__traceback__)[1:][-3:]).rstrip()
-        raise ControllerRaised(f"{at} raised {type(error).__name__}: {error}\n{last}") from error
-    if not isinstance(plan, Plan):
-        raise ControllerRaised(f"{at} returned a {type(plan).__name__}, not a Plan (docs/how-to/controller.md)")
-    return plan
 
 
 def with_level(measurement: Measurement, block: Block) -> Measurement:
@@ -353,4 +355,4 @@ def sample_of(start_s: float, block: Block, measurement: Measurement, boundary: 
 
 def in_force(boundary: Boundary, start_s: float) -> int:
     """Number of the instant whose bounds and prices hold for a block from `start_s`, s: the latest not after it."""
-    return int(max((boundary.time_s <= start_s + _CLOCK_TOLERANCE_S).sum() - 1, 0))
+    return int(max((boundary.time_s <= start_s + CLOCK_TOLERANCE_S).sum() - 1, 0))

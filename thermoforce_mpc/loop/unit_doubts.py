@@ -54,7 +54,9 @@ class UnitDoubts:
         self._next_s = now_s + DAY_S
         if boundary is not None:
             prices = (boundary.price_per_kWh, boundary.heating_price_per_kWh)
-            doubts["price"] = next(filter(None, (price_doubt(price, self._currency) for price in prices)), "")
+            fuel = not np.array_equal(*prices, equal_nan=True)
+            found = [price_doubt(prices[0], self._currency), price_doubt(prices[1], self._currency, fuel=fuel)]
+            doubts["price"] = next(filter(None, found), "")
         new = {where: words for where, words in doubts.items() if words and where not in self._said}
         for words in new.values():
             _LOG.warning("%s", words)

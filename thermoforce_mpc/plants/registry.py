@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.boundary.tariffs import Tariff
     from thermoforce_mpc.boundary.weather import SyntheticClimate
     from thermoforce_mpc.boundary.weather.year import Weather
+    from thermoforce_mpc.plants.embedded.emulator import Emulator
 
 WEATHER, PRICES, UNCERTAINTY, PEOPLE = "weather", "prices_file", "forecast_uncertainty", "people"
 
@@ -216,6 +217,22 @@ def _point_emulator(spec: PlantSpec, testcase: TestCase, options: Any, seed: int
     weather = _weather(spec, CASES[testcase.plant or ""].climate)
     error, tariff = _error(spec, seed), _tariff(spec)
     return PointEmulator(testcase, weather, highly_dynamic=tariff, forecast_error=error, people=spec.people)
+
+
+def emulator_of(testcase: str, weather: Weather, **options: Any) -> Emulator:
+    """The emulator of an embedded test case by name, acting through the points of its shipped file.
+
+    Raises `ConfigError` for another test case.
+    """
+    from thermoforce_mpc.plants.embedded import EmbeddedPlant, PointEmulator
+    from thermoforce_mpc.plants.embedded.cases import CASES, HEAT_PUMP
+    from thermoforce_mpc.plants.testcases import load_testcase
+
+    if testcase not in CASES:
+        raise ConfigError(f"no embedded plant implements '{testcase}'; those do for {', '.join(CASES)}")
+    if testcase == HEAT_PUMP.name:
+        return EmbeddedPlant(weather, **options)
+    return PointEmulator(load_testcase(testcase), weather, **options)
 
 
 def _error(spec: PlantSpec, seed: int) -> ForecastError | None:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from thermoforce_mpc.errors import ConfigError, InputError
-from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.registry import Registry, builder
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import find_config, is_config, merge, read_yaml, validate
-from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.scenario.yaml_file import MOST_BYTES, parse_yaml
+from thermoforce_mpc.scenario.testcase import TestCase, read_testcase
 
 
 def _house(name: str) -> TestCase:
@@ -49,13 +46,7 @@ def load_testcase(name: str) -> TestCase:
         except InputError as error:
             raise ConfigError(f"testcase: {error}") from error
     path = find_config("testcases", name.replace("energyplus:", "energyplus_", 1), MADE_TESTCASES.names)
-    return _of_content(path, read_bounded(path, MOST_BYTES, ConfigError))
-
-
-@lru_cache(maxsize=64)
-def _of_content(path: Path, content: bytes) -> TestCase:
-    """The test case in a file of this content; that of a scenario is asked for several times before it is run."""
-    return validate(TestCase, parse_yaml(content, path), str(path))
+    return read_testcase(path)
 
 
 def load_scenario(path: Path | None, overrides: Mapping[str, Any]) -> Scenario:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -28,7 +29,9 @@ Kpis = Callable[[], Mapping[str, float]]
 # Loops that end sooner say nothing of it.
 _SHORT_S = 5.0
 # Where nothing can be overwritten, the first line of progress comes after this time, s, the next after twice that, ….
-SAID_AFTER_S = 60.0
+SAID_AFTER_S = 5.0
+# Shortest wait before it is said that nothing has come yet, s.
+_LEAST_WAIT_S = 0.1
 # Steps that are counted, in the order in which they are said.
 _ODD = ("bridged", "gate", "watch", "fallbacks")
 # Characters of a message: it may list many things, and quote what comes from elsewhere.
@@ -44,21 +47,47 @@ KPI_COLUMNS = {
 
 
 class _Line:
-    """A line that is written over, on a terminal that is not quiet."""
+    """A line that is written over, on a terminal that is not quiet; elsewhere lines at growing distances in time.
 
-    def __init__(self, console: Console, quiet: bool, begins: str = "") -> None:
-        self._console, self._quiet, self._begins = console, quiet, begins
+    `before`: what goes on until the first progress, said in the meantime, since a plant that warms up tells nothing.
+    """
+
+    def __init__(self, console: Console, quiet: bool, begins: str = "", before: str = "") -> None:
+        self._console, self._quiet, self._begins, self._before = console, quiet, begins, before
         self._live: Live | None = None
+        self._began, self._next_said_s = time.monotonic(), SAID_AFTER_S
+        self._progressed = threading.Event()
 
     def __enter__(self) -> Self:
+        self._began = time.monotonic()
         if self._console.is_terminal and not self._quiet:
             self._live = Live(Text(self._begins), console=self._console, refresh_per_second=8, transient=True)
             self._live.__enter__()
+        if self._before and not self._quiet:
+            threading.Thread(target=self._say_before, name="progress", daemon=True).start()
         return self
 
     def __exit__(self, *exception: object) -> None:
+        self._progressed.set()
         if self._live:
             self._live.__exit__(None, None, None)
+
+    def _say_before(self) -> None:
+        """Until there is progress: what goes on, and for how long already."""
+        while not self._progressed.wait(max(self._began + self._next_said_s - time.monotonic(), _LEAST_WAIT_S)):
+            self._show(f"{self._before}: {duration(time.monotonic() - self._began)} so far")
+
+    def _show(self, line: str, also: bool = True) -> None:
+        """Show a line of progress; where it cannot be overwritten, only when one is due, and where `also`."""
+        if self._live:
+            self._live.update(Text(line))
+            self._next_said_s = time.monotonic() - self._began + SAID_AFTER_S
+        elif also and not self._quiet and time.monotonic() - self._began >= self._next_said_s:
+            self._next_said_s = max(2.0 * self._next_said_s, SAID_AFTER_S)
+            self._print(line)
+
+    def _print(self, line: str) -> None:
+        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 class LoopDisplay(_Line):
@@ -67,11 +96,10 @@ class LoopDisplay(_Line):
     def __init__(
         self, console: Console, controller: str, period: Period, kpis: Kpis, currency: str, quiet: bool
     ) -> None:
-        super().__init__(console, quiet)
+        super().__init__(console, quiet, before=f"{controller}: the plant warms up under its own control")
         self._controller, self._period, self._kpis, self._currency = controller, period, kpis, currency
         self._so_far = ""
         self._days_done = 0
-        self._began, self._next_said_s = time.monotonic(), SAID_AFTER_S
         self._odd: Counter[str] = Counter()
 
     def __exit__(self, *exception: object) -> None:
@@ -83,6 +111,7 @@ class LoopDisplay(_Line):
 
     def step(self, record: StepRecord) -> None:
         """Update the display with one control step."""
+        self._progressed.set()
         status = record.plan.status
         self._odd.update([status.value] * (status in (PlanStatus.BRIDGED, PlanStatus.GATE, PlanStatus.WATCH)))
         self._odd.update(["fallbacks"] * (status.fallen_back or bool(record.refused)))
@@ -98,18 +127,11 @@ class LoopDisplay(_Line):
         if day_is_over:
             self._days_done = days_done
             self._so_far = _so_far(self._kpis(), self._currency)
-        if self._live:
-            self._live.update(Text(self._line(record, day)))
-        elif day_is_over and time.monotonic() - self._began >= self._next_said_s and day < self._days:
-            self._next_said_s *= 2.0
-            self._print(self._line(record, day))
+        self._show(self._line(record, day), also=day < self._days)
 
     @property
     def _days(self) -> float:
         return self._period.scored_s / DAY_S
-
-    def _print(self, line: str) -> None:
-        self._console.print(line, highlight=False, soft_wrap=True)
 
     def _line(self, record: StepRecord, day: float) -> str:
         last = record.samples[-1]
@@ -148,7 +170,10 @@ def _so_far(kpis: Mapping[str, float], currency: str) -> str:
 
 
 class ProbingDisplay(_Line):
-    """Progress of a probing on a terminal: a callback."""
+    """Progress of a probing: a callback."""
+
+    def __init__(self, console: Console, quiet: bool, begins: str) -> None:
+        super().__init__(console, quiet, begins, before="the plant warms up under its own control before the probing")
 
     def __enter__(self) -> Self:
         if not (self._console.is_terminal or self._quiet):
@@ -157,8 +182,8 @@ class ProbingDisplay(_Line):
 
     def __call__(self, progress: ProbingProgress) -> None:
         """Show `progress`, every hour."""
-        if self._live:
-            self._live.update(Text(f"probing: day {progress.days:5.2f}/{progress.planned_days:g}"))
+        self._progressed.set()
+        self._show(f"probing: day {progress.days:5.2f}/{progress.planned_days:g}")
 
 
 _FILE_WIDTH = 110

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.registry import known_name
 from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
 from thermoforce_mpc.scenario.building import (
@@ -26,7 +29,9 @@ from thermoforce_mpc.scenario.building import (
     layout_of,
 )
 from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
+from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, one_of
+from thermoforce_mpc.scenario.yaml_file import MOST_BYTES, parse_yaml
 
 __all__ = ["PRICES", "Actuator", "ForecastPoints", "Measurements", "Price", "TestCase"]
 
@@ -266,3 +271,14 @@ def _is_valve(one: ZoneActuator | ZoneRoomSetpoints) -> bool:
     if not isinstance(one, ZoneActuator):
         return False
     return bool(one.full_W and one.heat) and one.kind == "level" and one.map == "linear" and not one.held
+
+
+def read_testcase(path: Path) -> TestCase:
+    """The test case in a YAML file; raises `ConfigError` naming file and key."""
+    return _of_content(path, read_bounded(path, MOST_BYTES, ConfigError))
+
+
+@lru_cache(maxsize=64)
+def _of_content(path: Path, content: bytes) -> TestCase:
+    """The test case in a file of this content; that of a scenario is asked for several times before it is run."""
+    return validate(TestCase, parse_yaml(content, path), str(path))

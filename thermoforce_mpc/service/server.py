@@ -19,9 +19,9 @@ from waitress.server import TcpWSGIServer  # type: ignore[import-untyped]
 from thermoforce_mpc.boundary.tariffs import Tariff
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.plants.embedded import emulator_of
 from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
 from thermoforce_mpc.plants.embedded.emulator import Emulator
+from thermoforce_mpc.plants.registry import emulator_of
 from thermoforce_mpc.service.access import check_token, is_loopback
 from thermoforce_mpc.service.app import Limits, create_app
 from thermoforce_mpc.service.points import WEATHER_SIGNALS

@@ -2,8 +2,8 @@
 
 Run inside the FMU, in a process of its own. The environment can make it fail, to see what its user is told:
 `FMU_HOUSE_<CRASHES|FAILS|SLEEPS|CREEPS>_ON_DAY`, at the tolerances in `FMU_HOUSE_TROUBLED_AT` (default: all), or once,
-if the file `FMU_HOUSE_UNLESS` is not there. Every step takes
-`FMU_HOUSE_LAGS_S`. Another tolerance than 1e-6 shifts the zone temperature by 1 mK a decade.
+if the file `FMU_HOUSE_UNLESS` is not there; `FMU_HOUSE_FAILS_SWITCHED_AT_S`: where its inputs change at that second.
+Every step takes `FMU_HOUSE_LAGS_S`. Another tolerance than 1e-6 shifts the zone temperature by 1 mK a decade.
 """
 
 import math
@@ -44,7 +44,7 @@ class FmuHouse(FmuWithPoints):
         self._plant.advance_points({}, 30.0)  # loads the compiled kernel
         self._plant.reset(float(start_time), 0.0)
         self._shift_K = 1e-3 * (math.log10(tolerance or 1e-6) + 6.0)
-        self._steps_in_trouble = 0
+        self._steps_in_trouble, self._inputs_before = 0, dict(self._inputs)
         at = os.environ.get("FMU_HOUSE_TROUBLED_AT")
         decade = math.log10(tolerance or 1e-6)
         self._troubled = at is None or any(abs(decade - math.log10(float(t))) < 0.1 for t in at.split())
@@ -59,6 +59,9 @@ class FmuHouse(FmuWithPoints):
         if self._in_trouble("CRASHES", current_time):
             os.kill(os.getpid(), signal.SIGSEGV)
         if self._in_trouble("FAILS", current_time):
+            return False
+        switched, self._inputs_before = self._inputs != self._inputs_before, dict(self._inputs)
+        if switched and abs(current_time - float(os.environ.get("FMU_HOUSE_FAILS_SWITCHED_AT_S", "inf"))) < 1.0:
             return False
         if self._in_trouble("SLEEPS", current_time):
             time.sleep(3600.0)

@@ -20,10 +20,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-import thermoforce_mpc.model.operator.casadi_export as export
 from controllers.optimisation.statement.algebra import Algebra
 from controllers.optimisation.statement.problem_statement import Stated, parameter_sizes, state
 from controllers.optimisation.statement.structure import Structure
+from thermoforce_mpc.data.compiled import sources_of
 from thermoforce_mpc.dependencies import cache_folder
 
 # Files kept.
@@ -32,9 +32,8 @@ _MOST_FILES = 120
 
 @cache
 def _sources() -> str:
-    """What decides how a structure is built: the text of this room and of the operator, and the version of CasADi."""
-    files = [*sorted(Path(__file__).parent.glob("*.py")), Path(export.__file__)]
-    return "".join(file.read_text() for file in files) + version("casadi")
+    """What decides how a structure is built: the text of all modules that it takes in, and the version of CasADi."""
+    return "".join(file.read_text() for file in sources_of(Path(__file__))) + version("casadi")
 
 
 def stored(

@@ -6,11 +6,15 @@ import json
 
 import pytest
 
-from benchmarks.detectors.bench import WeekOutcome, rule_of, rule_rows, run_case, run_detectors_bench, targets
+from benchmarks.detectors.air_unit import LightOffice
+from benchmarks.detectors.bench import WeekOutcome, rule_of, rule_rows, run_detectors_bench, targets
 from benchmarks.detectors.panel import FAULTS, KINDS, PanelCase, clean, faulty
 from benchmarks.detectors.rules import RULES
+from thermoforce_mpc.data import DAY_S, Layout, PlantInfo
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import LocalEngine
+from thermoforce_mpc.identification.probing.probe import Probing
+from thermoforce_mpc.loop.probing import Probed
 from thermoforce_mpc.scenario.settings import StrictModel
 
 NAMES = [rule.name for rule in RULES]
@@ -71,10 +75,15 @@ def test_an_earlier_result_that_is_none_is_refused(tmp_path):
         run_detectors_bench(weeks=1, engine=LocalEngine(1), against=tmp_path / "other.json")
 
 
-@pytest.mark.slow
-def test_an_air_unit_in_winter_claims_nothing():
-    """Where cooling was asked for below its set-point, hours were said to be blocked."""
-    outcome = run_case(PanelCase("air unit", 0, 62))
-    assert not outcome["failed"]
-    assert "blocked hours" not in outcome["claims"]
-    assert "sun on a sensor" not in outcome["claims"]
+@pytest.mark.parametrize(
+    ("asleep_until_h", "seed", "hours"), [(0.0, 1, set()), (5.0, 2, {0, 1, 2, 3, 4})], ids=["awake", "asleep"]
+)
+def test_an_air_unit_in_winter_is_blocked_only_while_it_stands(asleep_until_h, seed, hours):
+    """Cooling is asked for below its set-point then, and rightly nothing comes."""
+    layout = Layout.single("both", -0.6)
+    run = Probing(LightOffice(-4.0, 400.0, asleep_until_h), 20 * DAY_S, seed=seed, layout=layout)
+    run.go_on(3.0)
+    plant = PlantInfo("test", "light office", "", "", "1")
+    ((heating, cooling),) = Probed(run.record, run.blocks, plant, "").blocked(layout)
+    assert set(heating.hours) == hours
+    assert not cooling.hours

@@ -35,7 +35,8 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Observa
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.identification.probing.probe import probe
-from thermoforce_mpc.loop.closed_loop import checked_blocks, run_closed_loop
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.loop import checked_blocks
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters

@@ -233,3 +233,20 @@ def test_measured_rooms_beside_the_only_one_of_the_map(measured):
     together = tf.read_measurements(file, rules(measured, "all19.yaml"))
     assert not together.understood.beside
     assert not remarks(together.record, together.layout)
+
+
+@pytest.mark.parametrize("days", [4, 14])
+def test_a_boiler_that_is_better_at_part_load_is_no_heat_pump_in_other_units(days):
+    """Mild days are those of part load; a heat pump's ratio rises with the weather at equal load."""
+    record = CLEAN.slice(0, 96 * days)
+    T_out = record.T_out_C[:-1]
+    load = np.clip((14.0 - T_out) / 14.0, 0.1, 1.0) * (record.u[0] > 0.0)
+    noise = np.random.default_rng(5).normal(0.0, 0.02, record.n_steps)
+
+    def doubts(ratio: np.ndarray) -> list[str]:
+        metered = replace(record, u=load[None], power_W=1500.0 * load[None], heat_W=(1500.0 * load * ratio)[None])
+        return [one.words for one in remarks(metered, LAYOUT) if one.kind == "unit of power"]
+
+    assert doubts(1.0 - 0.3 * load**2 + noise) == []
+    (words,) = doubts(0.25 * 3.2 * np.exp(0.022 * T_out + noise))
+    assert "units of heat come from one of energy" in words

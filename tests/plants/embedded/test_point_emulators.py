@@ -10,7 +10,8 @@ from benchmarks.plant import point_scores
 from thermoforce_mpc.boundary.weather import CONTINENTAL, synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError
-from thermoforce_mpc.plants.embedded import PointEmulator, emulator_of
+from thermoforce_mpc.plants.embedded import PointEmulator
+from thermoforce_mpc.plants.registry import emulator_of
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 
@@ -161,7 +162,7 @@ def test_beside_the_records_of_the_real_test_case(shared, name):
     assert case.name == name
     plant = point_scores.recorded_plant(case, folder, None)
     rows, targets, _ = point_scores.score(plant, folder, quick=True, progress=lambda _: None)
-    # A mode that switches a moment earlier, and BOPTEST's peak, which counts the sample of a jump twice.
+    # A mode that switches a moment earlier, and the gas peak of the quarter in which the set-point jumps.
     known = ("excite_set", "excite_mix", "pgas_tot")
     missed = [target for target in targets if not target.holds and not any(word in target.name for word in known)]
     assert not missed, missed

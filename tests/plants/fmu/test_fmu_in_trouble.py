@@ -103,6 +103,27 @@ def test_trouble_while_it_repeats_leads_to_the_looser_tolerance(file, monkeypatc
     assert measurements[-1].time_s == 30 * DAY_S + 2 * HOUR_S
 
 
+def test_inputs_that_no_tolerance_survives_come_a_minute_later(file, calm, monkeypatch, caplog):
+    monkeypatch.setenv("FMU_HOUSE_FAILS_SWITCHED_AT_S", str(30 * DAY_S + HOUR_S))
+    with caplog.at_level(logging.WARNING):
+        measurements, past, info, restarts = run_for_two_hours(file)
+    assert [r.split(":")[0] for r in restarts] == [
+        "restarted with tolerance 1e-07",
+        "restarted with tolerance 1e-05",
+        "restarted with tolerance 1e-07 and its latest inputs 60 s later",
+    ]
+    assert "its latest inputs 60 s later" in caplog.text
+    assert info.details["restarts"].count("restarted") == 3
+    assert measurements[0] == calm[0][0], "what was returned before stays"
+    assert measurements[1].T_zone_C == pytest.approx(calm[0][1].T_zone_C, abs=0.05)
+    assert past.time_s.size == calm[1].time_s.size
+    with FmuPlant(file, TESTCASE, patience_s=PATIENCE_S) as plant:  # a run that is repeated comes the same way
+        plant.reset(30 * DAY_S, 0.0)
+        first = plant.advance(0.5, HOUR_S)
+        plant.restart_as(restarts)
+        assert [first, plant.advance(1.0, HOUR_S)] == measurements
+
+
 def test_a_run_that_is_repeated_restarts_where_it_was_told(file, monkeypatch, tmp_path):
     monkeypatch.setenv("FMU_HOUSE_SLEEPS_ON_DAY", "30.05")
     monkeypatch.setenv("FMU_HOUSE_UNLESS", str(tmp_path / "happened"))

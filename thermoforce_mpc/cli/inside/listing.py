@@ -154,7 +154,8 @@ def testcases() -> None:
         testcase = load_testcase(name)
         on_engine = testcase.energyplus is not None or testcase.plant == "small_office"
         ships = "EnergyPlus (extra [energyplus])" if on_engine else ""
-        plants = ships or f"{'embedded emulator, ' if testcase.embedded else ''}BOPTEST service (--url), FMU (--fmu)"
+        embedded = testcase.embedded or testcase.plant is not None
+        plants = ships or f"{'embedded emulator, ' if embedded else ''}BOPTEST service (--url), FMU (--fmu)"
         click.echo(f"  {name}\n      {testcase.description}\n      plant: {plants}; {path}")
     click.echo("  house:Nrooms, house:Nrooms:SEED\n      drawn house of N rooms (1 to 30), a valve each, one heat pump")
     click.echo("  office:Nrooms, office:Nrooms:SEED\n      drawn office likewise, light and set back at night")

@@ -23,7 +23,7 @@ from thermoforce_mpc.cli.options import (
     scenario_from,
 )
 from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, run_cells, sayer
-from thermoforce_mpc.comparison.cells import Inputs, expand
+from thermoforce_mpc.comparison.cells import Cell, Inputs, expand
 from thermoforce_mpc.comparison.files import (
     FORMS,
     HEADINGS,
@@ -39,10 +39,12 @@ from thermoforce_mpc.comparison.tasks import EqualComfort, tasks_of
 from thermoforce_mpc.comparison.variants import (
     ComparisonFile,
     Variant,
+    building_limits,
     comma_list,
     known_names,
     load_comparison,
     numeric_option,
+    shared_limits,
     swept_variants,
     variants_by_name,
 )
@@ -262,10 +264,33 @@ def _run_comparison(
         click.echo(formatted(result["rows"], options["form"], title, testcase.currency), nl=False)
     else:
         _show(console, result["rows"], testcase.currency)
+        for line in contestants_in_words(base, cells):
+            console.print(line, soft_wrap=True)
         page = shlex.quote(str(store.folder / "comparison.html"))
         console.print(f"Table, CSV, JSON and page: {page}", soft_wrap=True)
     if any(record["status"] != DONE for record in records):
         sys.exit(FAILED)
+
+
+def contestants_in_words(base: Scenario, cells: Sequence[Cell]) -> list[str]:
+    """Who keeps to the limits of the building, and what each thermostat keeps, in a line each."""
+    from controllers.rules.thermostat import ThermostatConfig
+
+    first: dict[str, Cell] = {}
+    for cell in cells:
+        first.setdefault(cell.variant, cell)
+    lines, limits = [], building_limits(base)
+    if limits:
+        shared = {name: bool(shared_limits(base, cell.scenario.controller.name)) for name, cell in first.items()}
+        said = ", ".join(f"{key} {value:g}" for key, value in limits.items())
+        none = [name for name, knows in shared.items() if not knows]
+        free = f"; {', '.join(none)} know no limits, and are not held to them" if none else ""
+        lines.append(f"{said}: given to {', '.join(name for name, knows in shared.items() if knows)}{free}")
+    for name, cell in first.items():
+        config = Experiment.of(cell.scenario).own.chosen.config
+        if isinstance(config, ThermostatConfig):
+            lines.append(f"{name} {config.in_words}")
+    return lines
 
 
 def _show(console: Console, rows: Sequence[dict[str, Any]], currency: str) -> None:

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array, Layout, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, ZERO_C_K, Array, Layout, Record
 from thermoforce_mpc.data.limits import LOAD_W_PER_M2, RULES, SignalRule
 from thermoforce_mpc.measurements.checks.common import Remark, fitted
 
@@ -25,8 +25,10 @@ from thermoforce_mpc.measurements.checks.common import Remark, fitted
 _LEAST_RATIO, _CARNOT, _WATER_C, _BOREHOLE = 0.7, 0.5, 35.0, 6.5
 # A ratio above this is that of a heat pump, whose COP rises by 2 to 3 % a kelvin outdoors (EN 14511 data sheets).
 # That of a boiler or an electric heater is steady, and rises by 0.4 % where it condenses (EN 15502): its logarithm
-# varies by less than 0.05.
-_NO_HEAT_PUMP, _LEAST_SLOPE_PER_K, _STEADY = 1.1, 0.01, 0.05
+# varies by less than 0.05. What rises by more than any heat pump's is another thing: load, losses, a schedule.
+_NO_HEAT_PUMP, _LEAST_SLOPE_PER_K, _MOST_SLOPE_PER_K, _STEADY = 1.1, 0.01, 0.05, 0.05
+# Days whose ratios must agree, and standard deviations of their spread that count: few days say little of it.
+_LEAST_DAYS, _CLEAR_OF_DAYS = 3, 4.0
 # Largest heat loss per floor area, W/m²K: houses before any insulation have 3.5 with their ventilation (TABULA).
 _MOST_LOSS_W_M2K = 4.0
 # Full power or heat, W: a pump takes 15 W, a house without a floor area less than 300 kW.
@@ -126,17 +128,31 @@ def _of_ratio(record: Record, heat: Array, power: Array, both: Array, on: Array,
     rows = on & np.isfinite(T_out)
     if rows.sum() < _LEAST_ROWS or step_h == 1.0:
         return []
-    columns = np.array([np.ones(rows.sum()), T_out[rows]]).T
+    # At equal temperatures and loads: mild days are those of part load, which has a ratio of its own.
+    columns = np.array([np.ones(rows.sum()), T_out[rows], heat[rows] / _most(heat[rows])]).T
     beta, covariance, residual = fitted(columns, np.log(heat[rows] / power[rows]))
-    margin = _CLEAR * float(np.sqrt(covariance[1, 1]))
+    days = record.time_s[:-1][rows] // DAY_S
+    if np.unique(days).size < _LEAST_DAYS:
+        return []
+    margin = max(_CLEAR * float(np.sqrt(covariance[1, 1])), _CLEAR_OF_DAYS * _sd_of_days(columns, residual, days))
     if ratio <= _NO_HEAT_PUMP:
-        wrong = beta[1] - margin > _LEAST_SLOPE_PER_K and _NO_HEAT_PUMP < ratio / step_h < possible
+        rises = beta[1] - margin > _LEAST_SLOPE_PER_K and beta[1] < _MOST_SLOPE_PER_K
+        wrong = rises and _NO_HEAT_PUMP < ratio / step_h < possible
         words = "as of a boiler, and yet it rises with the outdoor temperature as that of a heat pump does"
     else:
         steady = residual.std() <= _STEADY and beta[1] + margin < _LEAST_SLOPE_PER_K
         wrong = steady and _LEAST_RATIO <= ratio * step_h <= _NO_HEAT_PUMP
         words = "too much for a boiler, and it does not go with the outdoor temperature as that of a heat pump does"
     return [_ratio_remark(ratio, step_h, where, words)] if wrong else []
+
+
+def _sd_of_days(columns: Array, residual: Array, days: Array) -> float:
+    """Standard deviation of the second coefficient by the spread from day to day (n,): errors of a day are one."""
+    scores, each = columns * residual[:, None], np.unique(days)
+    of_days = np.stack([scores[days == day].sum(axis=0) for day in each])
+    inverse = np.linalg.pinv(columns.T @ columns)
+    variance = (inverse @ of_days.T @ of_days @ inverse)[1, 1] * each.size / (each.size - 1)
+    return float(np.sqrt(variance))
 
 
 def _ratio_remark(ratio: float, step_h: float, where: str, why: str) -> Remark:

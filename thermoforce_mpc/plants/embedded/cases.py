@@ -15,7 +15,7 @@ from thermoforce_mpc.boundary.weather import CONTINENTAL, MARITIME, SyntheticCli
 from thermoforce_mpc.data import ZERO_C_K, Array
 from thermoforce_mpc.plants.embedded import boiler, fan_coil, kernel
 from thermoforce_mpc.plants.embedded.houses import BOILER_HOUSE, HEAT_PUMP_HOUSE, OFFICE, BestestHouse
-from thermoforce_mpc.plants.embedded.schedule import BOILER_USE, HEAT_PUMP_USE, OFFICE_USE, Schedule
+from thermoforce_mpc.plants.embedded.schedule import BOILER_USE, HEAT_PUMP_USE, OFFICE_USE, OccupancySchedule
 
 ELECTRICITY, GAS = "ElectricPower", "GasPower"
 _SETPOINT_K = (278.15, 308.15)
@@ -59,7 +59,7 @@ class EmulatedCase:
     description: str
     house: BestestHouse
     system: ModuleType
-    schedule: Schedule
+    schedule: OccupancySchedule
     overwrites: tuple[tuple[str, float, float], ...]
     applied: tuple[str, ...]
     measurements: Mapping[str, str]

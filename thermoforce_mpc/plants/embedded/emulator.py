@@ -30,7 +30,7 @@ from thermoforce_mpc.plants.embedded.cases import ELECTRICITY, HEAT_PUMP, Emulat
 from thermoforce_mpc.plants.embedded.envelope import AS_SCHEDULED, COOKING, PEOPLE, WINDOWS
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
 from thermoforce_mpc.plants.embedded.kernel import STEP_S, integrals
-from thermoforce_mpc.plants.embedded.schedule import Schedule
+from thermoforce_mpc.plants.embedded.schedule import OccupancySchedule
 from thermoforce_mpc.plants.kpis import PEAKS, Supply, Violation, building_kpis, excess, peak_power
 from thermoforce_mpc.plants.people import live
 from thermoforce_mpc.plants.records import interval_means
@@ -326,7 +326,7 @@ def _overrides(block: Block) -> dict[str, float]:
     return {} if level is None else {"oveHeaPumY": level}
 
 
-def _with_people(grid: Array, schedule: Schedule, seed: int) -> tuple[Array, Array]:
+def _with_people(grid: Array, schedule: OccupancySchedule, seed: int) -> tuple[Array, Array]:
     """Return the exposure behind the blinds of people, and what else differs from the schedule, see `AS_SCHEDULED`."""
     usual = schedule.occupied(np.arange(0.0, YEAR_S + exposure.GRID_S, exposure.GRID_S))
     life = live(

@@ -11,13 +11,11 @@ from boptest_client import Point
 from thermoforce_mpc.boundary.forecast_error import forecast_weather
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import Array, Block, Boundary, Measurement, Record
-from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.embedded.cases import CASES, HEAT_PUMP
-from thermoforce_mpc.plants.embedded.emulator import EmbeddedPlant, Emulator
+from thermoforce_mpc.plants.embedded.cases import CASES
+from thermoforce_mpc.plants.embedded.emulator import Emulator
 from thermoforce_mpc.plants.records import acting_means, boundary, inputs, mean_levels, measurement, past_record
 from thermoforce_mpc.plants.shell import RoomSetpointShell
-from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
 
 _WEATHER = {"TDryBul": "K", "HGloHor": "W/m2"}
@@ -91,18 +89,6 @@ class PointEmulator(Emulator, RoomSetpointShell):
         """Points by name, with 'time', from `start_s` to now."""
         time_s, rows = self._samples.between(start_s, self._now_s)
         return {"time": time_s} | {name: rows[:, self._column[column]] for name, column in self._columns.items()}
-
-
-def emulator_of(testcase: str, weather: Weather, **options: Any) -> Emulator:
-    """The emulator of an embedded test case by name, acting through the points of its shipped file.
-
-    Raises `ConfigError` for another test case.
-    """
-    if testcase not in CASES:
-        raise ConfigError(f"no embedded plant implements '{testcase}'; those do for {', '.join(CASES)}")
-    if testcase == HEAT_PUMP.name:
-        return EmbeddedPlant(weather, **options)
-    return PointEmulator(load_testcase(testcase), weather, **options)
 
 
 def _unit(column: str) -> str | None:

@@ -41,7 +41,7 @@ def is_occupied(time_s: float) -> bool:
 
 @njit(cache=True)
 def is_occupied_sample(time_s: float) -> bool:
-    """Return `Schedule.occupied_sample` of a house at one time."""
+    """Return `OccupancySchedule.occupied_sample` of a house at one time."""
     data_s = np.floor(time_s / _DATA_S + 1e-9) * _DATA_S
     return is_occupied(data_s) or data_s % 86400.0 == 7 * 3600.0
 
@@ -72,7 +72,7 @@ def set_points_C(at_home: NDArray[np.bool_]) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Schedule:
+class OccupancySchedule:
     """Use of a building.
 
     Attributes:
@@ -119,6 +119,6 @@ class Schedule:
         return radiant, convective, PERSON_LATENT_W * people
 
 
-HEAT_PUMP_USE = Schedule(5, _house_occupied, 7.0)
-BOILER_USE = Schedule(1, _house_occupied, 7.0)
-OFFICE_USE = Schedule(2, _office_open, 18.0, empty_ppm=1500.0, data_s=_OFFICE_DATA_S, equipped=True)
+HEAT_PUMP_USE = OccupancySchedule(5, _house_occupied, 7.0)
+BOILER_USE = OccupancySchedule(1, _house_occupied, 7.0)
+OFFICE_USE = OccupancySchedule(2, _office_open, 18.0, empty_ppm=1500.0, data_s=_OFFICE_DATA_S, equipped=True)

@@ -152,21 +152,29 @@ def missing_library(error: str) -> str:
 _LOG = logging.getLogger(__name__)
 # Tolerance that the others are relative to where the description has none: that of BOPTEST's test cases.
 _TOLERANCE = 1e-6
+# After these tolerances the same inputs would hang again: they come so much later, s, which no building notices.
+_LATER_S = (60.0, 120.0)
 
 
 class FmuRun:
     """Run of an FMU at the tolerance of its description, until a step fails, crashes the process or takes too long.
 
     A new process then repeats all stretches since the start at a tenth of the tolerance, and if one fails again at ten
-    times the tolerance. Few FMUs can save their state, so this takes as long as it took until there. What was
-    returned before is not taken back; the repeated course differs from it by the integration error.
+    times the tolerance; then with the inputs of the stretch that failed a minute later, and two, those of the stretch
+    before going on until then. Few FMUs can save their state, so this takes as long as it took until there. What was
+    returned before is not taken back; the repeated course differs from it by the integration error, and by that minute.
     """
 
     def __init__(self, job: Job, work_folder: Path, patience_s: float) -> None:
         """Start the process at `start`; `patience_s` as for `FmuProcess`."""
         tolerance = job.tolerance if job.tolerance and job.tolerance > 0.0 else _TOLERANCE
         self._job, self._folder, self._patience_s = job, work_folder, patience_s
-        self._other = (tolerance / 10.0, tolerance * 10.0)
+        # Ways to go on, in turn: the tolerance, and how much later the latest inputs come, s.
+        self._other = (
+            (tolerance / 10.0, 0.0),
+            (tolerance * 10.0, 0.0),
+            *((tolerance / 10.0, later_s) for later_s in _LATER_S),
+        )
         self._told: list[tuple[Mapping[str, float], float]] = []
         self._start_s = 0.0
         self._process: FmuProcess | None = None
@@ -203,9 +211,12 @@ class FmuRun:
     def _restarted(self, error: PlantError) -> Stretch:
         """The latest stretch at the next tolerance at which the run comes to its end; raises the last error."""
         while len(self.restarts) < len(self._other):
-            tolerance = self._other[len(self.restarts)]
+            tolerance, later_s = self._other[len(self.restarts)]
+            if later_s and not self._may_come_later(later_s):
+                break
             reason = str(error).splitlines()[0][:200]
-            restart = f"restarted with tolerance {tolerance:g}: {reason}"
+            later = f" and its latest inputs {later_s:g} s later" * bool(later_s)
+            restart = f"restarted with tolerance {tolerance:g}{later}: {reason}"
             days = sum(duration_s for _, duration_s in self._told) / DAY_S
             _LOG.warning("the FMU is %s; it repeats %.3g days", restart, days)
             try:
@@ -214,12 +225,22 @@ class FmuRun:
                 error = again
         raise PlantError(f"{error}\nIt had been {' and '.join(self.restarts)}") from error
 
+    def _may_come_later(self, later_s: float) -> bool:
+        """Whether inputs went before the latest ones, which hold for long enough."""
+        return len(self._told) > 1 and self._told[-1][1] > 2.0 * later_s
+
     def _again(self, restarts: Sequence[str]) -> Stretch:
         """The latest stretch, in a new process that has repeated those before."""
         self.restarts = tuple(restarts)
-        tolerance = self._other[min(len(restarts), len(self._other)) - 1]
+        tolerance, later_s = self._other[min(len(restarts), len(self._other)) - 1]
         process, _ = self._begin(replace(self._job, tolerance=tolerance))
-        *before, latest = self._told
+        *before, (inputs, duration_s) = self._told
         for told in before:
             process.advance(*told)
-        return process.advance(*latest)
+        if not (later_s and self._may_come_later(later_s)):
+            return process.advance(inputs, duration_s)
+        first = process.advance(before[-1][0], later_s)
+        rest = process.advance(inputs, duration_s - later_s)
+        # So it is repeated from now on.
+        self._told[-1:] = [(before[-1][0], later_s), (inputs, duration_s - later_s)]
+        return Stretch(np.concatenate([first.time_s, rest.time_s]), np.concatenate([first.rows, rest.rows]), rest.final)

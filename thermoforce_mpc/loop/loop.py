@@ -1,0 +1,219 @@
+"""The loop of a controller, written once: read, believe, forecast, plan, check, apply, record.
+
+A driver stands for what is controlled: a simulated plant, which is its own clock (`closed_loop`), or a real building
+with a clock on the wall (`thermoforce_mpc.live`). It reads, applies and records; what is decided in between, and
+what is known from step to step, is here.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol
+
+from thermoforce_mpc.data import DAY_S, SINGLE, Block, Boundary, Names, Observation, Plan, Record
+from thermoforce_mpc.errors import ControllerRaised, InputError, ThermoForceError
+from thermoforce_mpc.loop.forecasts import OUTAGE_H, Forecasts
+from thermoforce_mpc.loop.unit_doubts import UnitDoubts
+from thermoforce_mpc.plants.checks import check_levels
+from thermoforce_mpc.protocols import Controller
+
+CLOCK_TOLERANCE_S = 1e-6
+"""Tolerance on times, s: shorter remainders are rounding errors of the clock."""
+
+
+@dataclass(frozen=True)
+class Believed:
+    """What a step begins with.
+
+    Attributes:
+        history: the record as it is believed, implausible readings NaN.
+        as_read: the record in which wrong units are looked for.
+        notes: readings that were missing or rejected.
+        left_s: time until the loop ends, s.
+        lowest: lowest level of each actuator (A,), or of all.
+    """
+
+    history: Record
+    as_read: Record
+    notes: tuple[str, ...]
+    left_s: float
+    lowest: float | Sequence[float]
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What was decided in a step, before it acts.
+
+    Attributes:
+        index: number of the step.
+        observation: what the plan was made on; None where nothing could be read.
+        boundary: its forecast with holes filled.
+        plan: the plan, without the controller's state.
+        blocks: what is to be applied, checked.
+        refused: why the plan was refused, '' where it was not.
+        notes: of the readings, units and forecast.
+        before, after: the controller's state; after a plan that was refused, and so did not act, that of before.
+        forecast_seconds, plan_seconds: computing times, s.
+    """
+
+    index: int
+    observation: Observation | None
+    boundary: Boundary | None
+    plan: Plan
+    blocks: tuple[Block, ...]
+    refused: str = ""
+    notes: tuple[str, ...] = ()
+    before: object = None
+    after: object = None
+    forecast_seconds: float = 0.0
+    plan_seconds: float = 0.0
+
+
+class LoopDriver(Protocol):
+    """What is controlled in a loop."""
+
+    takes_room_setpoints: bool
+    begun_anew: bool
+    """Whether what was known is of times that come again: the controller then begins anew, too."""
+
+    def begin(self) -> object:
+        """Start, or take up what goes on; returns the controller's state to begin with."""
+
+    def next_step(self) -> bool:
+        """Return when the next step begins; False ends the loop."""
+
+    def read(self) -> Believed:
+        """What is known now."""
+
+    def units(self) -> UnitDoubts | None:
+        """What looks for wrong units, asked for once after the first reading."""
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """See `Plant.forecast`."""
+
+    def instead(self, index: int, error: Exception, state: object) -> Decided:
+        """What acts in the place of a decision that failed; raises `error` where that ends the loop."""
+
+    def act(self, decided: Decided) -> object:
+        """Apply and record a decision; returns the controller's state to go on from."""
+
+    def end(self) -> None:
+        """Release what was taken; called however the loop ends, once it began."""
+
+
+class Loop:
+    """A controller on a driver; `outage_h`: how long the last forecast may stand in where there is none, h."""
+
+    def __init__(self, driver: LoopDriver, controller: Controller, outage_h: float = OUTAGE_H) -> None:
+        self._driver, self._controller = driver, controller
+        self._new_forecasts = partial(Forecasts, driver, controller.horizon_s, controller.step_s, outage_h)
+        self._forecasts = self._new_forecasts()
+        self._units: UnitDoubts | None = None
+
+    def run(self) -> object:
+        """Step until the driver ends it; returns the controller's last state. Raises as the driver does."""
+        driver, index = self._driver, 0
+        state = driver.begin()
+        try:
+            while driver.next_step():
+                if driver.begun_anew:
+                    state, self._forecasts = None, self._new_forecasts()
+                try:
+                    decided = self._decide(index, driver.read(), state)
+                except Exception as error:
+                    decided = driver.instead(index, error, state)
+                state = driver.act(decided)
+                index += 1
+        finally:
+            driver.end()
+        return state
+
+    def _decide(self, index: int, believed: Believed, state: object) -> Decided:
+        """Forecast, plan and check."""
+        controller, history = self._controller, believed.history
+        if index == 0:
+            self._units = self._driver.units()
+        t0 = time.perf_counter()
+        forecast, boundary, gaps = self._forecasts.now(history)
+        doubts = self._units.now(believed.as_read, boundary) if self._units else ()
+        t1 = time.perf_counter()
+        # The controller fills holes of the forecast itself, and says so.
+        observation = Observation(history, forecast)
+        plan = _planned(controller, observation, state, index)
+        t2 = time.perf_counter()
+        # Records do not hold the controller's state, which grows with the run; only the latest is kept.
+        plan, after = replace(plan, state=None), plan.state
+        blocks, refused = checked_blocks(plan, controller.step_s, believed.left_s, believed.lowest, history.names)
+        if not self._driver.takes_room_setpoints and any(band is not None for block in blocks for band in block.band_C):
+            refused = "refused room set-points, which a connection has none of: native control instead"
+            blocks = (Block.native(len(history.names.actuators), min(controller.step_s, believed.left_s)),)
+        return Decided(
+            index,
+            observation,
+            boundary,
+            plan,
+            blocks,
+            refused,
+            (*believed.notes, *doubts, *gaps),
+            before=state,
+            after=state if refused else after,
+            forecast_seconds=round(t1 - t0, 6),
+            plan_seconds=round(t2 - t1, 6),
+        )
+
+
+def checked_blocks(
+    plan: Plan, step_s: float, remaining_s: float, lowest: float | Sequence[float] = 0.0, names: Names = SINGLE
+) -> tuple[tuple[Block, ...], str]:
+    """The blocks of `plan` cut to the window and "", or one step of native control and the reason for the refusal.
+
+    Last check before the plant: there must be one level for each actuator of `names`, None or finite and in
+    [`lowest`, 1] (`lowest` of all or of each), room set-points finite and in order; a duration must be finite and
+    positive; the durations must sum to `step_s`. What is wrong with one actuator refuses the plan for all.
+    """
+    native = (Block.native(len(names.actuators), min(step_s, remaining_s)),)
+    if not plan.blocks:
+        return native, "the plan had no action: native control instead"
+    if wrong := wrong_blocks(plan.blocks, step_s, lowest, names):
+        return native, f"refused {wrong}: native control instead"
+    cut: list[Block] = []
+    left_s = remaining_s
+    for block in plan.blocks:
+        if left_s <= CLOCK_TOLERANCE_S:
+            break
+        cut.append(replace(block, duration_s=min(block.duration_s, left_s)))
+        left_s -= block.duration_s
+    return tuple(cut), ""
+
+
+def wrong_blocks(blocks: Sequence[Block], duration_s: float, lowest: float | Sequence[float], names: Names) -> str:
+    """What is wrong with blocks for `duration_s`, in words; empty where they may be applied."""
+    try:
+        for block in blocks:
+            check_levels(block.u, block.duration_s, block.band_C, names=names, lowest=lowest)
+    except InputError as error:
+        return str(error)
+    total_s = math.fsum(block.duration_s for block in blocks)
+    if abs(total_s - duration_s) > CLOCK_TOLERANCE_S:
+        return f"blocks of {total_s:g} s in all for a step of {duration_s:g} s"
+    return ""
+
+
+def _planned(controller: Controller, observation: Observation, state: object, index: int) -> Plan:
+    """The controller's plan; raises `ControllerRaised` for whatever else it does."""
+    at = f"{controller.name} in step {index}, day {observation.time_s / DAY_S:.3f}"
+    try:
+        plan = controller.plan(observation, state)
+    except ThermoForceError:  # has its own exit code, and says what to do
+        raise
+    except Exception as error:
+        last = "".join(traceback.format_tb(error.__traceback__)[1:][-3:]).rstrip()
+        raise ControllerRaised(f"{at} raised {type(error).__name__}: {error}\n{last}") from error
+    if not isinstance(plan, Plan):
+        raise ControllerRaised(f"{at} returned a {type(plan).__name__}, not a Plan (docs/how-to/controller.md)")
+    return plan
