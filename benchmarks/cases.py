@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.execution import (
     Engine,
-    Outcome,
     Results,
     Task,
+    TaskOutcome,
     Watcher,
     content_key,
     execute,
@@ -53,7 +53,7 @@ class JsonResults:
 class TaskFailed(ThermoForceError):
     """A task has no result, since of an unexpected error or since its worker died at every attempt."""
 
-    def __init__(self, outcome: Outcome) -> None:
+    def __init__(self, outcome: TaskOutcome) -> None:
         super().__init__(
             f"{outcome.task.title}: {outcome.reason}" + (f"\n{outcome.details}" if outcome.details else "")
         )

@@ -1,6 +1,6 @@
 """Typed client for the BOPTEST REST protocol; contains no control code."""
 
-from boptest_client.answers import Point, Scenario, safe_text
+from boptest_client.answers import Point, ServiceScenario, safe_text
 from boptest_client.client import BoptestClient
 from boptest_client.errors import (
     AdvanceInterrupted,
@@ -30,8 +30,8 @@ __all__ = [
     "Point",
     "ProtocolError",
     "RequestRejected",
-    "Scenario",
     "ServiceError",
+    "ServiceScenario",
     "ServiceTimeout",
     "TlsError",
     "TransportConfig",

@@ -45,7 +45,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Scenario:
+class ServiceScenario:
     """A test scenario.
 
     `electricity_price` is 'constant', 'dynamic' or 'highly_dynamic'; `time_period` is a scored window of the test
@@ -123,14 +123,14 @@ def testcases(at: str, answer: Any) -> tuple[str, ...]:
     return tuple(sorted(text(at, item, "testcaseid") for item in answer))
 
 
-def scenario(at: str, answer: Any) -> Scenario:
+def scenario(at: str, answer: Any) -> ServiceScenario:
     """A scenario, null where a part is not set."""
     values = mapping(at, answer)
-    for name in Scenario.__dataclass_fields__:
+    for name in ServiceScenario.__dataclass_fields__:
         kind = int if name == "seed" else str
         if not (values.get(name) is None or (isinstance(values[name], kind) and values[name] is not True)):
             raise ProtocolError(at, f"{name} is {values[name]!r:.120}, expected {kind.__name__} or null")
-    return Scenario(**{name: values.get(name) for name in Scenario.__dataclass_fields__})
+    return ServiceScenario(**{name: values.get(name) for name in ServiceScenario.__dataclass_fields__})
 
 
 def points(at: str, answer: Any) -> dict[str, Point]:
@@ -169,7 +169,7 @@ _SCENARIO_S = 14 * 86400.0
 _SAMPLE_S = 30.0
 
 
-class Clock:
+class ServiceClock:
     """Times of a test in s, NaN where unknown.
 
     Attributes:

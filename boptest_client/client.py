@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any, TypeVar
 
 from boptest_client import answers
-from boptest_client.answers import TOLERANCE_S, Clock, Point, Scenario
+from boptest_client.answers import TOLERANCE_S, Point, ServiceClock, ServiceScenario
 from boptest_client.errors import (
     AdvanceInterrupted,
     BoptestError,
@@ -77,7 +77,7 @@ class BoptestClient:
         self.testcase = testcase
         self._transport = Transport(url, config or TransportConfig(), _user_agent())
         self._stopped, self._stop_timeout_s = False, stop_timeout_s
-        self._clock = Clock()
+        self._clock = ServiceClock()
         self._names: list[str] = []
         self._find()
         if testid is not None:
@@ -142,11 +142,11 @@ class BoptestClient:
         """Forecast points by name."""
         return self._get("forecast_points", answers.points)
 
-    def scenario(self) -> Scenario:
+    def scenario(self) -> ServiceScenario:
         """Current scenario."""
         return self._get("scenario", answers.scenario)
 
-    def set_scenario(self, scenario: Scenario) -> dict[str, float]:
+    def set_scenario(self, scenario: ServiceScenario) -> dict[str, float]:
         """Set the scenario; a `time_period` initialises the test (7 days of warm-up): first measurements, else {}."""
 
         def parse(at: str, payload: Any) -> dict[str, float]:

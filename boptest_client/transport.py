@@ -77,7 +77,7 @@ class TransportConfig:
 
 
 @dataclass(frozen=True)
-class Answer:
+class ServiceAnswer:
     """Answer of the service: the payload (the whole JSON if there is no envelope) and the message."""
 
     payload: Any
@@ -188,7 +188,7 @@ class Transport:
 
     def call(
         self, method: Method, path: str, body: dict[str, Any] | None = None, *, most_s: float = math.inf
-    ) -> Answer:
+    ) -> ServiceAnswer:
         """Send one request, once; the answer is waited for `most_s` at most, s; raises `BoptestError`s."""
         endpoint = f"{method} {self.url}/{path}"
         verb, began_s = path.partition("/")[0], time.monotonic()
@@ -225,7 +225,7 @@ class Transport:
         return _unpacked(endpoint, response)
 
 
-def _unpacked(endpoint: str, response: requests.Response) -> Answer:
+def _unpacked(endpoint: str, response: requests.Response) -> ServiceAnswer:
     """What the service answers; raises `ServiceError` for an error of its own, `ProtocolError` where it is not its."""
     try:
         content = response.json()
@@ -243,12 +243,12 @@ def _unpacked(endpoint: str, response: requests.Response) -> Answer:
         if gone or status != 404:
             raise (UnknownTest if gone else RequestRejected)(endpoint, reason, status)
     if status == 200 and response.text.strip() == "OK":  # the bare word answers `stop`
-        return Answer(None, "OK")
+        return ServiceAnswer(None, "OK")
     if status >= 300 or content is None:
         raise ProtocolError(endpoint, f"not an answer of the service: {_came(response)}")
     if isinstance(content, dict) and "payload" in content:
-        return Answer(content["payload"], safe_text(content.get("message") or ""))
-    return Answer(content, "")
+        return ServiceAnswer(content["payload"], safe_text(content.get("message") or ""))
+    return ServiceAnswer(content, "")
 
 
 def _came(response: requests.Response) -> str:

@@ -22,7 +22,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.execution import LocalEngine, Task, execute
-from thermoforce_mpc.execution import Outcome as Executed
+from thermoforce_mpc.execution import TaskOutcome as Executed
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_task, run_identification
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant

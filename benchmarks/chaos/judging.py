@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from benchmarks.chaos.troubles import TWICE, UNITS, Trouble
-from thermoforce_mpc.records.journal import Entry
+from thermoforce_mpc.records.journal import JournalEntry
 
 _CLOCK_TOLERANCE_S = 1e-3
 
@@ -23,13 +23,13 @@ def wrong_inputs(inputs: Sequence[dict[str, Any]]) -> list[str]:
     return wrong[:1]
 
 
-def unsaid_units(entries: Sequence[Entry], made: Collection[str]) -> list[str]:
+def unsaid_units(entries: Sequence[JournalEntry], made: Collection[str]) -> list[str]:
     """Wrong units that no note of a step tells."""
     notes = [note for entry in entries if entry.kind == "done" for note in entry.content["notes"]]
     return [f"{kind}: not said" for kind in made if kind in UNITS and not any(UNITS[kind][2] in note for note in notes)]
 
 
-def _advances(entries: Sequence[Entry]) -> list[tuple[float, float]]:
+def _advances(entries: Sequence[JournalEntry]) -> list[tuple[float, float]]:
     """Begin and end of what the journal has as one advance, s, without the asked duration."""
     found, before = [], math.nan
     for entry in entries:
@@ -42,13 +42,13 @@ def _advances(entries: Sequence[Entry]) -> list[tuple[float, float]]:
     return found
 
 
-def jumps(entries: Sequence[Entry]) -> list[tuple[float, float]]:
+def jumps(entries: Sequence[JournalEntry]) -> list[tuple[float, float]]:
     """Advances after which the clock stood elsewhere than asked for."""
     return [(due, end) for due, end in _advances(entries) if abs(end - due) > _CLOCK_TOLERANCE_S]
 
 
 def wrong_steps(
-    entries: Sequence[Entry], simulated_s: Sequence[float], troubles: Sequence[Trouble], done: bool
+    entries: Sequence[JournalEntry], simulated_s: Sequence[float], troubles: Sequence[Trouble], done: bool
 ) -> list[str]:
     """Steps that the journal lacks, has twice, or that ran ahead without a word."""
     wrong = []

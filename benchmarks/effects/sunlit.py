@@ -20,7 +20,7 @@ from thermoforce_mpc.identification.estimation.records import prepared_runs
 from thermoforce_mpc.identification.network.sensor import sun_on_sensor
 from thermoforce_mpc.identification.probing.probe import Probing
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
-from thermoforce_mpc.model.screening import Limits
+from thermoforce_mpc.model.screening import ReadingLimits
 from thermoforce_mpc.model.sun_on_sensor import LIKELY
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
 from thermoforce_mpc.plants.registry import build_plant
@@ -98,7 +98,7 @@ def _looks(name: str, plant: Plant, testcase: TestCase, day: int, bias_K: float)
 def probability_of_sun(record: Record, testcase: TestCase) -> tuple[float, float] | None:
     """Probability of sun on the sensor and K in full sun; None where the record cannot be identified from."""
     try:
-        runs, _ = prepared_runs([record], Limits.of(None, testcase.area_m2, 0.0))
+        runs, _ = prepared_runs([record], ReadingLimits.of(None, testcase.area_m2, 0.0))
     except DataError:
         return None
     sun = sun_on_sensor(runs, 0, testcase.layout, [IDENTITY], IdentificationConfig())

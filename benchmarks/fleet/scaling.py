@@ -11,8 +11,8 @@ from pathlib import Path
 from thermoforce_mpc.comparison.cells import Cell
 from thermoforce_mpc.comparison.store import Store
 from thermoforce_mpc.comparison.variants import Variant
-from thermoforce_mpc.execution import LocalEngine, Outcome, Task, execute
-from thermoforce_mpc.fleet.file import FleetFile, Generated, Source, buildings_of
+from thermoforce_mpc.execution import LocalEngine, Task, TaskOutcome, execute
+from thermoforce_mpc.fleet.file import BuildingSource, FleetFile, Generated, buildings_of
 from thermoforce_mpc.fleet.runs import runs_of, tasks_of
 
 # A population that no table of the documentation reports.
@@ -63,7 +63,7 @@ def campaign(
 def _tasks(buildings: int, days: float, model: bool, first: int) -> list[Task]:
     name = "thermoforce_mpc" if model else "thermostat"
     file = FleetFile(
-        buildings=(Source(generated=Generated(seed=_SEED, count=buildings, first=first)),),
+        buildings=(BuildingSource(generated=Generated(seed=_SEED, count=buildings, first=first)),),
         windows=("cold_week",),
         variants={name: Variant(controller=name)},
         reference=name,
@@ -72,7 +72,7 @@ def _tasks(buildings: int, days: float, model: bool, first: int) -> list[Task]:
     return tasks_of(runs_of(file, buildings_of(file, _HERE), _HERE))
 
 
-def _done(outcomes: Iterable[Outcome], told: Callable[[int], None] = lambda n: None) -> int:
+def _done(outcomes: Iterable[TaskOutcome], told: Callable[[int], None] = lambda n: None) -> int:
     """Number of runs among the outcomes."""
     n = 0
     for outcome in outcomes:

@@ -11,7 +11,7 @@ from benchmarks.interventions.pool import simulate_all
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.energyplus.engine import is_available
-from thermoforce_mpc.plants.energyplus.zone import CLIMATES, Climate, Job, ZoneSpec, gains
+from thermoforce_mpc.plants.energyplus.zone import CLIMATES, Climate, ZoneJob, ZoneSpec, gains
 
 __all__ = ["energyplus_sources", "is_available"]
 
@@ -44,10 +44,10 @@ def energyplus_sources(engine: Engine, days: int = _DAYS) -> list[Source]:
     ]
 
 
-def _job(climate: Climate, day: int, days: int) -> Job:
+def _job(climate: Climate, day: int, days: int) -> ZoneJob:
     spec = climate.spec
     off = np.full(round(days * DAY_S / spec.step_s), _NEVER_C[spec.mode])
-    return Job(spec, day, off, gains(climate, day, days, _SEED))
+    return ZoneJob(spec, day, off, gains(climate, day, days, _SEED))
 
 
 def _hourly(record: Record) -> tuple[Record, np.ndarray[tuple[int], np.dtype[np.float64]]]:

@@ -29,7 +29,15 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.plants.energyplus.engine import engine_version, file_hash, weather_file
-from thermoforce_mpc.plants.energyplus.zone import CLIMATES, Climate, ClimateName, Job, base_setpoint, gains, zone_model
+from thermoforce_mpc.plants.energyplus.zone import (
+    CLIMATES,
+    Climate,
+    ClimateName,
+    ZoneJob,
+    base_setpoint,
+    gains,
+    zone_model,
+)
 
 # Days dropped at the start of the warm-up; the rest of it is the context of the forecasters.
 _FORGOTTEN_DAYS = 4
@@ -159,18 +167,18 @@ class _Cut:
     twin: int | None = None
 
 
-def _jobs(protocol: Protocol) -> tuple[list[Job], list[_Cut]]:
-    jobs: list[Job] = []
+def _jobs(protocol: Protocol) -> tuple[list[ZoneJob], list[_Cut]]:
+    jobs: list[ZoneJob] = []
     plan: list[_Cut] = []
     for name in protocol.climates:
         climate = CLIMATES[name]
         per_hour = HOUR_S / climate.spec.step_s
         forgotten = round(_FORGOTTEN_DAYS * 24 * per_hour)
 
-        def job(first_day: int, n_days: int, climate: Climate = climate) -> Job:
+        def job(first_day: int, n_days: int, climate: Climate = climate) -> ZoneJob:
             start = first_day - WARMUP_DAYS
             setpoint = base_setpoint(climate, WARMUP_DAYS + n_days)
-            return Job(climate.spec, start, setpoint, gains(climate, start, WARMUP_DAYS + n_days, protocol.seed))
+            return ZoneJob(climate.spec, start, setpoint, gains(climate, start, WARMUP_DAYS + n_days, protocol.seed))
 
         warm = round(WARMUP_DAYS * 24 * per_hour)
         for k in protocol.probe_days:
@@ -178,7 +186,7 @@ def _jobs(protocol: Protocol) -> tuple[list[Job], list[_Cut]]:
             probed = factual.setpoint_C.copy()
             probed[warm:] += probing_shift(climate, k, protocol.seed)
             base = len(jobs)
-            jobs += [factual, Job(climate.spec, factual.first_day, probed, factual.gains)]
+            jobs += [factual, ZoneJob(climate.spec, factual.first_day, probed, factual.gains)]
             plan.append(_Cut(f"{name}/probe/{k}/history", base, forgotten, warm))
             plan.append(_Cut(f"{name}/probe/{k}/factual", base, warm, factual.n_steps))
             plan.append(_Cut(f"{name}/probe/{k}/probed", base + 1, warm, factual.n_steps, twin=base))
@@ -196,7 +204,7 @@ def _jobs(protocol: Protocol) -> tuple[list[Job], list[_Cut]]:
                     plan.append(_Cut(f"{label}/history", base, forgotten, start))
                     plan.append(_Cut(f"{label}/factual", base, start, end))
                     plan.append(_Cut(f"{label}/perturbed", len(jobs), start, end, twin=base))
-                    jobs.append(Job(climate.spec, factual.first_day, setpoint, factual.gains))
+                    jobs.append(ZoneJob(climate.spec, factual.first_day, setpoint, factual.gains))
     return jobs, plan
 
 

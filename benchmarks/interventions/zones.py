@@ -10,13 +10,13 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.plants.energyplus.engine import Reading, run_engine, weather_file
-from thermoforce_mpc.plants.energyplus.zone import GAINS, HVAC, ZONE_WIRING, Job, PiPolicy, zone_model
+from thermoforce_mpc.plants.energyplus.zone import GAINS, HVAC, ZONE_WIRING, PiPolicy, ZoneJob, zone_model
 
 # Maps the step's number (−1 while the engine warms up) and the zone temperature before it, °C, to u in [0, 1].
 Policy = Callable[[int, float], float]
 
 
-def simulate(job: Job) -> Record:
+def simulate(job: ZoneJob) -> Record:
     """Run one job in this process.
 
     Returns:
@@ -46,7 +46,7 @@ def simulate(job: Job) -> Record:
 class Recorder:
     """`Driver` that acts before each step, reads after it, and stops when all steps are recorded."""
 
-    def __init__(self, job: Job, policy: Policy) -> None:
+    def __init__(self, job: ZoneJob, policy: Policy) -> None:
         self._job, self._policy = job, policy
         self._sign = 1.0 if job.spec.mode == "heating" else -1.0
         self._before: Reading | None = None

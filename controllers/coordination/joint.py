@@ -13,7 +13,7 @@ from controllers.checks import ControllerConfigError
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem
 from controllers.optimisation.programme import QPData
-from controllers.optimisation.solution import Answer, Solution, checked, failed
+from controllers.optimisation.solution import Solution, SolverAnswer, checked, failed
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig
 from controllers.optimisation.statement.terms import PlanExpressions
 from thermoforce_mpc.data import Array
@@ -105,7 +105,7 @@ class Member:
 
     def checked(self, x: Array) -> Solution:
         """Its plan, from its variables in the optimum of all."""
-        answer = Answer(x, self.programme.objective(x), "jointly:solved", 0, shown=True)
+        answer = SolverAnswer(x, self.programme.objective(x), "jointly:solved", 0, shown=True)
         solution = checked(self._model, self._problem, self._p, answer)
         if solution.ok and (power_kW(solution) > x[self.power_at] + LIMIT_TOLERANCE_KW).any():
             return failed(solution.status, 0, "its levels draw more than its part of the limit")

@@ -17,7 +17,16 @@ from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.qp_backends import QPConfig
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution.cooperative import Computation, Handler, Outcome, Request, Result, altered, gather, run
+from thermoforce_mpc.execution.cooperative import (
+    Computation,
+    Handler,
+    Request,
+    RequestOutcome,
+    Result,
+    altered,
+    gather,
+    run,
+)
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
@@ -103,7 +112,7 @@ class _SharedSolves:
     joint: JointPlan | None = field(default=None)
     why_over: str = field(default="")
 
-    def __call__(self, requests: list[Request]) -> Sequence[Outcome]:
+    def __call__(self, requests: list[Request]) -> Sequence[RequestOutcome]:
         of = {i: request.call for i, request in enumerate(requests) if isinstance(request.call, _LabelledSolve)}
         rest = [i for i in range(len(requests)) if i not in of]
         outcomes = dict(zip(rest, self.others([requests[i] for i in rest]), strict=True)) if rest else {}
@@ -111,7 +120,7 @@ class _SharedSolves:
             outcomes |= self._planned(of)
         return [outcomes[i] for i in range(len(requests))]
 
-    def _planned(self, of: Mapping[int, _LabelledSolve]) -> dict[int, Outcome]:
+    def _planned(self, of: Mapping[int, _LabelledSolve]) -> dict[int, RequestOutcome]:
         members, why = list[Member](), dict[str, str]()
         for labelled in of.values():
             try:
@@ -128,7 +137,7 @@ class _SharedSolves:
         self.why_over = self.shared.why_over(joint.reserved_kW + sum(others), len(joint.silent) + len(others))
         why |= joint.silent
         return {
-            i: Outcome(
+            i: RequestOutcome(
                 failed("no share", 0, f"no share of what is shared: {why[labelled.name]}")
                 if labelled.name in why
                 else joint.solutions[labelled.name]

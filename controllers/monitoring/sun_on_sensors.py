@@ -19,7 +19,7 @@ from thermoforce_mpc.execution.cooperative import Computation, Request, perform
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import prepared_runs
 from thermoforce_mpc.identification.network.sensor import sun_on_sensor
-from thermoforce_mpc.model.screening import Limits
+from thermoforce_mpc.model.screening import ReadingLimits
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
@@ -131,6 +131,6 @@ class SunOnSensors:
     def _prepared(self, latest: Record) -> list[Record]:
         """The latest days; nothing where too little was measured, or nothing acted."""
         try:
-            return list(prepared_runs([latest], Limits.of(None, None, min(self._model.layout.lowest)))[0])
+            return list(prepared_runs([latest], ReadingLimits.of(None, None, min(self._model.layout.lowest)))[0])
         except DataError:
             return []

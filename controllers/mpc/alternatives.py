@@ -41,7 +41,7 @@ _PARTS = {
 
 
 @dataclass(frozen=True)
-class Course:
+class AlternativeCourse:
     """Levels `u` (A, N) over a horizon of N steps, and what the model predicts under them.
 
     `T_zone_C` (Z, N), at the end of each step; `parts`: what the controller minimises the sum of, by name
@@ -68,7 +68,7 @@ class Course:
 class Alternatives:
     """The plan (if there was one) and other courses over the same horizon; `notes`: what they rest on."""
 
-    courses: tuple[Course, ...]
+    courses: tuple[AlternativeCourse, ...]
     notes: tuple[str, ...] = ()
 
     @property
@@ -190,13 +190,13 @@ class _Model:
         """What levels (A, N) bring, by the statement of the plan."""
         return self._controller.evaluator.brings(self._problem, u)
 
-    def course(self, name: str, u: Array) -> Course:
+    def course(self, name: str, u: Array) -> AlternativeCourse:
         """What the model predicts under levels (A, N)."""
         brought = self.evaluate(u)
         T_zone_C = compose(self._problem.T_free_C, brought.forced_K)
         hours = self._boundary.step_s / HOUR_S
         outside_K = np.maximum(self._boundary.lower_C[:, 1:] - T_zone_C, T_zone_C - self._boundary.upper_C[:, 1:])
-        return Course(
+        return AlternativeCourse(
             name,
             u,
             T_zone_C,

@@ -34,7 +34,7 @@ from controllers.mpc.planner import (
     free_responses_of,
     plan_shape,
 )
-from controllers.mpc.prediction import Failure, Forecast, Prediction, WatchedPredictions
+from controllers.mpc.prediction import Failure, Forecast, PlanPredictor, WatchedPredictions
 from controllers.mpc.readings import Readings, ReadingsFilter, joined
 from controllers.mpc.realisation import Realisation
 from controllers.mpc.solved import Solved, beyond_rooms, first_demands, power_limit, solved_plan
@@ -149,7 +149,7 @@ class ThermoForceMPC(ActuatedController):
             watches, self._planners.of, model, enabled=c.watch.enabled and not self._gate.closes_all
         )
         self._readings = ReadingsFilter(c, model, self._planners.base.predictor)
-        self._prediction = Prediction(
+        self._prediction = PlanPredictor(
             self._planners, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
         )
         alarms = (WatchAlarm(self._fallbacks),) if self._watched.enabled else ()

@@ -155,7 +155,7 @@ class Failure:
     seconds: Mapping[str, float] = field(default_factory=dict)
 
 
-class Prediction:
+class PlanPredictor:
     """Predicts for the steps of a plan, within `seconds` of wall time; it holds no state.
 
     What is forecast now will validate the zone sensors, and is compared with what comes by `watched`.

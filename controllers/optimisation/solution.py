@@ -93,7 +93,7 @@ def failed(status: str, iterations: int, why: str) -> Solution:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class SolverAnswer:
     """What a method says: variables `x` with an objective of `claimed`, None where it ended before its optimum.
 
     `status`, `iterations`, `gap`: as of `Solution`. `why`: why `x` is not the optimum, '' where it is said to be.
@@ -151,7 +151,7 @@ class StatementSolver(ABC):
             yield failed("fallback:raised", 0, f"its fallback raised {type(error).__name__}: {error}")
 
     @abstractmethod
-    def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
+    def _answers(self, p: Array, guess: Array | None) -> Iterator[SolverAnswer]:
         """What the method answers at parameters `p`; a further answer is asked for where one is not the optimum."""
 
 
@@ -167,7 +167,9 @@ def first_of(solutions: Iterable[Solution]) -> Solution:
     return replace(min(acceptable, key=lambda solution: solution.cost, default=tried[0]), problem=reasons)
 
 
-def checked(model: PlanModel, problem: MPCProblem, p: Array, answer: Answer, guess: Array | None = None) -> Solution:
+def checked(
+    model: PlanModel, problem: MPCProblem, p: Array, answer: SolverAnswer, guess: Array | None = None
+) -> Solution:
     """The solution that an answer is at parameters `p`.
 
     Refused are variables that are not finite, or out of bounds, capacities or exclusion, and those whose objective, as
@@ -241,7 +243,7 @@ class _Sizes:
         return _OF_WORTH * sum(map(abs, found.parts.values()))
 
 
-def _not_shown(model: PlanModel, sizes: _Sizes, found: Evaluation, nearby: QPData, answer: Answer) -> str:
+def _not_shown(model: PlanModel, sizes: _Sizes, found: Evaluation, nearby: QPData, answer: SolverAnswer) -> str:
     """Why an answer is not shown to be the optimum, or ''."""
     if answer.shown:
         return ""

@@ -22,7 +22,7 @@ from boptest_client import (
     InternalError,
     ProtocolError,
     RequestRejected,
-    Scenario,
+    ServiceScenario,
     ServiceTimeout,
     TlsError,
     TransportConfig,
@@ -118,13 +118,13 @@ def test_an_unknown_test_case_is_told_with_what_there_is(service):
 
 
 def test_scenarios_go_out_whole_and_come_back_typed(client, service):
-    wanted = Scenario("dynamic", "peak_heat_day", temperature_uncertainty="low", seed=3)
+    wanted = ServiceScenario("dynamic", "peak_heat_day", temperature_uncertainty="low", seed=3)
     assert client.set_scenario(wanted)["time"] % 86400 == 0
     assert service.bodies[-1][1]["solar_uncertainty"] is None, "the service forgets what is not named: name all"
     assert client.scenario() == wanted
-    assert client.set_scenario(Scenario("constant")) == {}
+    assert client.set_scenario(ServiceScenario("constant")) == {}
     with pytest.raises(RequestRejected, match="time_period is nonsense"):
-        client.set_scenario(Scenario(time_period="nonsense"))
+        client.set_scenario(ServiceScenario(time_period="nonsense"))
 
 
 def test_clipping_at_the_service_is_logged(client, caplog):
@@ -176,7 +176,7 @@ def test_patience_is_bounded(client, service):
     assert service.count("kpi/") < 20
     service.faults[:] = [Fault("scenario/", "500", times=99)]
     with pytest.raises(InternalError, match=r"scenario.*no better answer within 30 s") as caught:
-        client.set_scenario(Scenario())
+        client.set_scenario(ServiceScenario())
     assert caught.value.status == 500
 
 
@@ -293,7 +293,7 @@ ODD = [None, [], {}, "text", 3, [1, 2], {"time": None}, {"time": "soon"}, {"time
         ("name/", lambda c: c.name()),
         ("inputs/", lambda c: c.inputs()),
         ("scenario/", lambda c: c.scenario()),
-        ("scenario/", lambda c: c.set_scenario(Scenario("constant", "peak_heat_day"))),
+        ("scenario/", lambda c: c.set_scenario(ServiceScenario("constant", "peak_heat_day"))),
         ("initialize/", lambda c: c.initialize(86400, 0)),
         ("step/", lambda c: c.step()),
         ("advance/", lambda c: c.advance({})),

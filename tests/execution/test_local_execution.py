@@ -15,7 +15,7 @@ from waiting import LONG_S, wait_for
 
 from benchmarks.cases import JsonResults, TaskFailed, collect
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution import LocalEngine, Outcome, Task, execute, local
+from thermoforce_mpc.execution import LocalEngine, Task, TaskOutcome, execute, local
 from thermoforce_mpc.execution.engine import Begun
 
 
@@ -34,7 +34,7 @@ class Watched:
     def told(self, task: Task, share: float) -> None:
         self.shares.append(share)
 
-    def ended(self, outcome: Outcome) -> None:
+    def ended(self, outcome: TaskOutcome) -> None:
         self.outcomes.append(outcome)
 
 

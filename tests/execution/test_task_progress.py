@@ -7,7 +7,7 @@ import time
 
 from rich.console import Console
 
-from thermoforce_mpc.execution import Outcome, Task, TaskProgress
+from thermoforce_mpc.execution import Task, TaskOutcome, TaskProgress
 
 TASKS = [Task(f"k{n}", f"task {n}", print, None) for n in range(3)]
 
@@ -21,9 +21,9 @@ def shown(**console) -> str:
         progress.told(TASKS[0], 0.5)
         if console:
             time.sleep(0.25)  # bars are drawn ten times a second
-        progress.ended(Outcome(TASKS[0], 1, "", 12.0, 1))
-        progress.ended(Outcome(TASKS[1], None, "no [heat]", 1.0, 1))
-        progress.ended(Outcome(TASKS[2], 1, "", 3.0, 1))
+        progress.ended(TaskOutcome(TASKS[0], 1, "", 12.0, 1))
+        progress.ended(TaskOutcome(TASKS[1], None, "no [heat]", 1.0, 1))
+        progress.ended(TaskOutcome(TASKS[2], 1, "", 3.0, 1))
     return out.getvalue()
 
 
@@ -42,7 +42,7 @@ def test_a_task_that_is_begun_again_is_one_task():
             progress.planned(1)
             progress.begun(TASKS[0])
             progress.begun(TASKS[0])
-            progress.ended(Outcome(TASKS[0], 1, "", 12.0, 2))
+            progress.ended(TaskOutcome(TASKS[0], 1, "", 12.0, 2))
         return out.getvalue()
 
     assert shown_again().splitlines() == ["started task 0", "started task 0 again", "done    [1/1] task 0 (12 s)"]
@@ -62,5 +62,5 @@ def test_quiet_shows_nothing():
     with TaskProgress(Console(file=out), quiet=True) as progress:
         progress.planned(1)
         progress.begun(TASKS[0])
-        progress.ended(Outcome(TASKS[0], 1, "", 12.0, 1))
+        progress.ended(TaskOutcome(TASKS[0], 1, "", 12.0, 1))
     assert out.getvalue() == ""

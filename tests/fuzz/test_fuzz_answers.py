@@ -15,7 +15,14 @@ from fuzzing import VALUES, fuzz, mutated, result_or_error, tampered
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boptest_client import AdvanceInterrupted, BoptestClient, BoptestError, ProtocolError, Scenario, TransportConfig
+from boptest_client import (
+    AdvanceInterrupted,
+    BoptestClient,
+    BoptestError,
+    ProtocolError,
+    ServiceScenario,
+    TransportConfig,
+)
 
 HASTY = TransportConfig(connect_timeout_s=0.01, read_timeout_s=5.0, patience_s=0.0, backoff_s=0.0)
 POINT = {"Unit": "K", "Description": "room", "Minimum": 278.15, "Maximum": 308.15}
@@ -28,7 +35,7 @@ CALLS = {
     "version": (lambda c: c.version(), {"version": "0.8.0"}),
     "step": (lambda c: c.step(), 3600),
     "scenario": (lambda c: c.scenario(), {"electricity_price": "dynamic", "time_period": None, "seed": 1}),
-    "set_scenario": (lambda c: c.set_scenario(Scenario(time_period="peak_heat_day")), {"time_period": STATE}),
+    "set_scenario": (lambda c: c.set_scenario(ServiceScenario(time_period="peak_heat_day")), {"time_period": STATE}),
     "initialize": (lambda c: c.initialize(3600.0, 0.0), STATE),
     "advance": (lambda c: c.advance({"oveTSet_u": 294.0}), STATE),
     "forecast": (lambda c: c.forecast(["TDryBul"], 3600.0, 3600.0), SERIES),

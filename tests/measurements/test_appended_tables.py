@@ -10,7 +10,7 @@ import thermoforce_mpc as tf
 from thermoforce_mpc.data.limits import RULES as RULES_OF_SIGNALS
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.load import read_measurements
-from thermoforce_mpc.model.screening import Limits, screened_history
+from thermoforce_mpc.model.screening import ReadingLimits, screened_history
 
 RULES = {
     "time": {"zone": "Europe/Vienna"},
@@ -205,7 +205,7 @@ def test_tables_and_a_running_loop_refuse_by_the_same_rule(path, name, column):
         )
         table = rows.set_index(pd.to_datetime(rows.pop("time"))).rename_axis("time")
         as_read = tf.read_measurements(table, open_rules).record
-        measured, _ = screened_history(as_read, Limits())
+        measured, _ = screened_history(as_read, ReadingLimits())
         refused = np.isnan(np.atleast_2d(getattr(measured, name))[0, 100])
         found = tf.read_measurements(table, RULES).understood.signals
         flags = [flag.rule for signal in found if signal.source == column for flag in signal.flags]

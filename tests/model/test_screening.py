@@ -11,13 +11,13 @@ from simple_house import simple_model
 from thermoforce_mpc.data import HOUR_S, Measurement, Record
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
+from thermoforce_mpc.model.screening import ReadingLimits, limits_of, screened, screened_history
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 NAN = float("nan")
 NOW_S = 30 * HOUR_S
 GOOD = Measurement(NOW_S + 900.0, 21.0, 5.0, 100.0, 0.5, 1000.0, 2500.0, 30.0)
-HOUSE = Limits.of(None, floor_area_m2=100.0)
+HOUSE = ReadingLimits.of(None, floor_area_m2=100.0)
 
 
 def past(T_zone_C=21.0, n: int = 30) -> Record:
@@ -89,21 +89,21 @@ def test_a_sensor_that_was_moved_is_believed_again_after_some_hours():
 def test_limits_of_a_model_are_multiples_of_what_its_machine_can_do():
     model = simple_model()
     power_W = float(model.only.power(np.array(1.0), 0.0))
-    assert Limits.of(model).heat_W == (-np.inf, np.inf)  # its operator is driven by u: nothing is known of heat
-    assert Limits.of(model, 100.0).heat_W == (-50e3, 50e3)
-    np.testing.assert_allclose(Limits.of(model, 100.0).power_W, [-0.05 * power_W, 3 * power_W])
+    assert ReadingLimits.of(model).heat_W == (-np.inf, np.inf)  # its operator is driven by u: nothing is known of heat
+    assert ReadingLimits.of(model, 100.0).heat_W == (-50e3, 50e3)
+    np.testing.assert_allclose(ReadingLimits.of(model, 100.0).power_W, [-0.05 * power_W, 3 * power_W])
     for sign, expected in ((1, (-12e3, 36e3)), (-1, (-36e3, 12e3))):
         heat = HeatInput(MachineLoad((2e3, 0.0, 8e3, 200.0), (-10.0, 10.0)))
         one = model.only.operator
         operator = replace(one, heat_input=heat, gains=sign * one.gains, sign=sign)
-        np.testing.assert_allclose(Limits.of(ThermalModel.single(operator, model.only.power)).heat_W, expected)
+        np.testing.assert_allclose(ReadingLimits.of(ThermalModel.single(operator, model.only.power)).heat_W, expected)
 
 
 def test_limits_come_from_the_model_that_a_controller_plans_with():
     class Planner:
         model = simple_model()
 
-    assert limits_of(Planner(), 100.0) == Limits.of(simple_model(), 100.0)
+    assert limits_of(Planner(), 100.0) == ReadingLimits.of(simple_model(), 100.0)
     assert limits_of(object(), 100.0) == HOUSE
     assert limits_of(object()).power_W == (-np.inf, np.inf)
 
@@ -133,6 +133,6 @@ def test_power_that_is_only_a_curve_is_believed():
     model = simple_model()
     load = MachineLoad((0.0, 0.0, 1e-3, 0.0), (-10.0, 20.0), curve_W=1200.0)
     curved = replace(model, power=tuple(replace(power, load=load) for power in model.power))
-    low, high = Limits.of(curved).range("power_W")
+    low, high = ReadingLimits.of(curved).range("power_W")
     assert low < 0.0
     assert high > 1200.0

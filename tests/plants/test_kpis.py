@@ -11,7 +11,15 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
-from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess, peak_power, window_means, zone_kpis
+from thermoforce_mpc.plants.kpis import (
+    EnergySupply,
+    Violation,
+    building_kpis,
+    excess,
+    peak_power,
+    window_means,
+    zone_kpis,
+)
 
 TIME = np.arange(0, 7200 + 1, 30.0)
 
@@ -78,7 +86,7 @@ def test_power_of_steps_counts_with_the_price_at_their_begin_and_in_their_own_qu
     time_s = np.arange(0, 7200 + 1, 300.0)
     price = np.where(time_s < 3600, 0.1, 0.3)
     power = np.where((time_s > 2700) & (time_s <= 3600) | (time_s == 0), 4000.0, 0.0)
-    supply = Supply("ElectricPower", power, price, np.ones(time_s.size), of_steps=True)
+    supply = EnergySupply("ElectricPower", power, price, np.ones(time_s.size), of_steps=True)
     found = building_kpis(time_s, supplies=[supply], thermal=[], air_quality=[], area_m2=100.0)
     assert found["ener_tot"] == pytest.approx(1.0 / 100)
     assert found["cost_tot"] == pytest.approx(0.1 / 100)
@@ -145,9 +153,9 @@ def test_carriers_add_up_and_zones_are_averaged():
     kpis = building_kpis(
         time_s,
         supplies=[
-            Supply("ElectricPower", 2000 * flat, 0.3 * flat, 0.2 * flat),
-            Supply("GasPower", 6000 * flat, 0.05 * flat, 0.1 * flat),
-            Supply("BiomassPower", 0 * flat, flat, flat),
+            EnergySupply("ElectricPower", 2000 * flat, 0.3 * flat, 0.2 * flat),
+            EnergySupply("GasPower", 6000 * flat, 0.05 * flat, 0.1 * flat),
+            EnergySupply("BiomassPower", 0 * flat, flat, flat),
         ],
         thermal=[
             Violation("a", excess(19 * flat, 20 * flat, 24 * flat)),
@@ -179,7 +187,7 @@ def test_a_hole_in_a_series_is_no_kpi():
     with pytest.raises(DataError, match="power_W of GasPower is not a finite number at 30 s"):
         building_kpis(
             time_s,
-            supplies=[Supply("GasPower", power, np.ones(3), np.ones(3))],
+            supplies=[EnergySupply("GasPower", power, np.ones(3), np.ones(3))],
             thermal=[],
             air_quality=[],
             area_m2=1.0,

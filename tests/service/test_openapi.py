@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.service.app import Limits, create_app
+from thermoforce_mpc.service.app import ServiceLimits, create_app
 from thermoforce_mpc.service.server import plants
 
 schemathesis = pytest.importorskip("schemathesis")
@@ -24,7 +24,7 @@ FUZZ = settings(max_examples=8, derandomize=True, deadline=None, suppress_health
 
 @pytest.fixture(scope="module")
 def app():
-    return create_app(plants(synthetic_weather()), Limits(most_tests=3, per_second=1e9))
+    return create_app(plants(synthetic_weather()), ServiceLimits(most_tests=3, per_second=1e9))
 
 
 @pytest.fixture(scope="module")

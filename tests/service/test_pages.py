@@ -8,7 +8,7 @@ from emulator_service import running_emulator_service
 from waiting import LONG_S
 from werkzeug.datastructures import Headers
 
-from thermoforce_mpc.service.access import Names, Refusal
+from thermoforce_mpc.service.access import HostNames, Refusal
 
 NAME = "bestest_hydronic_heat_pump"
 SELECT = f"testcases/{NAME}/select"
@@ -68,7 +68,7 @@ def test_an_address_and_a_name_of_the_service_are_asked(url, host):
 @pytest.mark.parametrize("headers", [{"Origin": "http://[evil"}, {"Origin": "http://a", "Host": ""}])
 def test_a_broken_origin_is_one_of_elsewhere(headers):
     with pytest.raises(Refusal, match="another site"):
-        Names().check(Headers(headers))
+        HostNames().check(Headers(headers))
 
 
 @pytest.mark.parametrize("kind", ["text/plain", "", "application/xml", "application/json-seq"])

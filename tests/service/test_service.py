@@ -16,8 +16,8 @@ from waiting import LONG_S
 from boptest_client import (
     BoptestClient,
     RequestRejected,
-    Scenario,
     ServiceError,
+    ServiceScenario,
     TransportConfig,
     UnknownTest,
 )
@@ -221,7 +221,7 @@ def test_steps_of_any_length_last_as_long_as_they_say(client):
 
 @pytest.mark.slow
 def test_a_scenario_ends_on_time_whatever_the_step(client):
-    start = client.set_scenario(Scenario(time_period="typical_heat_day"))
+    start = client.set_scenario(ServiceScenario(time_period="typical_heat_day"))
     client.set_step(13 * DAY_S + 0.1)
     client.advance()
     client.set_step(86399.5)
@@ -287,7 +287,7 @@ def test_whole_numbers_have_no_decimal_point_as_javascript_writes_them(client):
 
 
 def test_a_scenario_runs_two_weeks_and_ends(client):
-    start = client.set_scenario(Scenario("highly_dynamic", "typical_heat_day"))
+    start = client.set_scenario(ServiceScenario("highly_dynamic", "typical_heat_day"))
     assert client.scenario().time_period == "typical_heat_day"
     record = client.results(["reaTZon_y"], 0, 1e9)
     assert start["time"] - record["time"][0] == 7 * DAY_S
@@ -389,30 +389,30 @@ def test_forecast_errors_repeat_with_the_seed_and_touch_only_what_they_should(cl
         client.initialize(100 * DAY_S, 0)
         return client.forecast(["TDryBul", "HGloHor", "HDirNor"], 24 * HOUR_S, HOUR_S)
 
-    truth = seen(Scenario())
-    warm = seen(Scenario(temperature_uncertainty="high", seed=3))
+    truth = seen(ServiceScenario())
+    warm = seen(ServiceScenario(temperature_uncertainty="high", seed=3))
     assert warm["TDryBul"] != truth["TDryBul"]
     assert warm["HGloHor"] == truth["HGloHor"]
-    assert warm == seen(Scenario(temperature_uncertainty="high", seed=3))
-    assert warm["TDryBul"] != seen(Scenario(temperature_uncertainty="high", seed=4))["TDryBul"]
-    sunny = seen(Scenario(solar_uncertainty="medium", seed=3))
+    assert warm == seen(ServiceScenario(temperature_uncertainty="high", seed=3))
+    assert warm["TDryBul"] != seen(ServiceScenario(temperature_uncertainty="high", seed=4))["TDryBul"]
+    sunny = seen(ServiceScenario(solar_uncertainty="medium", seed=3))
     assert sunny["TDryBul"] == truth["TDryBul"]
     assert sunny["HGloHor"] != truth["HGloHor"]
     with pytest.raises(RequestRejected, match="at most 48 hours in a solar_uncertainty scenario"):
         client.forecast(["HGloHor"], 49 * HOUR_S, HOUR_S)
     for name in ("LowerSetp[1]", "TDryBul"):  # points without errors
         assert len(client.forecast([name], 72 * HOUR_S, HOUR_S)["time"]) == 73
-    hot = seen(Scenario(temperature_uncertainty="high", solar_uncertainty="high", seed=3))
+    hot = seen(ServiceScenario(temperature_uncertainty="high", solar_uncertainty="high", seed=3))
     for horizon_s in (0.0, 1800.0):  # the present alone
         now = client.forecast(["TDryBul", "HGloHor"], horizon_s, HOUR_S)
         assert now == {name: hot[name][:1] for name in now}
-    assert seen(Scenario()) == truth, "uncertainties that are not named again are gone"
+    assert seen(ServiceScenario()) == truth, "uncertainties that are not named again are gone"
 
 
 def test_the_price_of_a_running_test_can_be_changed_without_disturbing_it(client):
     client.initialize(20 * DAY_S, 0)
     before = client.advance()
-    client.set_scenario(Scenario("dynamic"))
+    client.set_scenario(ServiceScenario("dynamic"))
     assert client.advance()["time"] == before["time"] + 3600
 
 

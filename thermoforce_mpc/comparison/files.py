@@ -11,7 +11,7 @@ import pandas as pd
 from thermoforce_mpc.comparison.outcome import (
     CONFIDENCE,
     KPIS,
-    Pair,
+    ControllerPair,
     Row,
     cost_targets,
     failures,
@@ -260,7 +260,7 @@ def comparison_data(rows: Sequence[Row], currency: str, swept: Mapping[str, str]
     }
 
 
-def _pair(pair: Pair) -> dict[str, Any]:
+def _pair(pair: ControllerPair) -> dict[str, Any]:
     content: dict[str, Any] = {name: getattr(pair, name) for name in ("controller", "reference", "windows")}
     for name, of in (("cost", pair.cost_percent), ("discomfort", pair.discomfort_Kh)):
         content[name] = {"values": of.values.tolist(), "mean": of.mean, "half": of.half}

@@ -202,7 +202,7 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class Pair:
+class ControllerPair:
     """A controller and a reference under one tariff and forecast error level, on the windows that both finished.
 
     `cost_percent`: difference of cost, % of the reference's; `discomfort_Kh`: difference of discomfort, K·h.
@@ -227,7 +227,7 @@ def reference_of(rows: Iterable[Row]) -> str | None:
     return None if cheapest is None else str(cheapest["controller"])
 
 
-def pairs(rows: Iterable[Row], reference: str) -> list[Pair]:
+def pairs(rows: Iterable[Row], reference: str) -> list[ControllerPair]:
     """Every controller beside `reference`, by tariff and forecast error level, in the order of the rows."""
     compared = []
     by_set: dict[tuple[str, str], dict[str, dict[str, Row]]] = {}
@@ -243,7 +243,7 @@ def pairs(rows: Iterable[Row], reference: str) -> list[Pair]:
                 cost = np.array([100.0 * (of[w][COST] / beside[w][COST] - 1.0) for w in windows])
                 discomfort = np.array([of[w][DISCOMFORT] - beside[w][DISCOMFORT] for w in windows])
                 both = Difference.of(cost), Difference.of(discomfort)
-                compared.append(Pair(controller, reference, *tariff, windows, *both))
+                compared.append(ControllerPair(controller, reference, *tariff, windows, *both))
     return compared
 
 

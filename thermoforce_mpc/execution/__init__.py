@@ -2,7 +2,7 @@
 
 from thermoforce_mpc.execution.cluster import DaskEngine, open_engine
 from thermoforce_mpc.execution.engine import Engine, tell
-from thermoforce_mpc.execution.execute import Outcome, Results, Task, Watcher, execute
+from thermoforce_mpc.execution.execute import Results, Task, TaskOutcome, Watcher, execute
 from thermoforce_mpc.execution.keys import content_key, source_fingerprint
 from thermoforce_mpc.execution.local import LocalEngine
 from thermoforce_mpc.execution.progress import TaskProgress
@@ -11,9 +11,9 @@ __all__ = [
     "DaskEngine",
     "Engine",
     "LocalEngine",
-    "Outcome",
     "Results",
     "Task",
+    "TaskOutcome",
     "TaskProgress",
     "Watcher",
     "content_key",

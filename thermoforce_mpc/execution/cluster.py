@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from thermoforce_mpc.errors import ConfigError, EngineError, counted
-from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told, answer_to
+from thermoforce_mpc.execution.engine import Begun, Ended, Event, Lost, Told, WorkerAnswer, answer_to
 from thermoforce_mpc.execution.keys import source_fingerprint
 from thermoforce_mpc.execution.local import LocalEngine
 from thermoforce_mpc.version import VERSION, installed
@@ -80,7 +80,7 @@ class _Cancelled(BaseException):
     """The client no longer wants the task; raised where the task tells how far it is, so that it releases its plant."""
 
 
-def perform(order: Order) -> Answer:
+def perform(order: Order) -> WorkerAnswer:
     """Run a task on this worker; raises `WrongWorker`."""
     from distributed import get_worker
 
@@ -222,7 +222,7 @@ class DaskEngine:
         from distributed import KilledWorker
 
         try:
-            answer: Answer = future.result()
+            answer: WorkerAnswer = future.result()
         except KilledWorker as error:
             return Lost(key, f"worker {error.last_worker.address}", error.allowed_failures + 1)
         except Exception as error:

@@ -1,7 +1,7 @@
 """Computations that request work instead of doing it, so that whoever runs several can do their work together.
 
-A computation is a generator: it yields a list of `Request`s and is sent one `Outcome` for each; what it returns is its
-result. `run` runs one computation, `gather` several side by side. (In httpx one authentication flow serves the
+A computation is a generator: it yields a list of `Request`s and is sent one `RequestOutcome` for each; what it returns
+is its result. `run` runs one computation, `gather` several side by side. (In httpx one authentication flow serves the
 synchronous and the asynchronous client in the same way.)
 """
 
@@ -30,7 +30,7 @@ class Request:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class RequestOutcome:
     """What became of a request: its `value`, or the `error` that ended it; it cost `seconds`."""
 
     value: Any = None
@@ -38,12 +38,12 @@ class Outcome:
     seconds: float = 0.0
 
 
-Computation = Generator[list[Request], Sequence[Outcome], Result]
+Computation = Generator[list[Request], Sequence[RequestOutcome], Result]
 Bounded = Callable[[object, Callable[[], Any], float | None], Any]
 """Makes a call on an object (first argument) within a time, s; raises where there was no answer in time."""
 
 
-Handler = Callable[[list[Request]], Sequence[Outcome]]
+Handler = Callable[[list[Request]], Sequence[RequestOutcome]]
 """Gives one outcome for each request, in their order."""
 
 
@@ -64,7 +64,7 @@ def gather(
     Raises what the first of them to fail raises.
     """
     results: dict[int, Result] = {}
-    outcomes: dict[int, Sequence[Outcome] | None] = dict.fromkeys(range(len(computations)))
+    outcomes: dict[int, Sequence[RequestOutcome] | None] = dict.fromkeys(range(len(computations)))
     waiting: dict[int, list[Request]] = {}
     while outcomes:
         requests = waiting
@@ -147,20 +147,20 @@ class DirectHandler:
     bounded: Bounded | None = None
     strangers: bool = False
 
-    def __call__(self, requests: list[Request]) -> list[Outcome]:
+    def __call__(self, requests: list[Request]) -> list[RequestOutcome]:
         """Outcomes in the order of `requests`."""
         began = time.monotonic()
         groups: dict[int, list[int]] = {}
         for i, request in enumerate(requests):
             groups.setdefault(-1 - i if request.items is None else id(request.owner), []).append(i)
-        by_index: dict[int, Outcome] = {}
+        by_index: dict[int, RequestOutcome] = {}
         for group in groups.values():
             spent = 0.0 if self.strangers else time.monotonic() - began
             outcomes = self._group([requests[i] for i in group], spent)
             by_index.update(zip(group, outcomes, strict=True))
         return [by_index[i] for i in range(len(requests))]
 
-    def _group(self, requests: list[Request], spent: float) -> list[Outcome]:
+    def _group(self, requests: list[Request], spent: float) -> list[RequestOutcome]:
         whole = self._outcome(_joined(requests), spent)
         if len(requests) == 1:
             return [whole]
@@ -169,19 +169,19 @@ class DirectHandler:
         out, at, each = [], 0, whole.seconds / max(len(whole.value), 1)
         for request in requests:
             n = len(request.items or ())
-            out.append(Outcome(whole.value[at : at + n], seconds=n * each))
+            out.append(RequestOutcome(whole.value[at : at + n], seconds=n * each))
             at += n
         return out
 
-    def _outcome(self, request: Request, spent: float) -> Outcome:
+    def _outcome(self, request: Request, spent: float) -> RequestOutcome:
         began = time.perf_counter()
         call = request.call if request.items is None else lambda: request.call(request.items)
         remaining_s = None if request.seconds is None else request.seconds - spent
         try:
             value = call() if self.bounded is None else self.bounded(request.owner, call, remaining_s)
         except Exception as error:  # whatever it is, the computation decides
-            return Outcome(error=error, seconds=time.perf_counter() - began)
-        return Outcome(value, seconds=time.perf_counter() - began)
+            return RequestOutcome(error=error, seconds=time.perf_counter() - began)
+        return RequestOutcome(value, seconds=time.perf_counter() - began)
 
 
 def _joined(requests: list[Request]) -> Request:

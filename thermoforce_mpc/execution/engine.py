@@ -16,7 +16,7 @@ _SHARE_EVERY_S = 0.5
 
 
 @dataclass(frozen=True)
-class Answer:
+class WorkerAnswer:
     """What a worker sends back: the pickled `value`, or the `reason` of a failure (see `Outcome`)."""
 
     value: bytes = b""
@@ -46,7 +46,7 @@ class Ended:
     """A worker has answered."""
 
     key: str
-    answer: Answer
+    answer: WorkerAnswer
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def payload_of(function: Callable[..., Any], inputs: Any, results: tuple[Any, ..
     return pickle.dumps((function, inputs, results), protocol=pickle.HIGHEST_PROTOCOL)
 
 
-def answer_to(payload: bytes, report: Callable[[float], None]) -> Answer:
+def answer_to(payload: bytes, report: Callable[[float], None]) -> WorkerAnswer:
     """Make the call of `payload_of` in this process; every error becomes an answer."""
     began = time.perf_counter()
     told_s = time.monotonic()
@@ -102,14 +102,14 @@ def answer_to(payload: bytes, report: Callable[[float], None]) -> Answer:
     try:
         function, inputs, results = pickle.loads(payload)
         value = pickle.dumps(function(inputs, *results), protocol=pickle.HIGHEST_PROTOCOL)
-        return Answer(value, seconds=time.perf_counter() - began)
+        return WorkerAnswer(value, seconds=time.perf_counter() - began)
     except ThermoForceError as error:
         # The nearest class that the caller has too: a plugin's own may be known here only.
         kind = next(kind for kind in type(error).__mro__ if kind.__module__ == ThermoForceError.__module__)
-        return Answer(reason=str(error) or kind.__name__, seconds=time.perf_counter() - began, error=kind)
+        return WorkerAnswer(reason=str(error) or kind.__name__, seconds=time.perf_counter() - began, error=kind)
     except Exception as error:
         reason, details = f"{type(error).__name__}: {error}", traceback.format_exc()
-        return Answer(reason=reason, seconds=time.perf_counter() - began, details=details)
+        return WorkerAnswer(reason=reason, seconds=time.perf_counter() - began, details=details)
     finally:
         _teller.reset(token)
 

@@ -11,7 +11,7 @@ from graphlib import TopologicalSorter
 from typing import Any, Protocol
 
 from thermoforce_mpc.errors import ThermoForceError
-from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Engine, Lost, Told, payload_of
+from thermoforce_mpc.execution.engine import Begun, Ended, Engine, Lost, Told, WorkerAnswer, payload_of
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TaskOutcome:
     """The end of a task: its `value`, or the `reason` why there is none (empty on success).
 
     `seconds`: computing time. `attempts`: how often it was begun; 0 where its result was stored or a need failed.
@@ -97,7 +97,7 @@ class _Plan:
     def results_of_needs(self, task: Task) -> tuple[Any, ...]:
         return tuple(self._values[need.key] for need in task.needs)
 
-    def end(self, outcome: Outcome) -> None:
+    def end(self, outcome: TaskOutcome) -> None:
         task = outcome.task
         if outcome.reason:
             self._failed[task.key] = f"'{task.title}', which it needs, failed: {outcome.reason}"
@@ -132,7 +132,7 @@ class Watcher(Protocol):
     def told(self, task: Task, share: float) -> None:
         """A `share` of `task`, 0 to 1, is done."""
 
-    def ended(self, outcome: Outcome) -> None:
+    def ended(self, outcome: TaskOutcome) -> None:
         """A task has ended: with a value, or with the reason why there is none."""
 
 
@@ -143,7 +143,7 @@ def execute(
     watcher: Watcher | None = None,
     *,
     most_attempts: int = MOST_ATTEMPTS,
-) -> Generator[Outcome]:
+) -> Generator[TaskOutcome]:
     """Run tasks and what they need, each key once; yields the outcomes of all that as they come.
 
     Tasks whose values `results` has come first; others are kept there before they are yielded. A task that raises has
@@ -159,7 +159,7 @@ def execute(
     todo: list[Task] = []
     for task in requested.values():
         try:
-            yield Outcome(task, _kept(results, task))
+            yield TaskOutcome(task, _kept(results, task))
         except KeyError:
             todo.append(task)
     plan = _Plan(todo, results)
@@ -171,19 +171,19 @@ def execute(
     attempts: Counter[str] = Counter()
     since: dict[str, float] = {}
 
-    def submit(task: Task) -> Outcome | None:
+    def submit(task: Task) -> TaskOutcome | None:
         """Begin a task; the outcome of one that cannot be begun."""
         if reason := plan.missing(task):
-            return Outcome(task, reason=reason)
+            return TaskOutcome(task, reason=reason)
         try:
             payload = payload_of(task.function, task.inputs, plan.results_of_needs(task))
         except Exception as error:  # pickle raises errors of many kinds
-            return Outcome(task, reason=f"cannot be sent to a worker: {type(error).__name__}: {error}")
+            return TaskOutcome(task, reason=f"cannot be sent to a worker: {type(error).__name__}: {error}")
         since[task.key] = time.monotonic()
         engine.submit(task.key, task.title, payload)
         return None
 
-    def come(event: Ended | Lost) -> Outcome | None:
+    def come(event: Ended | Lost) -> TaskOutcome | None:
         """The outcome of an event; None for a task that is to be begun again."""
         task, seconds = plan.tasks[event.key], time.monotonic() - since.pop(event.key)
         if isinstance(event, Ended):
@@ -196,12 +196,12 @@ def execute(
             return None
         times = f"at each of {n} attempts " if n > 1 else ""
         reason = f"its worker died {times}({event.why})" + ("; the task is left out as poisoned" if n > 1 else "")
-        return Outcome(task, None, reason, seconds, n, poisoned=True)
+        return TaskOutcome(task, None, reason, seconds, n, poisoned=True)
 
     try:
         while plan.open:
             ready.extend(plan.take_ready())
-            outcome: Outcome | None = None
+            outcome: TaskOutcome | None = None
             if ready and engine.room > 0:
                 outcome = submit(ready.popleft())
             elif suspects and not since:
@@ -229,11 +229,11 @@ def execute(
             engine.cancel()
 
 
-def _outcome(task: Task, answer: Answer, attempts: int) -> Outcome:
+def _outcome(task: Task, answer: WorkerAnswer, attempts: int) -> TaskOutcome:
     value, reason = None, answer.reason
     if not reason:
         try:
             value = pickle.loads(answer.value)
         except Exception as error:  # made of something that this process does not have
             reason = f"its result cannot be read: {type(error).__name__}: {error}"
-    return Outcome(task, value, reason, answer.seconds, attempts, error=answer.error, details=answer.details)
+    return TaskOutcome(task, value, reason, answer.seconds, attempts, error=answer.error, details=answer.details)

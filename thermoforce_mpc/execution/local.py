@@ -22,7 +22,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, TypeVar
 
-from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told, answer_to
+from thermoforce_mpc.execution.engine import Begun, Ended, Event, Lost, Told, WorkerAnswer, answer_to
 
 Result = TypeVar("Result")
 _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -39,7 +39,7 @@ class LocalEngine:
         self._jobs, self._leave_s = jobs, leave_s
         self._idle: list[_Process] = []
         self._busy: dict[str, _Process] = {}
-        self._events: queue.SimpleQueue[Event | tuple[str, _Process, Future[Answer]]] = queue.SimpleQueue()
+        self._events: queue.SimpleQueue[Event | tuple[str, _Process, Future[WorkerAnswer]]] = queue.SimpleQueue()
 
     def __enter__(self) -> LocalEngine:
         return self
@@ -85,7 +85,7 @@ class LocalEngine:
                 del self._busy[key]
                 return self._ended(key, process, future)
 
-    def _ended(self, key: str, process: _Process, future: Future[Answer]) -> Event:
+    def _ended(self, key: str, process: _Process, future: Future[WorkerAnswer]) -> Event:
         try:
             answer = future.result()
         except BrokenProcessPool:
@@ -141,7 +141,7 @@ class _Process(OneProcess):
         super().__init__(_begin, self._sender)
         threading.Thread(target=_listen, args=(receiver, events), daemon=True).start()
 
-    def run(self, key: str, payload: bytes) -> Future[Answer]:
+    def run(self, key: str, payload: bytes) -> Future[WorkerAnswer]:
         """Run `payload`; raises `BrokenProcessPool`."""
         future = self.submit(work, key, payload)
         self._sender.close()  # so that the pipe ends with the process
@@ -227,7 +227,7 @@ def _follow_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def work(key: str, payload: bytes) -> Answer:
+def work(key: str, payload: bytes) -> WorkerAnswer:
     """Make the call of `payload`, the task of `key`, in a process of the engine."""
 
     def tell(share: float) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from thermoforce_mpc.execution.execute import Outcome, Task
+from thermoforce_mpc.execution.execute import Task, TaskOutcome
 
 # More bars than this would push the first off the screen.
 _MOST_BARS = 12
@@ -16,7 +16,7 @@ _MOST_BARS = 12
 _LEAST_DONE = 0.2
 
 
-def summary(outcome: Outcome) -> str:
+def summary(outcome: TaskOutcome) -> str:
     """Title and computing time of a task."""
     return f"{outcome.task.title} ({outcome.seconds:.0f} s)"
 
@@ -31,7 +31,7 @@ def duration(seconds: float) -> str:
 class TaskProgress:
     """A `Watcher` that shows how far tasks are and how long the rest takes; `line`: text for one that is done."""
 
-    def __init__(self, console: Console, *, quiet: bool = False, line: Callable[[Outcome], str] = summary) -> None:
+    def __init__(self, console: Console, *, quiet: bool = False, line: Callable[[TaskOutcome], str] = summary) -> None:
         self._console, self._quiet, self._line = console, quiet, line
         self._n, self._ended, self._since = 0, 0, time.monotonic()
         self._shares: dict[str, float] = {}
@@ -74,7 +74,7 @@ class TaskProgress:
             self._progress.update(self._bars[task.key], total=1.0, completed=share)
         self._show_all()
 
-    def ended(self, outcome: Outcome) -> None:
+    def ended(self, outcome: TaskOutcome) -> None:
         """A task has ended."""
         self._shares.pop(outcome.task.key, None)
         self._ended += 1

@@ -34,7 +34,7 @@ _HELD_K = 1.0
 
 
 @dataclass(frozen=True)
-class Decision:
+class ExplainedStep:
     """One step of a run: what was known, planned, decided and done.
 
     `steps` are those of the loop until then, this one last; `boundary` the forecast it was made on, gaps filled as in
@@ -121,7 +121,7 @@ class Decision:
         return lines
 
 
-def decision_at(folder: Path, at: str | None = None, controller: str | None = None) -> Decision:
+def decision_at(folder: Path, at: str | None = None, controller: str | None = None) -> ExplainedStep:
     """The step of the run in `folder` in force `at` an instant (`seconds_of`), by default the last.
 
     `controller`: whose, by default the first that was run (the scenario's own).
@@ -151,7 +151,7 @@ def decision_at(folder: Path, at: str | None = None, controller: str | None = No
                 raise InputError(f"--at {at}: {ran}")
             steps = [step for step in steps if step.time_s <= seconds]
         told = steps[-1].told
-        return Decision(name, tuple(steps), forecast_of(steps), planned_of(told), margins_of(told))
+        return ExplainedStep(name, tuple(steps), forecast_of(steps), planned_of(told), margins_of(told))
 
 
 def hour_ends(n: int, step_s: float, hours: float) -> range:
@@ -164,7 +164,7 @@ def hour_ends(n: int, step_s: float, hours: float) -> range:
 _FREE_RESPONSE: dict[str, Any] = {"name": "linear_weather", "options": {}}
 
 
-def alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
+def alternatives_of(folder: Path, decision: ExplainedStep) -> Alternatives | str:
     """What else could have been done, or why that cannot be said; raises `JournalError`."""
     with making_sense(folder / NAME):
         entries = read_run(folder / NAME).entries

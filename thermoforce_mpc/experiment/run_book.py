@@ -18,8 +18,8 @@ from thermoforce_mpc.records.journal import (
     FORMAT,
     NAME,
     DamagedJournal,
-    Entry,
     Journal,
+    JournalEntry,
     JournalError,
     JournalText,
     lines_of,
@@ -50,7 +50,7 @@ class RunBook:
     experiment: Experiment
     command: tuple[str, ...]
     journal: Journal
-    told: tuple[Entry, ...] = ()
+    told: tuple[JournalEntry, ...] = ()
     resumed: bool = False
     cut: bool = False
 
@@ -156,7 +156,7 @@ def _until(path: Path, since: float) -> JournalText:
     return read_run(path, int(n))
 
 
-def _step_at(path: Path, entries: Sequence[Entry], time_s: float) -> int:
+def _step_at(path: Path, entries: Sequence[JournalEntry], time_s: float) -> int:
     """Number of records before the step at `time_s`."""
     with making_sense(path):
         begin = _last(entries, "loop")
@@ -167,7 +167,7 @@ def _step_at(path: Path, entries: Sequence[Entry], time_s: float) -> int:
     return before[-1]
 
 
-def _last(entries: Sequence[Entry], kind: str) -> int:
+def _last(entries: Sequence[JournalEntry], kind: str) -> int:
     return max((n for n, entry in enumerate(entries) if entry.kind == kind), default=-1)
 
 

@@ -14,7 +14,7 @@ from thermoforce_mpc.comparison.store import DONE
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import pyarrow_for
-from thermoforce_mpc.fleet.runs import Run
+from thermoforce_mpc.fleet.runs import FleetRun
 from thermoforce_mpc.records.plain_files import write_plain
 
 NAME = "runs.parquet"
@@ -41,7 +41,7 @@ def schema() -> Any:
     return pa.schema([*texts, seed, *numbers, *whole], metadata={_FORMAT_KEY: FORMAT.encode()})
 
 
-def row_of(run: Run, record: Mapping[str, Any]) -> dict[str, Any]:
+def row_of(run: FleetRun, record: Mapping[str, Any]) -> dict[str, Any]:
     """The row of a run with its record; what a failed run has not is missing."""
     cell = run.cell
     plans, kpis, seconds = (record.get(name) or {} for name in ("fallback_levels", "kpis", "seconds"))
@@ -67,7 +67,7 @@ def row_of(run: Run, record: Mapping[str, Any]) -> dict[str, Any]:
     return row | {name: plans.get(name.removeprefix("plans_"), 0) for name in (*_PLANS, "plans_refused")}
 
 
-def _place(run: Run) -> dict[str, Any]:
+def _place(run: FleetRun) -> dict[str, Any]:
     """Where a run stands in its fleet: the building and the axes."""
     building, cell = run.building, run.cell
     of_building = ("source", "emitter", "machine", "mass", "description", "area_m2")
@@ -86,7 +86,7 @@ def finished_rows(datasets: Iterable[Path]) -> dict[str, dict[str, Any]]:
     return by_key
 
 
-def reused_row(run: Run, row: Mapping[str, Any]) -> dict[str, Any]:
+def reused_row(run: FleetRun, row: Mapping[str, Any]) -> dict[str, Any]:
     """The `row` of a run with the same inputs as a row of this run."""
     return {**row, **_place(run)}
 

@@ -43,7 +43,7 @@ class Rooms(StrictModel):
     first_seed: int = Field(1, ge=0, lt=10**8, description="seed of the first")
 
 
-class Source(StrictModel):
+class BuildingSource(StrictModel):
     """Where buildings come from; exactly one key."""
 
     generated: Generated | None = Field(None, description="generated houses of one zone")
@@ -57,7 +57,7 @@ class Source(StrictModel):
     )
 
     @model_validator(mode="after")
-    def _has_one_key(self) -> Source:
+    def _has_one_key(self) -> BuildingSource:
         keys = [name for name in type(self).model_fields if getattr(self, name) is not None]
         if len(keys) != 1:
             raise ValueError(f"needs exactly one of {', '.join(type(self).model_fields)}; found {keys or 'none'}")
@@ -67,7 +67,7 @@ class Source(StrictModel):
 class FleetFile(ManyRuns):
     """Buildings, and windows × tariffs × variants × seeds that are run on each."""
 
-    buildings: tuple[Source, ...] = Field(min_length=1, description="where buildings come from")
+    buildings: tuple[BuildingSource, ...] = Field(min_length=1, description="where buildings come from")
     windows: tuple[str, ...] = Field(
         ("cold_week", "sunny_week"), min_length=1, description="windows that all buildings have, or start days"
     )
@@ -115,7 +115,7 @@ _MOST_BYTES = 50_000_000
 
 
 @dataclass(frozen=True)
-class Building:
+class FleetBuilding:
     """A building of a fleet: `name`, once in it, and what of its scenario is its own.
 
     `source`: kind of source. `emitter`, `machine`, `mass`: what it is, '' where that is not known. `record`: files of
@@ -140,9 +140,9 @@ class Building:
         return "testcase" in self.scenario
 
 
-def buildings_of(file: FleetFile, path: Path) -> list[Building]:
+def buildings_of(file: FleetFile, path: Path) -> list[FleetBuilding]:
     """All buildings of the fleet file at `path`; raises `ConfigError` naming file and row."""
-    buildings: dict[str, Building] = {}
+    buildings: dict[str, FleetBuilding] = {}
     for number, source in enumerate(file.buildings):
         for building in _from_source(source, path, f"{path}: buildings.{number}"):
             if building.name in buildings:
@@ -151,12 +151,12 @@ def buildings_of(file: FleetFile, path: Path) -> list[Building]:
     return list(buildings.values())
 
 
-def _from_source(source: Source, path: Path, where: str) -> Iterator[Building]:
+def _from_source(source: BuildingSource, path: Path, where: str) -> Iterator[FleetBuilding]:
     if (drawn := source.generated) is not None:
         for index in range(drawn.first, drawn.first + drawn.count):
             house = draw_house(drawn.seed, index)
             name, of = f"generated:{house.seed}:{index}", (house.emitter, house.machine, house.mass)
-            yield Building(name, "generated", {"testcase": name}, *of, house.floor_area_m2, house.words)
+            yield FleetBuilding(name, "generated", {"testcase": name}, *of, house.floor_area_m2, house.words)
     elif (rooms := source.rooms) is not None:
         for seed in range(rooms.first_seed, rooms.first_seed + rooms.count):
             name = f"house:{rooms.rooms}rooms:{seed}"
@@ -170,12 +170,12 @@ def _from_source(source: Source, path: Path, where: str) -> Iterator[Building]:
         yield from _from_table(path.parent / Path(source.table).expanduser())
 
 
-def _from_testcase(name: str, source: str, scenario: Mapping[str, Any]) -> Building:
+def _from_testcase(name: str, source: str, scenario: Mapping[str, Any]) -> FleetBuilding:
     testcase = load_testcase(str(scenario["testcase"]))
-    return Building(name, source, scenario, area_m2=testcase.area_m2, description=testcase.description)
+    return FleetBuilding(name, source, scenario, area_m2=testcase.area_m2, description=testcase.description)
 
 
-def _from_table(table: Path) -> Iterator[Building]:
+def _from_table(table: Path) -> Iterator[FleetBuilding]:
     try:
         text = read_bounded(table, _MOST_BYTES, ConfigError).decode("utf-8-sig")
         reader = csv.DictReader(io.StringIO(text))
@@ -206,7 +206,7 @@ def _from_table(table: Path) -> Iterator[Building]:
             raise ConfigError(f"{table}: line {line}: {error}") from error
 
 
-def _from_row(cells: Mapping[str, str], folder: Path) -> Building:
+def _from_row(cells: Mapping[str, str], folder: Path) -> FleetBuilding:
     def path(text: str) -> str:
         return str(folder / Path(text).expanduser())
 
@@ -222,7 +222,7 @@ def _from_row(cells: Mapping[str, str], folder: Path) -> Building:
                 raise ConfigError(f"{file}: not a file")
         check_measurements(*record, load_testcase(testcase) if testcase else None)
     if not testcase:
-        return Building(cells["name"], "record", {}, record=record)
+        return FleetBuilding(cells["name"], "record", {}, record=record)
     scenario: dict[str, Any] = {"testcase": testcase}
     if cells.get("model"):
         scenario["identification"] = {"model": path(cells["model"])}

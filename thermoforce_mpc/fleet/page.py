@@ -42,7 +42,7 @@ _SAME = ["building", "window", "price", "seed"]
 
 
 @dataclass(frozen=True)
-class Group:
+class RunGroup:
     """Distribution over the runs of one kind: `by` and `value` say which.
 
     `runs`, of which `counted` have a saving. `saving`: 10th, 50th and 90th percentile, relative to the cost of the
@@ -84,7 +84,7 @@ def paired(runs: pd.DataFrame, variant: str, reference: str) -> pd.DataFrame:
     return pairs
 
 
-def groups(pairs: pd.DataFrame) -> list[Group]:
+def groups(pairs: pd.DataFrame) -> list[RunGroup]:
     """All runs, then those of every kind by each property in which the fleet differs."""
     distributions = [_group("all", "", pairs)]
     for by in _BY:
@@ -107,10 +107,10 @@ def causes(rows: pd.DataFrame) -> list[tuple[str, int]]:
     return [(str(cause), int(n)) for cause, n in rows["why"].value_counts().items()]
 
 
-def _group(by: str, value: str, rows: pd.DataFrame) -> Group:
+def _group(by: str, value: str, rows: pd.DataFrame) -> RunGroup:
     savings, more_Kh = rows["saving"].dropna(), rows["more_Kh"]
     cheaper, colder = float((savings > 0).mean()), float((more_Kh > MORE_DISCOMFORT_KH).mean())
-    return Group(by, value, len(rows), savings.size, _percentiles(savings), cheaper, _percentiles(more_Kh), colder)
+    return RunGroup(by, value, len(rows), savings.size, _percentiles(savings), cheaper, _percentiles(more_Kh), colder)
 
 
 def _percentiles(values: pd.Series) -> tuple[float, float, float]:
@@ -171,7 +171,7 @@ def fleet_page(runs: pd.DataFrame, reference: str, title: str, command: str, sce
     )
 
 
-def headline(everything: Group, variant: str, reference: str) -> str:
+def headline(everything: RunGroup, variant: str, reference: str) -> str:
     """The result in a sentence, of the group of all runs."""
     colder = f"{100 * everything.colder:.0f} %"
     saving = "saving –"

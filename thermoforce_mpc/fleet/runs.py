@@ -19,7 +19,7 @@ from thermoforce_mpc.errors import ArtifactError, ConfigError, DataError
 from thermoforce_mpc.execution import Task, content_key
 from thermoforce_mpc.experiment.measured_model import model_of_measurements
 from thermoforce_mpc.files import pyarrow_for, storage_errors
-from thermoforce_mpc.fleet.file import Building, FleetFile
+from thermoforce_mpc.fleet.file import FleetBuilding, FleetFile
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.records.plain_files import write_plain
@@ -28,18 +28,18 @@ from thermoforce_mpc.scenario.settings import merge, validate
 
 
 @dataclass(frozen=True)
-class Run:
+class FleetRun:
     """One run of a fleet: a cell of a comparison on one building.
 
     `refused`: why it cannot be run; such a run has no key.
     """
 
-    building: Building
+    building: FleetBuilding
     cell: Cell
     refused: str = ""
 
 
-def runs_of(file: FleetFile, buildings: Iterable[Building], path: Path) -> list[Run]:
+def runs_of(file: FleetFile, buildings: Iterable[FleetBuilding], path: Path) -> list[FleetRun]:
     """All runs of a fleet, validated; raises `ConfigError` naming the file, the building and the wrong key."""
     runs, inputs = [], Inputs()
     for building in buildings:
@@ -57,24 +57,24 @@ def runs_of(file: FleetFile, buildings: Iterable[Building], path: Path) -> list[
                 if building.no_model and cell.needs_model:
                     # As a cell without a model it would be probed; its key may be that of another building's run.
                     without = replace(cell, trajectory=file.trajectories, key="", task=None, identification_key=None)
-                    runs.append(Run(building, without, f"no model from its measurements: {building.no_model}"))
+                    runs.append(FleetRun(building, without, f"no model from its measurements: {building.no_model}"))
                 else:
-                    runs.append(Run(building, replace(cell, trajectory=file.trajectories)))
+                    runs.append(FleetRun(building, replace(cell, trajectory=file.trajectories)))
     return runs
 
 
-def tasks_of(runs: Sequence[Run]) -> list[Task]:
+def tasks_of(runs: Sequence[FleetRun]) -> list[Task]:
     """A task for each run, with the files and the identification that it needs, which runs share."""
     return [_named(task, run) for run, task in zip(runs, cell_tasks([run.cell for run in runs]), strict=True)]
 
 
-def _named(task: Task, run: Run) -> Task:
+def _named(task: Task, run: FleetRun) -> Task:
     """The task of a run, and of its identification, under the name of the building."""
     needs = [_named(need, run) if need.key == run.cell.identification_key else need for need in task.needs]
     return replace(task, title=f"{run.building.name} · {task.title}", needs=tuple(needs))
 
 
-def models_again(runs: Iterable[Run], records: Mapping[str, Mapping[str, Any]], store: Store) -> list[Task]:
+def models_again(runs: Iterable[FleetRun], records: Mapping[str, Mapping[str, Any]], store: Store) -> list[Task]:
     """Identifications that finished runs were made with, and whose model is not there or cannot be read.
 
     Not those of other source code, which gave another model. Raises as `tasks_of`.
@@ -88,7 +88,7 @@ def models_again(runs: Iterable[Run], records: Mapping[str, Mapping[str, Any]], 
     return [need for task in tasks_of(list(missing.values())) for need in task.needs if need.key in missing]
 
 
-def place_trajectories(store: Store, runs: Iterable[Run]) -> None:
+def place_trajectories(store: Store, runs: Iterable[FleetRun]) -> None:
     """Make `trajectories` anew: those of `runs` as one Parquet dataset, in partitions of buildings and variants.
 
     Links where the disk has them, else copies. Raises `StorageError`.
@@ -141,7 +141,7 @@ class Measured:
     map: str
 
 
-def tasks_of_records(buildings: Iterable[Building]) -> dict[str, Task]:
+def tasks_of_records(buildings: Iterable[FleetBuilding]) -> dict[str, Task]:
     """The identification of each building with measurements, by name; raises `ConfigError` for an unreadable file."""
     tasks = {}
     for building in buildings:
@@ -170,8 +170,8 @@ def identified_from(measured: Measured, files: SentFiles = NO_FILES) -> Identifi
 
 
 def with_models(
-    buildings: Iterable[Building], models: Mapping[str, Path], no_model: Mapping[str, str]
-) -> list[Building]:
+    buildings: Iterable[FleetBuilding], models: Mapping[str, Path], no_model: Mapping[str, str]
+) -> list[FleetBuilding]:
     """The buildings that can be run: those with measurements act on their model, or have none and say why."""
     runnable = []
     for building in buildings:
@@ -187,7 +187,7 @@ def with_models(
 
 def write_models(
     store: Store,
-    runs: Sequence[Run],
+    runs: Sequence[FleetRun],
     records: Mapping[str, Mapping[str, Any]],
     measured: Mapping[str, Task],
     no_model: Mapping[str, str],
@@ -204,7 +204,7 @@ def write_models(
             rows.append({**place, "actuator": "", "competent": False, "verdict": no_model[name]})
         else:
             rows += _rows(store.model_path(task.key), place)
-    first: dict[str, Run] = {}
+    first: dict[str, FleetRun] = {}
     for run in (run for run in runs if run.cell.identification_key is not None):
         first.setdefault(records[run.cell.key]["model"], run)
     for key, run in first.items():

@@ -17,7 +17,7 @@ from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.files import storage_errors
 from thermoforce_mpc.gym.env import BuildingEnv, Episodes
 from thermoforce_mpc.gym.points import PointsView
-from thermoforce_mpc.gym.sources import EmbeddedSource, ServiceSource, Source
+from thermoforce_mpc.gym.sources import EmbeddedSource, PointSource, ServiceSource
 from thermoforce_mpc.gym.wrappers import DiscretizedActionWrapper, NormalizedActionWrapper, NormalizedObservationWrapper
 from thermoforce_mpc.plants.embedded.cases import CASES
 
@@ -162,11 +162,11 @@ class BoptestGymEnv(BuildingEnv):
         self.close()
 
     @staticmethod
-    def _room(source: Source) -> str:
+    def _room(source: PointSource) -> str:
         """The zone temperature, by the names of the test cases of one zone."""
         return next((name for name in _ROOMS if name in source.measurements), _ROOMS[0])
 
-    def _source(self, url: str, testcase: str) -> Source:
+    def _source(self, url: str, testcase: str) -> PointSource:
         return ServiceSource(url, testcase)
 
 
@@ -177,7 +177,7 @@ class EmbeddedBoptestGymEnv(BoptestGymEnv):
     default a synthetic one of the test case's climate.
     """
 
-    def _source(self, url: str, testcase: str, weather: Weather | None = None) -> Source:
+    def _source(self, url: str, testcase: str, weather: Weather | None = None) -> PointSource:
         if testcase not in CASES:
             raise ConfigError(
                 f"testcase: no embedded plant implements '{testcase}', those do for {', '.join(CASES)}; use "

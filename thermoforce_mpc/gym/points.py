@@ -10,7 +10,7 @@ from gymnasium import spaces
 
 from thermoforce_mpc.data import ZERO_C_K, Array
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.gym.sources import Source
+from thermoforce_mpc.gym.sources import PointSource
 from thermoforce_mpc.gym.view import ObservationBox, View
 from thermoforce_mpc.scenario.settings import suggestion
 
@@ -26,7 +26,7 @@ class PointsView(View):
 
     def __init__(
         self,
-        source: Source,
+        source: PointSource,
         actions: Sequence[str],
         observations: Mapping[str, tuple[float, float]],
         *,

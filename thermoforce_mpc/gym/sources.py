@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from boptest_client import BoptestClient, Scenario, UnknownTest
+from boptest_client import BoptestClient, ServiceScenario, UnknownTest
 from thermoforce_mpc.boundary.weather import MARITIME, synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import Array
@@ -21,7 +21,7 @@ from thermoforce_mpc.plants.registry import emulator_of
 Limits = tuple[float | None, float | None]
 
 
-class Source(Protocol):
+class PointSource(Protocol):
     """A test of BOPTEST's interface: its points by name, in the units of the interface (K, W, s).
 
     `perfect`: forecasts depend on the time alone, so that those of an episode can be read at once.
@@ -87,7 +87,7 @@ class EmbeddedSource:
         return self._plant.now_s
 
     def begin(self, start_s: float, warmup_s: float, step_s: float, scenario: Mapping[str, Any]) -> None:
-        """See `Source.begin`; raises `ConfigError` for a scenario that the emulator does not have."""
+        """See `PointSource.begin`; raises `ConfigError` for a scenario that the emulator does not have."""
         for unknown in sorted(set(scenario) - {"electricity_price"}):
             raise ConfigError(f"scenario: '{unknown}' needs a service; the embedded test case knows electricity_price")
         price = scenario.get("electricity_price") or "constant"
@@ -95,13 +95,13 @@ class EmbeddedSource:
         self._now = self._plant.reset(start_s, warmup_s, price).points
 
     def advance(self, inputs: Mapping[str, float]) -> None:
-        """See `Source.advance`."""
+        """See `PointSource.advance`."""
         active = {name[: -len("_activate")] for name, value in inputs.items() if name.endswith("_activate") and value}
         forced = {name: inputs[f"{name}_u"] for name in active}
         self._now = self._plant.advance_points(forced, self._step_s).points
 
     def measured(self, names: Sequence[str]) -> Array:
-        """See `Source.measured`."""
+        """See `PointSource.measured`."""
         if all(name in self._now for name in names):
             return np.array([self._now[name] for name in names])
         record = self._plant.recorded(self.now_s, self.now_s)
@@ -109,18 +109,18 @@ class EmbeddedSource:
         return np.array([series[name][-1] for name in names])
 
     def past(self, names: Sequence[str], time_s: Array) -> Array:
-        """See `Source.past`."""
+        """See `PointSource.past`."""
         record = self._plant.recorded(float(time_s.min()) - self._step_s, self.now_s)
         series = self._points.recorded(self._plant, list(names), record)
         return np.array([np.interp(time_s, series["time"], series[name]) for name in names]).reshape(len(names), -1)
 
     def forecast(self, names: Sequence[str], horizon_s: float, interval_s: float) -> Array:
-        """See `Source.forecast`."""
+        """See `PointSource.forecast`."""
         series = self._points.forecast(self._plant, list(names), horizon_s, interval_s)
         return np.array([series[name] for name in names])
 
     def kpis(self) -> dict[str, float]:
-        """See `Source.kpis`."""
+        """See `PointSource.kpis`."""
         return self._plant.kpis()
 
     def snapshot(self) -> Any:
@@ -174,17 +174,17 @@ class ServiceSource:
         return self._client.time_s
 
     def begin(self, start_s: float, warmup_s: float, step_s: float, scenario: Mapping[str, Any]) -> None:
-        """See `Source.begin`; raises `ConfigError` for a key that BOPTEST's scenarios do not have."""
-        keys = [name for name in Scenario.__dataclass_fields__ if name != "time_period"]
+        """See `PointSource.begin`; raises `ConfigError` for a key that BOPTEST's scenarios do not have."""
+        keys = [name for name in ServiceScenario.__dataclass_fields__ if name != "time_period"]
         for unknown in sorted(set(scenario) - set(keys)):
             raise ConfigError(f"scenario: unknown key '{unknown}'; known: {', '.join(keys)}")
         with failures():
             self._now = self._client.initialize(start_s, warmup_s)
             self._client.set_step(step_s)
-            self._client.set_scenario(Scenario(**scenario))
+            self._client.set_scenario(ServiceScenario(**scenario))
 
     def advance(self, inputs: Mapping[str, float]) -> None:
-        """See `Source.advance`."""
+        """See `PointSource.advance`."""
         with failures():
             answer = self._client.advance(inputs)
         if not answer:
@@ -192,23 +192,23 @@ class ServiceSource:
         self._now = answer
 
     def measured(self, names: Sequence[str]) -> Array:
-        """See `Source.measured`."""
+        """See `PointSource.measured`."""
         return np.array([self._now.get(name, np.nan) for name in names])
 
     def past(self, names: Sequence[str], time_s: Array) -> Array:
-        """See `Source.past`."""
+        """See `PointSource.past`."""
         with failures():
             answer = self._client.results(names, max(float(time_s.min()), 0.0), self.now_s)
         return np.array([np.interp(time_s, answer["time"], answer[name]) for name in names])
 
     def forecast(self, names: Sequence[str], horizon_s: float, interval_s: float) -> Array:
-        """See `Source.forecast`."""
+        """See `PointSource.forecast`."""
         with failures():
             answer = self._client.forecast(names, horizon_s, interval_s)
         return np.array([answer[name] for name in names])
 
     def kpis(self) -> dict[str, float]:
-        """See `Source.kpis`."""
+        """See `PointSource.kpis`."""
         with failures():
             return {name: value for name, value in self._client.kpi().items() if value is not None}
 

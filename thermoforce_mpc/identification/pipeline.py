@@ -42,7 +42,7 @@ from thermoforce_mpc.identification.zones.two_stage import two_stage_estimate
 from thermoforce_mpc.measurements.checks import Remark, remarks
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.screening import Limits
+from thermoforce_mpc.model.screening import ReadingLimits
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
@@ -170,7 +170,7 @@ def _prepared(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout, con
         check_same_building("the record", record.names, "the layout", layout.names)
     hashes = {name: data_hash(record) for name, record in given.items()}
     area_m2 = float(np.sum(layout.floor_area_m2))
-    allowed = Limits.of(None, area_m2 if np.isfinite(area_m2) else None, min(layout.lowest))
+    allowed = ReadingLimits.of(None, area_m2 if np.isfinite(area_m2) else None, min(layout.lowest))
     runs, gaps = prepared_runs(runs, allowed)
     # What the runs say against themselves, each thing once, where it is surest.
     surest = {}

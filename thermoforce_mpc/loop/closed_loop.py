@@ -28,7 +28,7 @@ from thermoforce_mpc.loop.forecasts import OUTAGE_H
 from thermoforce_mpc.loop.kept_steps import KeptSteps
 from thermoforce_mpc.loop.loop import CLOCK_TOLERANCE_S, Believed, Decided, Loop, wrong_blocks
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
-from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
+from thermoforce_mpc.model.screening import ReadingLimits, limits_of, screened, screened_history
 from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
 
 # A plant's clock that is further off after a step has jumped, s.
@@ -154,7 +154,7 @@ def run_closed_loop(
     period: Period,
     price: str = "constant",
     on_step: Callable[[StepRecord], None] | None = None,
-    allowed: Limits | None = None,
+    allowed: ReadingLimits | None = None,
     lowest: Sequence[float] | None = None,
     keeper: StepKeeper | None = None,
     steps: KeptSteps[StepRecord] | None = None,
@@ -204,7 +204,7 @@ class _Simulated:
         period: Period,
         price: str,
         on_step: Callable[[StepRecord], None] | None,
-        allowed: Limits | None,
+        allowed: ReadingLimits | None,
         lowest: Sequence[float] | None,
         keeper: StepKeeper | None,
         steps: KeptSteps[StepRecord] | None,

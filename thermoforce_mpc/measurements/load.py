@@ -29,7 +29,7 @@ from thermoforce_mpc.measurements.understood import Understood, missing, of_chan
 from thermoforce_mpc.scenario.settings import validate
 
 if TYPE_CHECKING:  # pvlib is loaded only where an estimate is needed
-    from thermoforce_mpc.boundary.weather.solar import Sun
+    from thermoforce_mpc.boundary.weather.solar import SunPosition
 
 # Full level of metered heat or power: this percentile of the steps in which the machine ran, which are those above a
 # share of the same percentile of all in which it took anything. Single peaks (a start, a wrong reading) do not count.
@@ -66,7 +66,7 @@ def sunlight(
     return sunlight_from_humidity(grid_s, humidity, sun), (note,)
 
 
-def clear_sky(rules: MeasurementMap, time_s: Array, origin: pd.Timestamp) -> tuple[Array, Sun]:
+def clear_sky(rules: MeasurementMap, time_s: Array, origin: pd.Timestamp) -> tuple[Array, SunPosition]:
     """Clear-sky irradiance (n,), W/m², at the place of the map, and the sun's position."""
     from thermoforce_mpc.boundary.weather.solar import clear_sky_W_m2, sun_position
 

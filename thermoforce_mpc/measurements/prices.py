@@ -12,10 +12,10 @@ from thermoforce_mpc.boundary.tariffs import price_doubt, tariff_from_file
 from thermoforce_mpc.data import YEAR_S, Array
 from thermoforce_mpc.data.dataframes import new_year, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.measurements.readings import Readings, durations_s, ends_s, held, longest_s, means
+from thermoforce_mpc.measurements.readings import SignalReadings, durations_s, ends_s, held, longest_s, means
 from thermoforce_mpc.measurements.tables.clock import timed
 from thermoforce_mpc.measurements.tables.files import head_of, read_tables
-from thermoforce_mpc.measurements.tables.forms import Clock, TableForm
+from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import as_numbers
 from thermoforce_mpc.measurements.tables.recognition import guessed_form, recognised
 
@@ -27,7 +27,7 @@ _SHARE = 0.5
 
 
 def prices_over_steps(
-    path: Path, clock: Clock, origin: pd.Timestamp, grid_s: Array, step_s: float
+    path: Path, clock: TimeStampRules, origin: pd.Timestamp, grid_s: Array, step_s: float
 ) -> tuple[Array, str]:
     """Prices per kWh (n,) over the steps that begin at `grid_s` (n,), s from `origin`, and what was read, in words.
 
@@ -62,7 +62,7 @@ def prices_over_steps(
         )
     time_s = seconds_since(origin, rows.index[known], str(path))
     ends = ends_s(time_s, longest_s(time_s, step_s, None), np.empty(0))
-    readings = Readings(time_s, values[known] / factor, ends)
+    readings = SignalReadings(time_s, values[known] / factor, ends)
     price = held(readings, grid_s)
     if time_s.size > 1:
         lasts = durations_s(readings, "start")

@@ -191,7 +191,7 @@ def _stuck(time_s: Array, values: Array, most_s: float) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True)
-class Readings:
+class SignalReadings:
     """Readings of one signal: `time_s` (n,) s, increasing; `values` (n,), finite.
 
     `ends_s` (n,): until when each says something, where none comes before; `held`: whether it holds for so long, as
@@ -276,7 +276,7 @@ def stored_on_change(time_s: Array, values: Array, breaks_s: Array, longest: flo
     return ends
 
 
-def durations_s(readings: Readings, marks: str) -> Array:
+def durations_s(readings: SignalReadings, marks: str) -> Array:
     """Length of the interval of each reading (n,), s: to the next one (marks start) or from the one before (end)."""
     time_s = readings.time_s
     reaches, between, room = readings.reaches, np.diff(time_s), readings.ends_s - time_s
@@ -309,7 +309,7 @@ def means(starts_s: Array, lasts_s: Array, values: Array, edges_s: Array, covera
     return np.where(enough, total / np.where(enough, time_s, 1.0), np.nan)
 
 
-def sampled(readings: Readings, at_s: Array) -> Array:
+def sampled(readings: SignalReadings, at_s: Array) -> Array:
     """Values (m,) at `at_s` on the line between the readings around, NaN in gaps.
 
     The last one holds until the next would be there, and longer where changes are stored.
@@ -335,7 +335,7 @@ def sampled(readings: Readings, at_s: Array) -> Array:
     return np.where(holds, values[before], found)
 
 
-def around(readings: Readings, at_s: Array, step_s: float, coverage: float) -> Array:
+def around(readings: SignalReadings, at_s: Array, step_s: float, coverage: float) -> Array:
     """Means (m,) over the step around each of `at_s`, if readings are denser than half a step; else `sampled`."""
     if not readings.values.size or not readings.usual_s <= 0.5 * step_s:
         return sampled(readings, at_s)
@@ -350,7 +350,7 @@ def around(readings: Readings, at_s: Array, step_s: float, coverage: float) -> A
     return means(readings.time_s - before, before + after, readings.values, edges, coverage)
 
 
-def held(readings: Readings, at_s: Array) -> Array:
+def held(readings: SignalReadings, at_s: Array) -> Array:
     """The last reading before or at each of `at_s` (m,): what follows a schedule; NaN in gaps."""
     if not readings.values.size:
         return np.full(at_s.size, np.nan)

@@ -20,7 +20,7 @@ from thermoforce_mpc.measurements.readings import (
     PRICE,
     SOLAR,
     Flag,
-    Readings,
+    SignalReadings,
     around,
     durations_s,
     ends_s,
@@ -94,7 +94,7 @@ class SignalReader:
             values = np.where(np.isfinite(over_step), over_step, values)
         return self._summarised(key, source, unit, readings, values, flags)
 
-    def _lasts_s(self, readings: Readings, marks: str) -> Array:
+    def _lasts_s(self, readings: SignalReadings, marks: str) -> Array:
         """See `durations_s`; a reading that holds for ever lasts beyond the end of the record."""
         if not readings.values.size:
             return np.empty(0)
@@ -115,7 +115,9 @@ class SignalReader:
         readings, _, _ = self._readings("", signal, rules)
         return means(readings.time_s, self._lasts_s(readings, "start"), readings.values, self.grid_s, self._coverage)
 
-    def _readings(self, key: str, signal: Signal, rules: SignalRule) -> tuple[Readings, SignalRule, tuple[Flag, ...]]:
+    def _readings(
+        self, key: str, signal: Signal, rules: SignalRule
+    ) -> tuple[SignalReadings, SignalRule, tuple[Flag, ...]]:
         """The readings of a signal that hold, in the unit inside, its rules, and what was flagged."""
         declared = getattr(signal, "unit", "")
         rules = with_map(rules, signal)
@@ -158,7 +160,7 @@ class SignalReader:
             )  # fmt: skip
             values, time_s, ends = values[believed], time_s[believed], ends[believed]
             flags += flagged
-        return Readings(time_s, values, ends, holds), rules, tuple(flags)
+        return SignalReadings(time_s, values, ends, holds), rules, tuple(flags)
 
     def _raw(self, signal: Signal) -> tuple[Array, Array]:
         """Readings (n,) of a signal in its unit, and their instants, s; of columns apart the sum of what holds."""
@@ -200,7 +202,13 @@ class SignalReader:
         return self._at(min(int(np.searchsorted(self._time_s, at_s)), self._time_s.size - 1))
 
     def _summarised(
-        self, key: str, signal: Signal, rules: SignalRule, readings: Readings, values: Array, flags: tuple[Flag, ...]
+        self,
+        key: str,
+        signal: Signal,
+        rules: SignalRule,
+        readings: SignalReadings,
+        values: Array,
+        flags: tuple[Flag, ...],
     ) -> Array:
         finite = np.isfinite(values)
         least, median, most = (
@@ -232,7 +240,7 @@ class SignalReader:
         return values
 
 
-def _doubt(signal: Signal, rules: SignalRule, readings: Readings, median: float, most: float) -> str:
+def _doubt(signal: Signal, rules: SignalRule, readings: SignalReadings, median: float, most: float) -> str:
     """What is odd about readings that were accepted, '' if nothing."""
     if (
         isinstance(signal, Power)
@@ -271,7 +279,7 @@ def _intervals_s(time_s: Array, measured: NDArray[np.bool_], hold_h: float | Non
 
 def _lasting_s(time_s: Array, hold_h: float | None, marks: str) -> Array:
     longest = longest_s(time_s, 0.0, hold_h)
-    return durations_s(Readings(time_s, time_s, ends_s(time_s, longest, np.empty(0))), marks)
+    return durations_s(SignalReadings(time_s, time_s, ends_s(time_s, longest, np.empty(0))), marks)
 
 
 def _from_counter(

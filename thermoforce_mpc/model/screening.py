@@ -23,7 +23,7 @@ _NOT_MEASURED = "taken as not measured"
 
 
 @dataclass(frozen=True)
-class Limits:
+class ReadingLimits:
     """Plausible ranges of readings of one building; most are common to all (`thermoforce_mpc.data.limits`).
 
     `power_W` and `heat_W` are (lowest, highest) in W of any machine and actuator, as measured: heat of a cooling
@@ -35,7 +35,7 @@ class Limits:
     lowest: float = 0.0
 
     @classmethod
-    def of(cls, model: ThermalModel | None, floor_area_m2: float | None = None, lowest: float = 0.0) -> Limits:
+    def of(cls, model: ThermalModel | None, floor_area_m2: float | None = None, lowest: float = 0.0) -> ReadingLimits:
         """Limits as multiples of the identified machine's largest heat and power.
 
         Without a heat or power model: 500 W per m² of floor area; without a floor area, no limit.
@@ -70,17 +70,19 @@ class Limits:
         return of_building.get(name, limits.RULES[name].range)
 
 
-def limits_of(controller: object, floor_area_m2: float | None = None, lowest: float = 0.0) -> Limits:
-    """Return limits by the model of `controller`, else by the floor area, m², and `lowest` level, see `Limits.of`."""
+def limits_of(controller: object, floor_area_m2: float | None = None, lowest: float = 0.0) -> ReadingLimits:
+    """Return limits by the model of `controller`, else by the floor area, m², and `lowest` level, see
+    `ReadingLimits.of`.
+    """
     model = getattr(controller, "model", None)
     if model is None:
-        return Limits.of(None, floor_area_m2, lowest)
+        return ReadingLimits.of(None, floor_area_m2, lowest)
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
-    return Limits.of(model if isinstance(model, ThermalModel) else None, floor_area_m2, lowest)
+    return ReadingLimits.of(model if isinstance(model, ThermalModel) else None, floor_area_m2, lowest)
 
 
-def screened(measurement: Measurement, allowed: Limits, history: Record) -> tuple[Measurement, tuple[str, ...]]:
+def screened(measurement: Measurement, allowed: ReadingLimits, history: Record) -> tuple[Measurement, tuple[str, ...]]:
     """Return `measurement` with implausible readings set to NaN, and one note per reading.
 
     `history`: accepted readings so far, which limit the change of the zone temperature.
@@ -106,7 +108,7 @@ def screened(measurement: Measurement, allowed: Limits, history: Record) -> tupl
 
 
 def _refusal(
-    measurement: Measurement, name: str, row: int, value: float, label: str, allowed: Limits, history: Record
+    measurement: Measurement, name: str, row: int, value: float, label: str, allowed: ReadingLimits, history: Record
 ) -> str | None:
     if _outside(np.array([value]), allowed.range(name))[0]:
         return f"{label} of {value:.6g}{_unit(name)} is not {_words(allowed, name)}: {_NOT_MEASURED}"
@@ -125,7 +127,7 @@ def _refusal(
     )
 
 
-def screened_history(history: Record, allowed: Limits) -> tuple[Record, tuple[str, ...]]:
+def screened_history(history: Record, allowed: ReadingLimits) -> tuple[Record, tuple[str, ...]]:
     """Return a record with implausible readings set to NaN, and one note per signal."""
     refused: dict[str, Any] = {}
     notes: list[str] = []
@@ -168,7 +170,7 @@ def _unit(name: str) -> str:
     return f" {unit}" if unit else ""
 
 
-def _words(allowed: Limits, name: str) -> str:
+def _words(allowed: ReadingLimits, name: str) -> str:
     low, high = allowed.range(name)
     return f"a number between {low:.4g} and {high:.4g}{_unit(name)}"
 

@@ -16,7 +16,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.data.series import lagged
 
 if TYPE_CHECKING:  # pvlib is loaded only where the sun is needed
-    from thermoforce_mpc.boundary.weather.solar import Sun
+    from thermoforce_mpc.boundary.weather.solar import SunPosition
 
 LIKELY = 0.9
 """Probability of sun on a sensor from which it is taken off the readings."""
@@ -79,7 +79,7 @@ def off_sensors(record: Record, sun: Sequence[SunOnSensor | None]) -> Record:
     return replace(record, T_zone_C=T)
 
 
-def sun_at(time_s: Array, latitude_deg: float, noon_s: float) -> Sun:
+def sun_at(time_s: Array, latitude_deg: float, noon_s: float) -> SunPosition:
     """Sun position at `time_s` where the mean solar noon is at `noon_s` of the clock."""
     from thermoforce_mpc.boundary.weather.solar import sun_position
 

@@ -26,7 +26,7 @@ PEAKS = {"ElectricPower": "pele_tot", "GasPower": "pgas_tot", "DistrictHeatingPo
 
 
 @dataclass(frozen=True)
-class Supply:
+class EnergySupply:
     """Energy carrier ('ElectricPower', 'GasPower', ...) of a building over n samples, arrays of shape (n,).
 
     `power_W` W, `price_per_kWh` currency/kWh, `emission_kg_per_kWh` kg CO2/kWh. `of_steps`: `power_W` is the mean of
@@ -64,7 +64,7 @@ def excess(value: Array, lower: Array, upper: Array) -> Array:
 def building_kpis(
     time_s: Array,
     *,
-    supplies: Sequence[Supply],
+    supplies: Sequence[EnergySupply],
     thermal: Sequence[Violation],
     air_quality: Sequence[Violation],
     area_m2: float,

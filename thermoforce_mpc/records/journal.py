@@ -44,7 +44,7 @@ class DamagedJournal(JournalError):
 
 
 @dataclass(frozen=True)
-class Entry:
+class JournalEntry:
     """One record: its line in its file, from 1; its kind; what it says, or its bytes in the file; and the file."""
 
     line: int
@@ -87,7 +87,7 @@ def making_sense(where: str | Path) -> Iterator[None]:
 class JournalText(NamedTuple):
     """The records of a journal; `size`, bytes, and `crc` are those at the end of the last. `torn`: more follows it."""
 
-    entries: tuple[Entry, ...]
+    entries: tuple[JournalEntry, ...]
     size: int
     crc: int
     torn: bool
@@ -168,7 +168,7 @@ def read_journal(path: Path, most: int | None = None) -> JournalText:
         JournalError: there is no journal.
         DamagedJournal: a record before the last is damaged; names the place and what is lost.
     """
-    entries: list[Entry] = []
+    entries: list[JournalEntry] = []
     size = crc = 0
     lines = lines_of(path)
     for line in lines:
@@ -179,7 +179,7 @@ def read_journal(path: Path, most: int | None = None) -> JournalText:
                 raise _damaged(path, good)
             return good
         content, crc = record
-        entries.append(Entry(len(entries) + 1, str(content["kind"]), range(size, size + len(line) - 1), path))
+        entries.append(JournalEntry(len(entries) + 1, str(content["kind"]), range(size, size + len(line) - 1), path))
         size += len(line)
     return JournalText(tuple(entries), size, crc, False)
 
@@ -224,9 +224,9 @@ class JournalTail:
     def __init__(self, path: Path) -> None:
         self.path, self._at, self._n, self._crc = path, 0, 0, 0
 
-    def more(self) -> list[Entry]:
+    def more(self) -> list[JournalEntry]:
         """The records that were written since the last call."""
-        entries: list[Entry] = []
+        entries: list[JournalEntry] = []
         for line in lines_of(self.path, self._at):
             if not line.endswith(b"\n"):
                 break
@@ -238,7 +238,7 @@ class JournalTail:
                 )
             content, self._crc = record
             self._at, self._n = self._at + len(line), self._n + 1
-            entries.append(Entry(self._n, str(content.pop("kind")), content, self.path))
+            entries.append(JournalEntry(self._n, str(content.pop("kind")), content, self.path))
         return entries
 
 

@@ -19,8 +19,8 @@ from thermoforce_mpc.loop.probing import Probed
 from thermoforce_mpc.protocols import OutlivingPlant, Plant
 from thermoforce_mpc.records.journal import (
     DamagedJournal,
-    Entry,
     Journal,
+    JournalEntry,
     JournalError,
     JournalText,
     making_sense,
@@ -42,7 +42,7 @@ class ToldProbing:
     """A probing as its journal at `path` tells it, whole or as far as it came."""
 
     path: Path
-    entries: Sequence[Entry]
+    entries: Sequence[JournalEntry]
 
     @property
     def head(self) -> Mapping[str, Any]:

@@ -28,7 +28,7 @@ from thermoforce_mpc.errors import NoForecast
 from thermoforce_mpc.loop.closed_loop import StepRecord, advanced
 from thermoforce_mpc.protocols import OutlivingPlant, Plant, RestartingPlant
 from thermoforce_mpc.records import journal_values as values
-from thermoforce_mpc.records.journal import Entry, Journal, JournalError, making_sense
+from thermoforce_mpc.records.journal import Journal, JournalEntry, JournalError, making_sense
 from thermoforce_mpc.records.journal_values import Json, block_json, measurement_of, repeated_rows
 from thermoforce_mpc.records.run_folder import plain_json
 
@@ -42,7 +42,9 @@ class RecordedPlant:
     the journal; a plant that outlives the process (a service) is left alone until the first new request.
     """
 
-    def __init__(self, plant: Plant, journal: Journal, entries: Iterable[Entry] = (), *, cut: bool = False) -> None:
+    def __init__(
+        self, plant: Plant, journal: Journal, entries: Iterable[JournalEntry] = (), *, cut: bool = False
+    ) -> None:
         """Wrap `plant`; `entries` are the records to catch up with, `cut`: later ones are lost."""
         self.inside = plant
         """The plant itself, for what is not journaled here."""
@@ -161,7 +163,7 @@ class RecordedPlant:
         restarts = self.inside.restarts if isinstance(self.inside, RestartingPlant) else ()
         return values.measurement_json(measurement) | ({"restarts": list(restarts)} if restarts else {})
 
-    def _compare(self, entry: Entry, kind: str, recorded: object, call: Callable[[], object]) -> None:
+    def _compare(self, entry: JournalEntry, kind: str, recorded: object, call: Callable[[], object]) -> None:
         """Have a simulated plant answer again, as it did then; one that outlives the process is not asked.
 
         One that was started again then is started again now, whether it fails once more or not.
@@ -184,13 +186,13 @@ class RecordedPlant:
                 self.inside.go_on(self._last, periods=self._periods, anywhere=self._cut, **self._reset)
             self._away = False
 
-    def _next_entry(self, kind: str, request: Mapping[str, Any]) -> Entry:
+    def _next_entry(self, kind: str, request: Mapping[str, Any]) -> JournalEntry:
         entry = self._entries.popleft()
         if entry.kind != kind or entry.content.get("asked", {}) != request:
             raise self._mismatch(entry, f"'{kind}' {dict(request)}")
         return entry
 
-    def _mismatch(self, entry: Entry, now: str) -> JournalError:
+    def _mismatch(self, entry: JournalEntry, now: str) -> JournalError:
         then = f"'{entry.kind:.20}' {entry.content.get('asked', '')!s:.200}"
         return JournalError(
             f"{entry.where}: then it was {then}, now it is {now}: the run does not repeat "
@@ -207,7 +209,9 @@ class JournaledPlant(RecordedPlant):
     ahead.
     """
 
-    def __init__(self, plant: Plant, journal: Journal, entries: Iterable[Entry] = (), *, cut: bool = False) -> None:
+    def __init__(
+        self, plant: Plant, journal: Journal, entries: Iterable[JournalEntry] = (), *, cut: bool = False
+    ) -> None:
         """See `RecordedPlant`."""
         super().__init__(plant, journal, entries, cut=cut)
         self._ahead: Json = {}

@@ -28,9 +28,9 @@ from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord, sample_of, t
 from thermoforce_mpc.loop.forecasts import empty_forecast, holes
 from thermoforce_mpc.loop.kept_steps import KeptSteps
 from thermoforce_mpc.model.forecast_gaps import completed, lengthened
-from thermoforce_mpc.model.screening import Limits, screened_history
+from thermoforce_mpc.model.screening import ReadingLimits, screened_history
 from thermoforce_mpc.records import journal_values as values
-from thermoforce_mpc.records.journal import NAME, Entry, JournalError, making_sense, read_run
+from thermoforce_mpc.records.journal import NAME, JournalEntry, JournalError, making_sense, read_run
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
 
@@ -127,9 +127,9 @@ class ToldStep:
         return None if self.given is None else lengthened(self.given, n_steps, step_s), step_s, n_steps
 
 
-def told_loops(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
+def told_loops(entries: Sequence[JournalEntry]) -> dict[str, list[JournalEntry]]:
     """The records of each closed loop, by controller."""
-    loops: dict[str, list[Entry]] = {}
+    loops: dict[str, list[JournalEntry]] = {}
     for entry in entries:
         if entry.kind == "loop":
             loops[safe_text(entry.content["controller"])] = []
@@ -155,7 +155,7 @@ class StepReader:
         """The step that was decided and is not closed."""
         return None if self._step is None else self._told(tuple(self._advances), None)
 
-    def read(self, entry: Entry) -> ToldStep | None:
+    def read(self, entry: JournalEntry) -> ToldStep | None:
         """Take the next record; the step that it closes, if it does."""
         content = entry.content
         if entry.kind == "reset":
@@ -185,7 +185,7 @@ class StepReader:
         return ToldStep(self._step, self.names, self.before, given, advances, done, self._past)
 
 
-def told_steps(entries: Sequence[Entry]) -> Iterator[ToldStep]:
+def told_steps(entries: Sequence[JournalEntry]) -> Iterator[ToldStep]:
     """The steps of a closed loop, in order; the last may be under way."""
     reader = StepReader()
     for entry in entries:
@@ -215,7 +215,7 @@ def history_before(steps: Sequence[ToldStep]) -> Record:
         columns = {name: np.concatenate([getattr(record, name), new], axis=-1) for name, new in columns.items()}
         record = Record(**columns, names=record.names)
     # Limits that need a model or a floor area are left to the notes of the run.
-    return screened_history(record, Limits(lowest=-1.0))[0]
+    return screened_history(record, ReadingLimits(lowest=-1.0))[0]
 
 
 def forecast_of(steps: Sequence[ToldStep]) -> Boundary:
@@ -300,7 +300,7 @@ def told_run(folder: Path) -> ToldRun:
         )
 
 
-def _plant(entries: Sequence[Entry]) -> Json:
+def _plant(entries: Sequence[JournalEntry]) -> Json:
     """What the plant said of itself, and how it was started again."""
     info: Json = next((entry.content["info"] for entry in entries if entry.kind == "plant"), {})
     contents = (entry.content for entry in entries)
@@ -310,7 +310,7 @@ def _plant(entries: Sequence[Entry]) -> Json:
     return {**said, "description": safe_text("; ".join([str(info.get("description")), *dict.fromkeys(restarts)]))}
 
 
-def _ended_steps(loop: Sequence[Entry]) -> KeptSteps[StepRecord]:
+def _ended_steps(loop: Sequence[JournalEntry]) -> KeptSteps[StepRecord]:
     kept: KeptSteps[StepRecord] = KeptSteps()
     steps: list[ToldStep] = []
     last_forecast: Boundary | None = None

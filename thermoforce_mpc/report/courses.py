@@ -25,7 +25,7 @@ _SAMPLED = (
 
 
 @dataclass(frozen=True)
-class Course:
+class RunCourse:
     """All n blocks of a run, or means over several consecutive ones.
 
     `start_s`, `duration_s`, `T_out_C`, `solar_W_m2` (n,); `T_zone_C`, `lower_C`, `upper_C` (Z, n), `u` (A, n) and
@@ -86,7 +86,7 @@ def most_blocks(layout: Layout, runs: int) -> int:
     return MOST_BYTES // (2 * (shared + runs * own) + 16 * runs)
 
 
-def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> Course:
+def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> RunCourse:
     """The course of a run, of at most `most` blocks.
 
     Cost is that of the mean power of each block at the price in force, discomfort that of straight lines between the
@@ -116,7 +116,7 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
     two_carriers = not np.array_equal(np.array(heating_price).T, columns["price_per_kWh"])
     scaled = float(bill / cost[-1]) if two_carriers and bill > 0 and cost[-1] > 0 else 1.0
     columns |= {"cost": scaled * cost, "discomfort_Kh": np.nancumsum(discomfort, axis=1)}
-    course = Course(averaged=1, scaled=scaled, band_C=np.array(bands).transpose(2, 1, 0), **columns)
+    course = RunCourse(averaged=1, scaled=scaled, band_C=np.array(bands).transpose(2, 1, 0), **columns)
     return _averaged(course, -(-course.start_s.size // most))
 
 
@@ -128,7 +128,7 @@ def _band_C(step: StepRecord, k: int) -> Array:
     return np.array([nothing if band is None else band for band in bands], dtype=np.float64)
 
 
-def _averaged(course: Course, together: int) -> Course:
+def _averaged(course: RunCourse, together: int) -> RunCourse:
     """The course with `together` blocks taken as one: means of what acts, the last of what is sampled."""
     if together <= 1:
         return course

@@ -15,7 +15,7 @@ from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.records.own_kpis import own_of
 from thermoforce_mpc.records.plain_files import write_plain
-from thermoforce_mpc.report.courses import Course, course_of, most_blocks
+from thermoforce_mpc.report.courses import RunCourse, course_of, most_blocks
 from thermoforce_mpc.report.findings import Capped, best_values, gates_held, planning_of, verdict, watch_spells
 from thermoforce_mpc.report.model_panels import answers_json, other_levels_json
 from thermoforce_mpc.report.page import UPLOT, Json, rendered
@@ -65,7 +65,7 @@ def kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> list
     return rows
 
 
-def apart(courses: Mapping[str, Course], kpis: Mapping[str, Mapping[str, float]]) -> list[str]:
+def apart(courses: Mapping[str, RunCourse], kpis: Mapping[str, Mapping[str, float]]) -> list[str]:
     """Where cost or discomfort so far do not end at the KPI: 'cost of native: 0.07, KPI 0.09'."""
     differences = []
     for name, course in courses.items():
@@ -261,7 +261,7 @@ def write_report(
 
 def report_data(
     result: RunResult,
-    courses: Mapping[str, Course],
+    courses: Mapping[str, RunCourse],
     currency: str,
     layout: Layout,
     area_m2: float,
@@ -288,7 +288,7 @@ def report_data(
     }
 
 
-def _different_prices(course: Course) -> list[int]:
+def _different_prices(course: RunCourse) -> list[int]:
     """Numbers of the first machine of each price: machines that pay the same share a curve."""
     machines: list[int] = []
     for m, price in enumerate(course.price_per_kWh):

@@ -18,7 +18,7 @@ from thermoforce_mpc.loop.closed_loop import in_force, with_level
 from thermoforce_mpc.loop.forecasts import holes, price_paid
 from thermoforce_mpc.model.forecast_gaps import completed
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.records.journal import FORMAT, NAME, Entry, JournalError, JournalTail, making_sense
+from thermoforce_mpc.records.journal import FORMAT, NAME, JournalEntry, JournalError, JournalTail, making_sense
 from thermoforce_mpc.records.journal_values import planned_of
 from thermoforce_mpc.records.plain_files import check_plain
 from thermoforce_mpc.records.run_folder import is_complete, plain_json
@@ -29,7 +29,7 @@ _PAST_H, _MOST_POINTS = 24.0, 288
 
 
 @dataclass(frozen=True)
-class Zone:
+class ZoneNow:
     """A zone now: its temperature and comfort bounds, °C (NaN: not known)."""
 
     name: str
@@ -44,7 +44,7 @@ class Zone:
 
 
 @dataclass(frozen=True)
-class Point:
+class WatchPoint:
     """One step for the picture: its end, temperatures (Z,) and bounds there, °C, and mean levels in it (A,)."""
 
     time_s: float
@@ -55,7 +55,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class View:
+class RunView:
     """A run at an instant.
 
     `state`: running, finished, or ended early, and `said` why; `levels`: mean level of each actuator in the step under
@@ -73,7 +73,7 @@ class View:
     days: float
     days_in_all: float
     outdoor_C: float
-    zones: tuple[Zone, ...]
+    zones: tuple[ZoneNow, ...]
     actuators: tuple[str, ...]
     levels: tuple[float, ...]
     status: str
@@ -84,8 +84,8 @@ class View:
     energy_kWh: float
     discomfort_Kh: float
     counts: Mapping[str, int]
-    past: tuple[Point, ...]
-    plan: tuple[Point, ...]
+    past: tuple[WatchPoint, ...]
+    plan: tuple[WatchPoint, ...]
 
     def to_json(self) -> dict[str, Any]:
         """All of it in JSON types; null where a number is not known."""
@@ -119,10 +119,10 @@ class LiveRun:
         self._cost, self._kWh, self._Kh = 0.0, 0.0, 0.0
         self._metered = False
         self._counts: Counter[str] = Counter()
-        self._past: deque[Point] = deque(maxlen=_MOST_POINTS)
+        self._past: deque[WatchPoint] = deque(maxlen=_MOST_POINTS)
         self._boundary: Boundary | None = None
 
-    def now(self) -> View:
+    def now(self) -> RunView:
         """What is known now.
 
         Raises:
@@ -137,7 +137,7 @@ class LiveRun:
                 raise InputError(f"--controller {self._wanted}: did not run yet; there are {', '.join(self._loops)}")
             raise JournalError(f"{self._folder / NAME}: no step was decided yet")
 
-    def _take(self, entry: Entry) -> None:
+    def _take(self, entry: JournalEntry) -> None:
         if entry.kind == "run":
             if entry.content.get("format") != FORMAT:
                 raise JournalError(f"{entry.path}: is not of format {FORMAT}, which this release reads")
@@ -176,7 +176,7 @@ class LiveRun:
         if step.after:
             u = np.average([u for _, u in levels], axis=0, weights=[h or 1e-9 for h, _ in levels])
             T_C, lower_C, upper_C = zip(*((zone.T_C, zone.lower_C, zone.upper_C) for zone in zones), strict=True)
-            self._past.append(Point(start_s, T_C, lower_C, upper_C, tuple(u.tolist())))
+            self._past.append(WatchPoint(start_s, T_C, lower_C, upper_C, tuple(u.tolist())))
 
     def _forecast(self, step: ToldStep) -> Boundary | None:
         """The forecast of a step; prices and bounds that it lacks are filled as in the run."""
@@ -195,15 +195,15 @@ class LiveRun:
             self._layout = load_testcase(str(self._scenario.get("testcase"))).layout
         return price_paid(u[:, None], price, heating, self._layout)[:, 0]
 
-    def _zones(self, at: Measurement) -> tuple[Zone, ...]:
+    def _zones(self, at: Measurement) -> tuple[ZoneNow, ...]:
         lower = upper = np.full(len(at.names.zones), np.nan)
         if (b := self._boundary) is not None:
             now = in_force(b, at.time_s)
             lower, upper = b.lower_C[:, now], b.upper_C[:, now]
         columns = (at.names.zones, at.T_zone_C.tolist(), lower.tolist(), upper.tolist())
-        return tuple(Zone(*row) for row in zip(*columns, strict=True))
+        return tuple(ZoneNow(*row) for row in zip(*columns, strict=True))
 
-    def _view(self, step: ToldStep) -> View:
+    def _view(self, step: ToldStep) -> RunView:
         decision, names = step.told, step.names
         at = (step.after or (step.before,))[-1]
         self._boundary = self._forecast(step)
@@ -213,7 +213,7 @@ class LiveRun:
         levels = np.average(u, axis=0, weights=[block["duration_s"] for block in blocks])
         time_s = step.time_s if at is None else at.time_s
         since_s = time_s - _PAST_H * HOUR_S
-        return View(
+        return RunView(
             run=str(self._folder),
             testcase=str(self._scenario.get("testcase", "")),
             controller=self._controller,
@@ -238,7 +238,7 @@ class LiveRun:
             plan=self._planned(decision),
         )
 
-    def _planned(self, decision: Mapping[str, Any]) -> tuple[Point, ...]:
+    def _planned(self, decision: Mapping[str, Any]) -> tuple[WatchPoint, ...]:
         """The plan of a step, one point at the end of each of its steps."""
         planned, b = planned_of(decision), self._boundary
         if not planned or b is None:
@@ -250,7 +250,7 @@ class LiveRun:
         columns = (T[:, :n], b.lower_C[:, 1 : n + 1], b.upper_C[:, 1 : n + 1], u[:, :n])
         points = zip(*(map(tuple, rows.T.tolist()) for rows in columns), strict=True)
         ends_s = (b.time_s[1 : n + 1] + late_s).tolist()
-        return tuple(Point(end_s, *of) for end_s, of in zip(ends_s, points, strict=True))
+        return tuple(WatchPoint(end_s, *of) for end_s, of in zip(ends_s, points, strict=True))
 
     def _state(self) -> tuple[str, str]:
         if is_complete(self._folder):

@@ -33,21 +33,21 @@ from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, one_of
 from thermoforce_mpc.scenario.yaml_file import MOST_BYTES, parse_yaml
 
-__all__ = ["PRICES", "Actuator", "ForecastPoints", "Measurements", "Price", "TestCase"]
+__all__ = ["PRICES", "Actuator", "ForecastPoints", "MeasuredPoints", "Price", "TestCase"]
 
 
 _OWN_PLANTS = ("bestest_hydronic", "bestest_air", "rooms", "generated", "small_office")
 PlantName = Annotated[str, AfterValidator(known_name("plant", "plants", *_OWN_PLANTS)), one_of(*_OWN_PLANTS)]
 
 
-class Weather(StrictModel):
+class MeasuredWeather(StrictModel):
     """Measured weather. At the plant's interface temperatures are in K, irradiance in W/m²."""
 
     outdoor_temperature: PointName
     solar: PointName = Field(description="global horizontal irradiance")
 
 
-class Measurements(StrictModel):
+class MeasuredPoints(StrictModel):
     """Measured points. At the plant's interface temperatures are in K, powers in W, irradiance in W/m²."""
 
     zone_temperature: PointName
@@ -64,7 +64,7 @@ class Measurements(StrictModel):
 
 def _which(measurements: object) -> str:
     known = set(measurements if isinstance(measurements, Mapping) else getattr(measurements, "__dict__", ()))
-    return "weather_only" if known <= set(Weather.model_fields) else "one_zone"
+    return "weather_only" if known <= set(MeasuredWeather.model_fields) else "one_zone"
 
 
 class ForecastPoints(StrictModel):
@@ -122,7 +122,8 @@ class TestCase(StrictModel):
     step_s: float = Field(3600.0, ge=60, le=86400, description="default control step, s")
     actuator: AnyActuator | None = Field(None, description="the actuator of a building of one zone")
     measurements: Annotated[
-        Annotated[Measurements, Tag("one_zone")] | Annotated[Weather, Tag("weather_only")], Discriminator(_which)
+        Annotated[MeasuredPoints, Tag("one_zone")] | Annotated[MeasuredWeather, Tag("weather_only")],
+        Discriminator(_which),
     ] = Field(
         description="measured points; with `zones` those of the weather, the others stand with zones and machines"
     )
@@ -188,9 +189,9 @@ class TestCase(StrictModel):
         return BuildingPoints(layout, (zone,), (acts,), (machine,), *weather)
 
     @property
-    def metered(self) -> Measurements:
+    def metered(self) -> MeasuredPoints:
         """Measured points of a building of one zone; raises `ConfigError` for one of several."""
-        if isinstance(self.measurements, Measurements):
+        if isinstance(self.measurements, MeasuredPoints):
             return self.measurements
         raise ConfigError(f"test case '{self.name}' has several zones: this plant has one")
 
@@ -199,7 +200,7 @@ class TestCase(StrictModel):
         if not self.zones:
             if self.actuators or self.machines or self.exclusive:
                 raise ValueError("actuators, machines and exclusive belong to zones: name the zones")
-            if self.actuator is None or self.floor_area_m2 is None or not isinstance(self.measurements, Measurements):
+            if self.actuator is None or self.floor_area_m2 is None or not isinstance(self.measurements, MeasuredPoints):
                 raise ValueError(
                     "a building of one zone needs floor_area_m2, actuator and measurements.zone_temperature and "
                     "electric_power; one of several zones, actuators and machines"
@@ -212,7 +213,7 @@ class TestCase(StrictModel):
                     "an actuator of kind room_setpoints needs measurements.heat: the level is heat over full heat"
                 )
             return self
-        if self.actuator is not None or isinstance(self.measurements, Measurements):
+        if self.actuator is not None or isinstance(self.measurements, MeasuredPoints):
             raise ValueError(
                 "with zones, leave out actuator and what measurements has besides the weather: those points stand with "
                 "zones, actuators and machines"

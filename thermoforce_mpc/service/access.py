@@ -42,7 +42,7 @@ def check_token(host: str, token: str | None) -> None:
         raise ConfigError(f"the token needs {LEAST_TOKEN} or more printable ASCII characters without spaces; {advice}")
 
 
-class Names:
+class HostNames:
     """Names by which the service may be asked, and so which pages of a browser may ask: its own.
 
     An address may always be asked: only a name can be made to lead here by whom it belongs to (DNS rebinding).

@@ -17,7 +17,7 @@ from werkzeug.exceptions import HTTPException, MethodNotAllowed, NotFound
 from thermoforce_mpc.data import Period
 from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
 from thermoforce_mpc.plants.embedded.emulator import Emulator
-from thermoforce_mpc.service.access import Names, Rate, Refusal, check_authorization
+from thermoforce_mpc.service.access import HostNames, Rate, Refusal, check_authorization
 from thermoforce_mpc.service.endpoints import FORMS, NAMESPACE, Endpoint, document, endpoints
 from thermoforce_mpc.service.points import served_points
 from thermoforce_mpc.service.session import Session
@@ -31,7 +31,7 @@ _MOST_SAID = 500
 
 
 @dataclass(frozen=True)
-class Limits:
+class ServiceLimits:
     """Bounds of the service."""
 
     most_tests: int = 8  # at a time
@@ -44,7 +44,7 @@ class Limits:
 
 def create_app(
     make_plant: Callable[[], Emulator],
-    limits: Limits | None = None,
+    limits: ServiceLimits | None = None,
     *,
     testcase: str = HEAT_PUMP.name,
     token: str | None = None,
@@ -55,7 +55,7 @@ def create_app(
     `token`: what every request needs (None: nothing). `names`: by which it may be asked, besides addresses and
     localhost.
     """
-    limits = limits or Limits()
+    limits = limits or ServiceLimits()
     lock, first_plant = threading.Lock(), functools.cache(make_plant)
 
     def period(name: str) -> Period:
@@ -73,7 +73,7 @@ def create_app(
     app = Flask(__name__, static_folder=None)
     app.config["MAX_CONTENT_LENGTH"] = limits.most_bytes
     app.url_map.merge_slashes = False
-    rate, own = Rate(limits.per_second), Names(names)
+    rate, own = Rate(limits.per_second), HostNames(names)
     points = served_points(testcase)
     described = document(points, token=token is not None)
 

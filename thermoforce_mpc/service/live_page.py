@@ -11,7 +11,7 @@ from typing import Any
 from flask import Flask, Response, request
 
 from thermoforce_mpc.errors import ThermoForceError
-from thermoforce_mpc.service.access import Names, Refusal
+from thermoforce_mpc.service.access import HostNames, Refusal
 from thermoforce_mpc.service.server import Server, bound, run_to_its_end, serve_on
 
 HOST = "127.0.0.1"
@@ -29,7 +29,7 @@ def live_app(view: Callable[[], Mapping[str, Any]]) -> Flask:
     """The application: the page at `/`, and what `view`, called by one thread at a time, tells at `/view.json`."""
     app = Flask(__name__, static_folder=None)
     page = files("thermoforce_mpc.service").joinpath("live_page.html").read_text(encoding="utf-8")
-    own, lock = Names(), threading.Lock()
+    own, lock = HostNames(), threading.Lock()
 
     @app.before_request
     def only_here() -> None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import psychrolib
 
-from thermoforce_mpc.boundary.weather.solar import Sun, sun_position
+from thermoforce_mpc.boundary.weather.solar import SunPosition, sun_position
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import HOUR_S, YEAR_S, ZERO_C_K, Array
 from thermoforce_mpc.plants.embedded.cases import BOILER, CASES, FAN_COIL, HEAT_PUMP, EmulatedCase
@@ -163,7 +163,7 @@ def _constant(value: Callable[[Weather], float]) -> Callable[[Weather, Array], A
     return lambda weather, time_s: np.full(np.shape(time_s), value(weather))
 
 
-def _sun(weather: Weather, time_s: Array) -> Sun:
+def _sun(weather: Weather, time_s: Array) -> SunPosition:
     return sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
 
 

@@ -23,7 +23,7 @@ from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
 from thermoforce_mpc.plants.embedded.emulator import Emulator
 from thermoforce_mpc.plants.registry import emulator_of
 from thermoforce_mpc.service.access import check_token, is_loopback
-from thermoforce_mpc.service.app import Limits, create_app
+from thermoforce_mpc.service.app import ServiceLimits, create_app
 from thermoforce_mpc.service.points import WEATHER_SIGNALS
 from thermoforce_mpc.service.sessions import MOST_ASKING
 
@@ -118,7 +118,7 @@ def build_server(
 
     `testcase`: an embedded one. `highly_dynamic`: tariff of that name, by default a synthetic one. `token`: see
     `check_token`. `names`: by which it may be asked, besides `host`, addresses and localhost. `limits`: fields of
-    `Limits`; by default one address has half of the tests where other machines reach `host`.
+    `ServiceLimits`; by default one address has half of the tests where other machines reach `host`.
 
     Raises:
         ConfigError: `port`, a limit or the token is out of range, or the token is missing.
@@ -129,7 +129,7 @@ def build_server(
     for name, value in limits.items():
         if value is not None and not value > 0:
             raise ConfigError(f"{name} is {value}: expected a positive number")
-    bounds = Limits(**limits)
+    bounds = ServiceLimits(**limits)
     if bounds.tests_each is None and not is_loopback(host):
         bounds = replace(bounds, tests_each=(bounds.most_tests + 1) // 2)
     check_token(host, token)

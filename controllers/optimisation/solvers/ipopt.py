@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from controllers.optimisation.problem import ProblemShape
-from controllers.optimisation.solution import Answer, StatementSolver
+from controllers.optimisation.solution import SolverAnswer, StatementSolver
 from controllers.optimisation.solvers.highs import Highs, MilpConfig
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -57,7 +57,7 @@ class IpoptSolver(StatementSolver):
         }
         self.model.functions.ipopt(self._options)  # built once
 
-    def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
+    def _answers(self, p: Array, guess: Array | None) -> Iterator[SolverAnswer]:
         cold, choices = self.model.cold(), self.model.choices
         answers = []
         for start, options in ((cold if guess is None else guess, self._options), (cold, self._options | _CAREFUL)):
@@ -68,9 +68,11 @@ class IpoptSolver(StatementSolver):
             found = Highs(MilpConfig())(programme, choices)
             why, claimed = "" if found.solved else f"HiGHS ended with {found.status}", programme.objective(found.x)
             multipliers = programme.unit * found.multipliers
-            yield Answer(found.x, claimed, f"highs:{found.status}", found.iterations, why, multipliers=multipliers)
+            yield SolverAnswer(
+                found.x, claimed, f"highs:{found.status}", found.iterations, why, multipliers=multipliers
+            )
 
-    def _answer(self, p: Array, start: Array, options: Mapping[str, Any]) -> Answer:
+    def _answer(self, p: Array, start: Array, options: Mapping[str, Any]) -> SolverAnswer:
         """Its answer from levels (A, N)."""
         model, (low, high) = self.model, self.model.bounds(p)
         begin = self._ipopt(p, model.evaluate(p, start).variables, low, high, options)
@@ -87,7 +89,7 @@ class IpoptSolver(StatementSolver):
         why = f"its choices are rounded, {gap:.1%} above what they cost where they need not be whole"
         return replace(found, why=why, gap=gap)
 
-    def _ipopt(self, p: Array, x: Array, low: Array, high: Array, options: Mapping[str, Any]) -> Answer:
+    def _ipopt(self, p: Array, x: Array, low: Array, high: Array, options: Mapping[str, Any]) -> SolverAnswer:
         n_rows, n_equal = self.model.functions.rows.size1_out(1), self.model.functions.n_equal
         upper = np.full(n_rows, np.inf)
         upper[:n_equal] = 0.0
@@ -99,4 +101,4 @@ class IpoptSolver(StatementSolver):
         status = str(stats["return_status"])
         claimed, why = float(found["f"]) if status in _ACCEPTED else None, f"Ipopt ended with {status}"
         why = "" if status == _OPTIMAL else why
-        return Answer(x, claimed, f"ipopt:{status}", int(stats["iter_count"]), why, multipliers=multipliers)
+        return SolverAnswer(x, claimed, f"ipopt:{status}", int(stats["iter_count"]), why, multipliers=multipliers)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.problem import ProblemShape
 from controllers.optimisation.programme import QPData
-from controllers.optimisation.solution import Answer, Solver, StatementSolver
+from controllers.optimisation.solution import Solver, SolverAnswer, StatementSolver
 from controllers.optimisation.solvers.highs import Highs, MilpConfig
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, SolverResult
 from thermoforce_mpc.data import Array
@@ -61,7 +61,7 @@ class MilpSolver(StatementSolver):
             )
         self._choose, self._relax = choose or Highs(config), Piqp(qp or QPConfig())
 
-    def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
+    def _answers(self, p: Array, guess: Array | None) -> Iterator[SolverAnswer]:
         programme = self.model.local(p)
         start = self._start(programme)
         found = self._choose(programme, self.model.choices, start)
@@ -69,18 +69,20 @@ class MilpSolver(StatementSolver):
         if not x.size and start is not None:
             x, why = start, f"{why} and no better plan than the one that it started from"
         if not x.size:
-            yield Answer(x, None, f"highs:{found.status}", found.iterations, f"{why} and no plan")
+            yield SolverAnswer(x, None, f"highs:{found.status}", found.iterations, f"{why} and no plan")
             return
         linear, bound = programme.objective(x, with_quadratic=False), programme.constant + programme.unit * found.bound
         gap = max(linear - bound, 0.0) / max(abs(linear), 1e-9) if self.model.choices.size else 0.0
         if why:
             why += f", at most {gap:.1%} above the optimum" if np.isfinite(gap) else ", before any bound of the optimum"
-        said = Answer(x, programme.objective(x), f"highs:{found.status}, gap {gap:.2g}", found.iterations, why, gap)
+        said = SolverAnswer(
+            x, programme.objective(x), f"highs:{found.status}, gap {gap:.2g}", found.iterations, why, gap
+        )
         if programme.violation(x) <= _KEEPS:  # else there is nothing to go on from
             yield from self._again(programme, said)
         yield said
 
-    def _again(self, programme: QPData, said: Answer) -> Iterator[Answer]:
+    def _again(self, programme: QPData, said: SolverAnswer) -> Iterator[SolverAnswer]:
         """The answer with what shows that it is the optimum with its choices, and that optimum, by two methods."""
         choices = self.model.choices
         chosen = programme.fixed(choices, np.round(said.x[choices]))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.problem import ProblemShape
 from controllers.optimisation.programme import QPData
-from controllers.optimisation.solution import Answer, Solver, StatementSolver
+from controllers.optimisation.solution import Solver, SolverAnswer, StatementSolver
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, SolverResult
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -34,10 +34,10 @@ class QPSolver(StatementSolver):
                 "problem is not convex; use a model of feedback: false, solver: milp, or solver: ipopt"
             )
 
-    def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
+    def _answers(self, p: Array, guess: Array | None) -> Iterator[SolverAnswer]:
         programme = self.model.local(p)
         found = self._solve(programme)
         claimed = programme.objective(found.x) if found.solved else None
         why = "" if found.solved else f"piqp: ended with {found.status}"
         multipliers = programme.unit * found.multipliers
-        yield Answer(found.x, claimed, f"piqp:{found.status}", found.iterations, why, multipliers=multipliers)
+        yield SolverAnswer(found.x, claimed, f"piqp:{found.status}", found.iterations, why, multipliers=multipliers)

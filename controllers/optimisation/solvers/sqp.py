@@ -14,7 +14,7 @@ from pydantic import Field
 
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.problem import ProblemShape
-from controllers.optimisation.solution import Answer, Solver, StatementSolver
+from controllers.optimisation.solution import Solver, SolverAnswer, StatementSolver
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -53,7 +53,7 @@ class SQPSolver(StatementSolver):
         self._near = np.zeros(self.model.n_variables)
         self._near[self.model.levels_at] = self._near[self.model.own_at] = 1.0
 
-    def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
+    def _answers(self, p: Array, guess: Array | None) -> Iterator[SolverAnswer]:
         model, solver = self.model, Piqp(self._qp)
         own = np.clip(0.0, *model.bounds(p))[model.own_at]
         begun = model.evaluate(p, model.cold() if guess is None else guess, own)
@@ -65,20 +65,22 @@ class SQPSolver(StatementSolver):
             promised = programme.constant - programme.objective(answer.x)
             if answer.solved and promised <= self._config.tolerance * (1.0 + abs(cost)):
                 found_at = programme.unit * answer.multipliers
-                yield Answer(x, cost, "sqp:converged", iteration, multipliers=found_at)
+                yield SolverAnswer(x, cost, "sqp:converged", iteration, multipliers=found_at)
                 return
             found = self._shorter(p, x, answer.x, cost - _ENOUGH * promised) if answer.solved else None
             if found is None:
                 near = max(_LEAST, 10.0 * near)
                 if near > _MOST:
                     why = "sqp: no step brings what the local model promises"
-                    yield Answer(x, None, "sqp:stalled", iteration, why)
+                    yield SolverAnswer(x, None, "sqp:stalled", iteration, why)
                     return
                 continue
             x, cost, length = found
             multipliers = programme.unit * answer.multipliers
             near = 0.1 * near if length == 1.0 and near > _LEAST else (near if length < 1.0 else 0.0)
-        yield Answer(x, None, "sqp:iterations", self._config.max_iterations, "sqp: no optimum within its iterations")
+        yield SolverAnswer(
+            x, None, "sqp:iterations", self._config.max_iterations, "sqp: no optimum within its iterations"
+        )
 
     def _shorter(self, p: Array, x: Array, step: Array, at_most: float) -> tuple[Array, float, float] | None:
         """The rollout, its cost and the length of the longest step that costs at most `at_most`; None without one."""

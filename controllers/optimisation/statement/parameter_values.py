@@ -8,7 +8,7 @@ import numpy as np
 
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.statement.problem_statement import parameter_sizes
-from controllers.optimisation.statement.structure import Group, Structure, difference_equation
+from controllers.optimisation.statement.structure import PoleGroup, Structure, difference_equation
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -22,7 +22,7 @@ _HALF_BAND_K = 1e-3
 class Numbers:
     """Packs instances of one operator and shape into the vector of the parameters of a structure."""
 
-    def __init__(self, operator: BuildingOperator, shape: ProblemShape, groups: list[Group], s: Structure) -> None:
+    def __init__(self, operator: BuildingOperator, shape: ProblemShape, groups: list[PoleGroup], s: Structure) -> None:
         self._operator, self._shape, self._groups, self._s = operator, shape, groups, s
         machinery = shape.machinery
         self._gains = [ExportedGain(operator.of_actuator(a), shape.n_steps) for a in range(s.A)]

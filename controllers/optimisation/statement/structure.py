@@ -25,7 +25,7 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 
 @dataclass(frozen=True)
-class Group:
+class PoleGroup:
     """Pairs of a zone with the same poles.
 
     `pairs`: their actuators; `actuators`: those of the equation. `poles` (r,), 0 of modes that have no gain in any of
@@ -39,7 +39,7 @@ class Group:
     gains: Array
 
 
-def groups_of(operator: BuildingOperator, *, power_couples: bool) -> list[Group]:
+def groups_of(operator: BuildingOperator, *, power_couples: bool) -> list[PoleGroup]:
     """Return the pairs of each zone by poles; `power_couples`: whether power couples the zones of a step."""
     by_poles: dict[tuple[int, tuple[float, ...]], dict[int, OperatorParameters]] = {}
     for z, a, pair in operator.each():
@@ -49,7 +49,7 @@ def groups_of(operator: BuildingOperator, *, power_couples: bool) -> list[Group]
         of, poles = np.array(list(pairs_of), dtype=np.intp), np.zeros(operator.shape[2])
         acting = np.any([pair.acting for pair in pairs_of.values()], axis=0)
         poles[: len(key)] = np.where(acting, key, 0.0)
-        groups.append(Group(z, of, of, poles, operator.gains[z, of]))
+        groups.append(PoleGroup(z, of, of, poles, operator.gains[z, of]))
     # Minimum degree orders a full pattern by time, and one with a few cross-effects so that it fills up: at 20 zones
     # the factorisation takes up to three times as long. So actuators without an effect get numerators of 0; buildings
     # without cross-effects, and sparse ones in which power couples nothing, are faster as they are.
@@ -60,7 +60,7 @@ def groups_of(operator: BuildingOperator, *, power_couples: bool) -> list[Group]
     return [_filled(group, A) for group in groups]
 
 
-def _filled(group: Group, A: int) -> Group:
+def _filled(group: PoleGroup, A: int) -> PoleGroup:
     gains = np.zeros((A, group.poles.size))
     gains[group.actuators] = group.gains
     return replace(group, actuators=np.arange(A), gains=gains)

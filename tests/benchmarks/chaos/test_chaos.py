@@ -23,7 +23,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.records.journal import Entry, read_journal, read_run
+from thermoforce_mpc.records.journal import JournalEntry, read_journal, read_run
 from thermoforce_mpc.records.told_steps import told_loops, told_steps
 
 ANYWHERE = (*kinds.REFUSALS, *kinds.BROKEN, *kinds.AWAY, *kinds.NOT_ITSELF, *kinds.WRONG_CLOCK)
@@ -95,12 +95,12 @@ def test_the_same_seed_draws_the_same_troubles():
     assert met == {kind for group in kinds.CLASSES.values() for kind in group}, "two hundred episodes meet every kind"
 
 
-def journal(*ends_s: float, note: str = "") -> list[Entry]:
+def journal(*ends_s: float, note: str = "") -> list[JournalEntry]:
     """A run of steps of 900 s from 0, that ended when told."""
-    entries = [Entry(1, "reset", {"answer": {"time_s": 0.0}})]
+    entries = [JournalEntry(1, "reset", {"answer": {"time_s": 0.0}})]
     for i, end_s in enumerate(ends_s):
         advance = {"asked": {"duration_s": 900.0}, "answer": {"time_s": end_s}}
-        entries.append(Entry(2, "done", {"index": i, "advances": [advance], "notes": [note] if note else []}))
+        entries.append(JournalEntry(2, "done", {"index": i, "advances": [advance], "notes": [note] if note else []}))
     return entries
 
 

@@ -27,7 +27,7 @@ from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.records.journal import Journal, JournalError, JournalTail, read_journal
-from thermoforce_mpc.report.live_view import LiveRun, Zone
+from thermoforce_mpc.report.live_view import LiveRun, ZoneNow
 from thermoforce_mpc.service.live_page import page_server
 from thermoforce_mpc.service.server import running
 
@@ -107,10 +107,10 @@ def test_what_a_forecast_does_not_say_counts_as_in_the_run(tmp_path, lacking):
 
 
 def test_a_zone_without_bounds_is_not_said_to_be_outside_them():
-    zone = Zone("living", 21.0, float("nan"), float("nan"))
+    zone = ZoneNow("living", 21.0, float("nan"), float("nan"))
     assert np.isnan(zone.outside_K)
-    assert Zone("living", float("nan"), 20.0, 24.0).outside_K == 0.0
-    assert Zone("living", 19.0, 20.0, 24.0).outside_K == 1.0
+    assert ZoneNow("living", float("nan"), 20.0, 24.0).outside_K == 0.0
+    assert ZoneNow("living", 19.0, 20.0, 24.0).outside_K == 1.0
 
 
 def test_a_run_is_followed_as_it_grows_to_the_same_view(single, tmp_path):

@@ -17,7 +17,7 @@ from structures import CASES, instance
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape, Weights, every_step
-from controllers.optimisation.solution import Answer, Solution, Solver, checked
+from controllers.optimisation.solution import Solution, Solver, SolverAnswer, checked
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.solvers.milp import MilpConfig, MilpSolver
 from controllers.optimisation.solvers.qp import QPSolver
@@ -121,8 +121,8 @@ def test_a_claim_may_be_off_by_what_bounds_relaxed_are_worth_and_by_no_more():
         p = model.numbers(warm)
         x = model.evaluate(p, off).variables
         relaxed = -2e-8 * weight * 96
-        assert checked(model, warm, p, Answer(x, relaxed, "ipopt", 1)).ok
-        assert "its levels cost" in checked(model, warm, p, Answer(x, -1e-3 * weight, "ipopt", 1)).problem
+        assert checked(model, warm, p, SolverAnswer(x, relaxed, "ipopt", 1)).ok
+        assert "its levels cost" in checked(model, warm, p, SolverAnswer(x, -1e-3 * weight, "ipopt", 1)).problem
 
 
 def scaled_J(plan: PlanExpressions) -> None:

@@ -20,7 +20,7 @@ from mpc_problems import (
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import ProblemShape, Weights, blocked_moves, every_step
-from controllers.optimisation.solution import Answer, checked
+from controllers.optimisation.solution import SolverAnswer, checked
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, SolverResult
@@ -138,16 +138,16 @@ def test_a_claim_that_is_true_is_accepted_and_one_that_is_too_good_is_not():
     shows = model.local(p).unit * best.multipliers
     u = model.levels(best.x)
     cost = float(numpy_problem.cost(problem, operator, u))
-    true = checked(model, problem, p, Answer(model.evaluate(p, u).variables, cost, "ok", 1, multipliers=shows))
+    true = checked(model, problem, p, SolverAnswer(model.evaluate(p, u).variables, cost, "ok", 1, multipliers=shows))
     assert (true.ok, true.optimal, true.problem) == (True, True, "")
-    assert not checked(model, problem, p, Answer(best.x, 0.9 * cost, "ok", 1, multipliers=shows)).ok
-    unshown = checked(model, problem, p, Answer(best.x, cost, "ok", 1))
+    assert not checked(model, problem, p, SolverAnswer(best.x, 0.9 * cost, "ok", 1, multipliers=shows)).ok
+    unshown = checked(model, problem, p, SolverAnswer(best.x, cost, "ok", 1))
     assert (unshown.ok, unshown.optimal) == (True, False)
     assert "without what shows" in unshown.problem
     u[0, u[0].argmax()] *= 0.9
     x = model.evaluate(p, u).variables
     worse = checked(
-        model, problem, p, Answer(x, float(numpy_problem.cost(problem, operator, u)), "ok", 1, multipliers=shows)
+        model, problem, p, SolverAnswer(x, float(numpy_problem.cost(problem, operator, u)), "ok", 1, multipliers=shows)
     )
     assert (worse.ok, worse.optimal) == (True, False)
     assert "may cost" in worse.problem

@@ -13,7 +13,7 @@ from controllers.checks import ControllerConfigError
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import PowerCap, ProblemShape, Weights, blocked_moves, every_step
-from controllers.optimisation.solution import Answer, checked
+from controllers.optimisation.solution import SolverAnswer, checked
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.qp_backends import QPConfig
@@ -177,7 +177,7 @@ def test_capacity_is_kept_where_it_would_be_exceeded():
     assert (0.8 * unlimited.u.sum(axis=0)).max() > 1.2
     model, cost = PlanModel(operator, ProblemShape(every_step(N), limited)), unlimited.cost
     p = model.numbers(problem)
-    refused = checked(model, problem, p, Answer(model.evaluate(p, unlimited.u).variables, cost, "ok", 1))
+    refused = checked(model, problem, p, SolverAnswer(model.evaluate(p, unlimited.u).variables, cost, "ok", 1))
     assert "capacity of machine 0" in refused.problem
 
 
@@ -207,7 +207,7 @@ def test_messages_name_the_actuator():
     u[1, 3] = 1.5
     model = PlanModel(operator, ProblemShape(every_step(N), problem.machinery))
     p = model.numbers(problem)
-    solution = checked(model, problem, p, Answer(model.evaluate(p, u).variables, 0.0, "ok", 1))
+    solution = checked(model, problem, p, SolverAnswer(model.evaluate(p, u).variables, 0.0, "ok", 1))
     assert "u of actuator 1 leaves its bounds" in solution.problem
     with pytest.raises(DataError, match=r"2 zones, 2 actuators and 2 machines over 12 steps: price_per_kWh has shape"):
         replace(problem, price_per_kWh=problem.price_per_kWh[0])

@@ -12,7 +12,7 @@ from thermoforce_mpc.data import Layout, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
 from thermoforce_mpc.identification.estimation.records import check_pairs, prepared_runs
-from thermoforce_mpc.model.screening import Limits
+from thermoforce_mpc.model.screening import ReadingLimits
 
 NAMES = Names(("living", "bath"), ("floor", "radiator"), ("pump", "boiler"))
 LAYOUT = Layout(
@@ -88,7 +88,7 @@ def test_a_room_in_fahrenheit_is_refused_with_what_to_do():
 
 @pytest.mark.parametrize("row", ROWS)
 def test_unknown_levels_of_any_actuator_divide_a_run(row):
-    runs, notes = prepared_runs([changed(two_rooms(3.0), "u", row, slice(100, 120), np.nan)], Limits.of(None))
+    runs, notes = prepared_runs([changed(two_rooms(3.0), "u", row, slice(100, 120), np.nan)], ReadingLimits.of(None))
     assert [run.n_steps for run in runs] == [100, 168]
     assert "run: gaps in u or in the weather divide it into 2 pieces" in notes
     assert not any("filled" in note for note in notes)

@@ -11,7 +11,7 @@ from thermal_networks import LAYOUT, ROOMS, KnownFit, theta_of
 from thermoforce_mpc.data import HOUR_S, Record
 from thermoforce_mpc.identification.estimation.regression import run_regression
 from thermoforce_mpc.identification.network.circuits import circuit_of
-from thermoforce_mpc.identification.network.estimate import Run
+from thermoforce_mpc.identification.network.estimate import RoomRun
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
@@ -23,7 +23,7 @@ METERED = HeatInput(MachineLoad((0.0, 0.0, 1400.0, 0.0), (-20.0, 30.0), levels_s
 THETA = theta_of(ROOMS[0], heat_0=70.0, C_emitter_0=20.0, H_emitter_0=3.0)
 
 
-def probed(limit_W: float = np.inf, seed: int = 3) -> tuple[Record, Run, np.ndarray]:
+def probed(limit_W: float = np.inf, seed: int = 3) -> tuple[Record, RoomRun, np.ndarray]:
     """Days of valves opened at random: what the first takes from water on a heating curve, and its emitter's °C."""
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.choice([0.0, 0.5, 1.0], (3, N // 12)), 12, axis=1)
@@ -44,10 +44,10 @@ def probed(limit_W: float = np.inf, seed: int = 3) -> tuple[Record, Run, np.ndar
     )
     inputs = np.zeros((N + 1, ROOMS[0].n_inputs))
     inputs[:-1, ROOMS[0].drive(0)] = heat_W[0] / METERED.reference_W
-    return record, Run(inputs, T_zone_C[0], STEP_H), emitter_C
+    return record, RoomRun(inputs, T_zone_C[0], STEP_H), emitter_C
 
 
-def found(record: Record, run: Run, heat_input: HeatInput = METERED, layout=LAYOUT):
+def found(record: Record, run: RoomRun, heat_input: HeatInput = METERED, layout=LAYOUT):
     return circuit_of(KnownFit(ROOMS[0], THETA, 1e-4), 0, [record], [run], layout, heat_input)
 
 

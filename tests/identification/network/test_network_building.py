@@ -12,7 +12,7 @@ from thermal_networks import AREA_M2, LAYOUT, ROOMS, KnownFit, effect_K, theta_o
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
 from thermoforce_mpc.identification.network.circuits import Circuit
-from thermoforce_mpc.identification.network.room import EMITTER, ROOM, STRUCTURE, Room
+from thermoforce_mpc.identification.network.room import EMITTER, ROOM, STRUCTURE, RoomNetwork
 from thermoforce_mpc.model.free_response.rc import INPUTS
 from thermoforce_mpc.model.machine.load import MachineLoad
 
@@ -82,7 +82,7 @@ def test_a_valve_gives_sooner_and_less_than_heat_that_is_held():
 
 
 def test_a_room_alone_answers_as_its_equations():
-    room = Room()
+    room = RoomNetwork()
     (responses,) = fit_of([room.mean], (1e-4,), (room,), Layout.single()).responses
     np.testing.assert_allclose(responses[0], [effect_K(room, room.mean, h) for h in RESPONSE_H], rtol=1e-8)
 
@@ -139,7 +139,7 @@ def test_less_certain_parameters_make_wider_bands():
 
 def test_rooms_that_were_not_joined_do_nothing_to_each_other():
     """Without cross effects their networks know no neighbours."""
-    rooms = (Room(), Room((1, -1), (float("nan"),) * 2))
+    rooms = (RoomNetwork(), RoomNetwork((1, -1), (float("nan"),) * 2))
     responses = fit_of([room.mean for room in rooms], rooms=rooms).responses
     assert not np.any(responses[0][1:])
     assert not np.any(responses[1][0])
@@ -148,7 +148,7 @@ def test_rooms_that_were_not_joined_do_nothing_to_each_other():
 
 def test_a_building_without_floor_areas_answers_the_same():
     """Everything is per m² of a room: with one room its area does not matter."""
-    room = Room()
+    room = RoomNetwork()
     found = [
         fit_of([room.mean], (0.01,), (room,), Layout.single(floor_area_m2=area)).responses[0] for area in (None, 80.0)
     ]

@@ -9,7 +9,7 @@ import pytest
 from houses import House, make_pair, record
 
 from thermoforce_mpc.data import Layout, Names, Record
-from thermoforce_mpc.identification.network.building import Actuators, building_fit, room_run
+from thermoforce_mpc.identification.network.building import NetworkInputs, building_fit, room_run
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
@@ -29,9 +29,9 @@ TWO = Layout(
 )
 
 
-def acting(layout, *heat_inputs) -> Actuators:
+def acting(layout, *heat_inputs) -> NetworkInputs:
     """Actuators of which nothing else is unknown."""
-    return Actuators(layout, heat_inputs, [[] for _ in heat_inputs])
+    return NetworkInputs(layout, heat_inputs, [[] for _ in heat_inputs])
 
 
 def of_two(days=1.0) -> Record:

@@ -7,17 +7,17 @@ import pytest
 from houses import random_levels
 from thermal_networks import effect_K, random_theta, simulated, theta_of, with_gap
 
-from thermoforce_mpc.identification.network.estimate import Run, estimate_room, posterior
+from thermoforce_mpc.identification.network.estimate import RoomRun, estimate_room, posterior
 from thermoforce_mpc.identification.network.priors import Prior
-from thermoforce_mpc.identification.network.room import Law, Room
+from thermoforce_mpc.identification.network.room import Law, RoomNetwork
 
-METERED = Room((1,), (50.0,))
+METERED = RoomNetwork((1,), (50.0,))
 # What people and weather bring is a quarter of the heat, for hours.
 RESTLESS = {"heat_0": 50.0, "C_structure": 75.0, "disturbance_6h": 10.0, "disturbance_48h": 6.0}
 QUIET = {"disturbance_1h": 0.05, "disturbance_6h": 0.05, "disturbance_48h": 0.05, "reading": 0.01}
 
 
-class AtOutput(Room):
+class AtOutput(RoomNetwork):
     """The same room, whose disturbance is added to the reading instead of being heat."""
 
     @property
@@ -38,9 +38,9 @@ def switched(seed):
     return lambda hour, T_C: float(levels[int(2.0 * hour) % 2000])
 
 
-def difference(a: Run, b: Run) -> Run:
+def difference(a: RoomRun, b: RoomRun) -> RoomRun:
     """A pair of runs in the same weather."""
-    return Run(a.inputs - b.inputs, a.readings - b.readings, a.step_h, pair=True)
+    return RoomRun(a.inputs - b.inputs, a.readings - b.readings, a.step_h, pair=True)
 
 
 def sd_of_effect(fit, hours):
@@ -55,10 +55,10 @@ def sd_of_effect(fit, hours):
 @pytest.mark.parametrize(
     ("room", "rules"),
     [
-        (Room(), (thermostat,)),
-        (Room((1, 1), (float("nan"), 40.0)), (thermostat, switched(1))),
-        (Room((1, -1), (float("nan"), 40.0), neighbours=2), (thermostat, switched(1))),
-        (Room(laws=(Law(0, "part", 0.1, 0.25),)), (thermostat,)),
+        (RoomNetwork(), (thermostat,)),
+        (RoomNetwork((1, 1), (float("nan"), 40.0)), (thermostat, switched(1))),
+        (RoomNetwork((1, -1), (float("nan"), 40.0), neighbours=2), (thermostat, switched(1))),
+        (RoomNetwork(laws=(Law(0, "part", 0.1, 0.25),)), (thermostat,)),
     ],
     ids=["one actuator", "two actuators", "two neighbours", "unknown heat of levels"],
 )
@@ -80,7 +80,7 @@ def test_the_gradient_is_that_of_differences(room, rules):
 def test_rounding_of_a_reading_is_noise():
     """A sensor that reads in steps says less, and the surer a reading the more its errors count."""
     run = simulated(METERED, METERED.mean, (thermostat,), 1.0, 0)
-    rounded = Run(run.inputs, run.readings, run.step_h, rounding_K2=0.1**2)
+    rounded = RoomRun(run.inputs, run.readings, run.step_h, rounding_K2=0.1**2)
     wrong = theta_of(METERED, heat_0=100.0)
     worse = [posterior(METERED, wrong, [r])[0] - posterior(METERED, METERED.mean, [r])[0] for r in (run, rounded)]
     assert worse[1] < worse[0]
@@ -113,7 +113,7 @@ def test_a_loop_that_answers_disturbances_does_not_hide_the_effect():
 @pytest.mark.slow
 def test_bands_of_the_effect_hold_the_truth_as_often_as_they_say():
     """Of rooms of all kinds under a thermostat, 90 % bands of the effect of 2, 8 and 48 h."""
-    room, off = Room(), []
+    room, off = RoomNetwork(), []
     for seed in range(20):
         truth = random_theta(room, np.random.default_rng(seed), 0.9)
         fit = estimate_room(room, [simulated(room, truth, (thermostat,), 5.0, seed, 0.5)])
@@ -127,7 +127,7 @@ def test_bands_of_the_effect_hold_the_truth_as_often_as_they_say():
 @pytest.mark.slow
 def test_a_pair_says_what_its_runs_say():
     """The difference of two runs in the same weather, in which all but the effect cancels."""
-    room = Room()
+    room = RoomNetwork()
     truth = theta_of(room, heat_0=45.0, C_structure=80.0, C_emitter_0=12.0, **QUIET)
     runs = [simulated(room, truth, (switched(seed),), 4.0, 0, 0.5) for seed in (1, 2)]
     pair = estimate_room(room, [difference(*runs)])
@@ -141,7 +141,7 @@ def test_a_pair_says_what_its_runs_say():
 @pytest.mark.slow
 def test_two_actuators_of_a_room_are_told_apart():
     """A radiator and a slower floor that is half as strong, each with random levels."""
-    room = Room((1, 1), (float("nan"), float("nan")))
+    room = RoomNetwork((1, 1), (float("nan"), float("nan")))
     truth = theta_of(room, heat_0=60.0, heat_1=30.0, C_emitter_0=2.0, C_emitter_1=20.0, **QUIET)
     fit = estimate_room(room, [simulated(room, truth, (switched(1), switched(2)), 6.0, 0, 0.5)])
     for actuator in (0, 1):

@@ -13,7 +13,7 @@ from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification.network.building import BuildingFit
 from thermoforce_mpc.identification.network.estimate import RoomFit
 from thermoforce_mpc.identification.network.free_part import free_part
-from thermoforce_mpc.identification.network.room import ROOM, STRUCTURE, Room
+from thermoforce_mpc.identification.network.room import ROOM, STRUCTURE, RoomNetwork
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
 STEP_H = 0.25
@@ -72,7 +72,7 @@ def test_weather_and_disturbances_do_what_they_do_to_the_network(zone):
 
 def test_a_time_constant_of_a_disturbance_may_be_one_of_the_room():
     """An emitter of an hour that heats nothing but itself has the rate of the first disturbance."""
-    room = Room()
+    room = RoomNetwork()
     theta = theta_of(room, C_emitter_0=6.0, H_emitter_0=6.0, C_room=1e9)
     run = simulated(room, theta, (lambda hour, T: 0.0,), 0.5, 1)
     fit = BuildingFit(Layout.single(floor_area_m2=100.0), (RoomFit(room, theta, 0.0, [run]),))

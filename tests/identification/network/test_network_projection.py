@@ -10,9 +10,9 @@ from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification.estimation.modes import unit_steps
 from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
 from thermoforce_mpc.identification.network.projection import projected
-from thermoforce_mpc.identification.network.room import Room
+from thermoforce_mpc.identification.network.room import RoomNetwork
 
-ONE, SIGNS = Room(), np.array([1])
+ONE, SIGNS = RoomNetwork(), np.array([1])
 
 
 def responses_of(theta, room=ONE):

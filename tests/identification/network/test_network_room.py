@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 from thermal_networks import random_theta, theta_of, transition
 
 from thermoforce_mpc.identification.network.priors import DISTURBANCE_H
-from thermoforce_mpc.identification.network.room import EMITTER, Law, Room, neighbours_of
+from thermoforce_mpc.identification.network.room import EMITTER, Law, RoomNetwork, neighbours_of
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
-ONE = Room()
+ONE = RoomNetwork()
 ROOMS = (
     ONE,
-    Room((1, 1), (float("nan"), 40.0)),
-    Room(neighbours=2),
-    Room((1, -1), (50.0, 30.0), neighbours=2),
-    Room((1, -1), (float("nan"),) * 2, laws=(Law(0, "per_K", 0.01, 0.02), Law(1, "part", 0.1, 0.2))),
+    RoomNetwork((1, 1), (float("nan"), 40.0)),
+    RoomNetwork(neighbours=2),
+    RoomNetwork((1, -1), (50.0, 30.0), neighbours=2),
+    RoomNetwork((1, -1), (float("nan"),) * 2, laws=(Law(0, "per_K", 0.01, 0.02), Law(1, "part", 0.1, 0.2))),
 )
 OUTDOOR, CONSTANT = INPUTS.index("outdoor"), INPUTS.index("constant")
 
@@ -84,7 +84,7 @@ def test_derivatives_of_the_matrix_are_those_of_differences(room):
 
 
 def test_metered_heat_is_its_prior():
-    room = Room((1,), (45.0,))
+    room = RoomNetwork((1,), (45.0,))
     assert room.priors["heat_0"].median == 45.0
     assert room.priors["heat_0"].log_sd < 0.5 * ONE.priors["heat_0"].log_sd
 

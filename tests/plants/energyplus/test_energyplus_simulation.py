@@ -12,7 +12,7 @@ from benchmarks.interventions.zones import Recorder
 from thermoforce_mpc.errors import PlantError, WeatherError
 from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.plants.energyplus.engine import is_available, run_engine, weather_file
-from thermoforce_mpc.plants.energyplus.zone import ZONE_WIRING, Job, ZoneSpec, zone_model
+from thermoforce_mpc.plants.energyplus.zone import ZONE_WIRING, ZoneJob, ZoneSpec, zone_model
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
 
@@ -22,13 +22,15 @@ STEPS = 96 * 2
 
 
 def job(spec, setpoint, steps=STEPS, **changes):
-    return Job(spec, 30 if spec.mode == "heating" else 180, np.full(steps, setpoint), np.full(steps, 0.5), **changes)
+    return ZoneJob(
+        spec, 30 if spec.mode == "heating" else 180, np.full(steps, setpoint), np.full(steps, 0.5), **changes
+    )
 
 
 def shifted(base, at, shift):
     setpoint = base.setpoint_C.copy()
     setpoint[at:] += shift
-    return Job(base.spec, base.first_day, setpoint, base.gains)
+    return ZoneJob(base.spec, base.first_day, setpoint, base.gains)
 
 
 @pytest.fixture(scope="module")
@@ -129,4 +131,4 @@ def test_unknown_weather_names_what_there_is():
 
 def test_inputs_of_different_length_are_refused():
     with LocalEngine(1) as engine, pytest.raises(PlantError, match="differ"):
-        simulate_all([Job(HEATED, 30, np.full(96, 21.0), np.full(95, 0.5))], engine)
+        simulate_all([ZoneJob(HEATED, 30, np.full(96, 21.0), np.full(95, 0.5))], engine)

@@ -6,7 +6,7 @@ import numpy as np
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.kpis import EnergySupply, Violation, building_kpis, excess
 
 
 def compute_kpis(
@@ -35,7 +35,7 @@ def compute_kpis(
         raise DataError("KPIs: every series needs one value per time sample")
     return building_kpis(
         time_s,
-        supplies=[Supply("ElectricPower", power_W, price_per_kWh, emission_kg_per_kWh)],
+        supplies=[EnergySupply("ElectricPower", power_W, price_per_kWh, emission_kg_per_kWh)],
         thermal=[Violation("1", excess(T_operative_C, lower_C, upper_C))],
         air_quality=[Violation("1", np.maximum(co2_ppm - co2_limit_ppm, 0.0))],
         area_m2=area_m2,

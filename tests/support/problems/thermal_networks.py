@@ -9,8 +9,8 @@ from houses import weather
 from scipy.linalg import expm
 
 from thermoforce_mpc.data import Layout, Names
-from thermoforce_mpc.identification.network.estimate import RoomFit, Run
-from thermoforce_mpc.identification.network.room import Room
+from thermoforce_mpc.identification.network.estimate import RoomFit, RoomRun
+from thermoforce_mpc.identification.network.room import RoomNetwork
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 
 Rule = Callable[[float, float], float]
@@ -27,18 +27,18 @@ LAYOUT = Layout(
     shares=(0.5, 0.5, 0.0),
     floor_area_m2=AREA_M2,
 )
-ROOMS = (Room(neighbours=1), Room((1, -1), (float("nan"),) * 2, neighbours=1))
+ROOMS = (RoomNetwork(neighbours=1), RoomNetwork((1, -1), (float("nan"),) * 2, neighbours=1))
 
 
 class KnownFit(RoomFit):
     """A room at θ, all of whose parameters have one variance."""
 
-    def __init__(self, room: Room, theta: np.ndarray, variance: float) -> None:
+    def __init__(self, room: RoomNetwork, theta: np.ndarray, variance: float) -> None:
         super().__init__(room, theta, 0.0, ())
         self.__dict__["covariance"] = variance * np.eye(theta.size)
 
 
-def theta_of(room: Room, **values: float) -> np.ndarray:
+def theta_of(room: RoomNetwork, **values: float) -> np.ndarray:
     """Parameters at the prior's medians, but for the positive ones that are given."""
     theta = room.mean.copy()
     for name, value in values.items():
@@ -46,26 +46,26 @@ def theta_of(room: Room, **values: float) -> np.ndarray:
     return theta
 
 
-def random_theta(room: Room, rng: np.random.Generator, sd: float = 1.0) -> np.ndarray:
+def random_theta(room: RoomNetwork, rng: np.random.Generator, sd: float = 1.0) -> np.ndarray:
     """Parameters drawn from the prior, `sd` times as wide."""
     return room.mean + sd * room.sd * rng.normal(size=room.mean.size)
 
 
-def transition(room: Room, theta: np.ndarray, step_h: float) -> tuple[np.ndarray, np.ndarray]:
+def transition(room: RoomNetwork, theta: np.ndarray, step_h: float) -> tuple[np.ndarray, np.ndarray]:
     """A (n, n) and B (n, m) of a step."""
     n, m = room.n_states, room.n_inputs
     whole = expm(step_h * np.vstack([room.equations(theta).matrix, np.zeros((m, n + m))]))
     return whole[:n, :n], whole[:n, n:]
 
 
-def effect_K(room: Room, theta: np.ndarray, hours: float, actuator: int = 0) -> float:
+def effect_K(room: RoomNetwork, theta: np.ndarray, hours: float, actuator: int = 0) -> float:
     """What full level of an actuator does to the room after some hours, K, its neighbours held."""
     return float(transition(room, theta, hours)[1][0, room.drive(actuator)])
 
 
 def simulated(
-    room: Room, theta: np.ndarray, rules: tuple[Rule, ...], days: float, seed: int, step_h: float = 0.25
-) -> Run:
+    room: RoomNetwork, theta: np.ndarray, rules: tuple[Rule, ...], days: float, seed: int, step_h: float = 0.25
+) -> RoomRun:
     """A run of the room from a steady state, with its disturbances, while `rules` answer what its sensor reads."""
     rng = np.random.default_rng(seed)
     time_s, T_out_C, solar = weather(days, 3600.0 * step_h, seed)
@@ -82,12 +82,12 @@ def simulated(
         readings[k] = x[0] + np.sqrt(reading) * rng.normal()
         inputs[k, drives] = [rule(float(hours[k, 0]), readings[k]) for rule in rules]
         x = A @ x + B @ inputs[k] + np.sqrt(Q) * rng.normal(size=n)
-    return Run(inputs, readings, step_h)
+    return RoomRun(inputs, readings, step_h)
 
 
-def with_gap(run: Run, *places: slice) -> Run:
+def with_gap(run: RoomRun, *places: slice) -> RoomRun:
     """The run without its readings at some places."""
     readings = run.readings.copy()
     for place in places:
         readings[place] = np.nan
-    return Run(run.inputs, readings, run.step_h, run.rounding_K2, run.pair)
+    return RoomRun(run.inputs, readings, run.step_h, run.rounding_K2, run.pair)

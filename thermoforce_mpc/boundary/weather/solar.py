@@ -24,7 +24,7 @@ _CLEARNESS_RANGE = (0.1, 1.0)
 
 
 @dataclass(frozen=True)
-class Sun:
+class SunPosition:
     """Sun position, rad, shape of the times: `declination`, `hour_angle` (0 at solar noon, positive after), `zenith`.
 
     `latitude` is that of the site, rad.
@@ -44,7 +44,7 @@ class Sun:
         )
 
 
-def sun_position(time_s: Array, latitude_deg: float, longitude_deg: float, timezone_h: float) -> Sun:
+def sun_position(time_s: Array, latitude_deg: float, longitude_deg: float, timezone_h: float) -> SunPosition:
     """Return the sun position at `time_s` (s since 1 January, local standard time).
 
     Declination (23.45° obliquity) and equation of time (Duffie and Beckman) are those of the IBPSA library: the zenith
@@ -60,7 +60,7 @@ def sun_position(time_s: Array, latitude_deg: float, longitude_deg: float, timez
     hour_angle = (solar_s / HOUR_S - 12.0) * 2.0 * np.pi / 24.0
     latitude = np.deg2rad(latitude_deg)
     zenith = solarposition.solar_zenith_analytical(latitude, hour_angle, declination)
-    return Sun(latitude, declination, hour_angle, np.asarray(zenith))
+    return SunPosition(latitude, declination, hour_angle, np.asarray(zenith))
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class PlaneIrradiance:
     incidence_deg: Array
 
 
-def on_plane(weather: Weather, sun: Sun, time_s: Array, tilt_deg: float, azimuth_deg: float) -> PlaneIrradiance:
+def on_plane(weather: Weather, sun: SunPosition, time_s: Array, tilt_deg: float, azimuth_deg: float) -> PlaneIrradiance:
     """Return the irradiance at `time_s` on a plane; `tilt_deg` 0 faces up, `azimuth_deg` is clockwise from north."""
     normal, diffuse = weather.at("normal_W_m2", time_s), weather.at("diffuse_W_m2", time_s)
     global_horizontal = weather.at("global_W_m2", time_s)
@@ -108,13 +108,13 @@ def sky_diffuse(
     return np.asarray(np.where(diffuse_W_m2 > 0.0, sky, 0.0))
 
 
-def clear_sky_W_m2(sun: Sun) -> Array:
+def clear_sky_W_m2(sun: SunPosition) -> Array:
     """Return clear-sky global horizontal irradiance, W/m², shape of `sun.zenith` (Haurwitz 1945)."""
     zenith_deg = pd.Series(np.rad2deg(sun.zenith).ravel())
     return clearsky.haurwitz(zenith_deg)["ghi"].to_numpy().reshape(sun.zenith.shape)
 
 
-def sunlight_from_humidity(time_s: Array, humidity: Array, sun: Sun) -> Array:
+def sunlight_from_humidity(time_s: Array, humidity: Array, sun: SunPosition) -> Array:
     """Estimate global horizontal irradiance, W/m², (n,): clear-sky irradiance times one clearness per day.
 
     A day's clearness follows from its mean relative humidity, weighted by clear-sky irradiance: humidity stays high on

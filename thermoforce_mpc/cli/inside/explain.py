@@ -15,7 +15,7 @@ from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.experiment.explaining import (
-    Decision,
+    ExplainedStep,
     alternatives_json,
     alternatives_of,
     decision_at,
@@ -85,7 +85,7 @@ def explain(run: Path, at: str | None, controller: str | None, hours: float, jso
         console.print(f"JSON: {json_file}")
 
 
-def _alternatives(decision: Decision, alternatives: Alternatives) -> Table:
+def _alternatives(decision: ExplainedStep, alternatives: Alternatives) -> Table:
     names, step_s = decision.step.names, decision.boundary.step_s
     first = max(1, round(HOUR_S / step_s))
     hours = alternatives.courses[0].u.shape[1] * step_s / HOUR_S
@@ -104,7 +104,7 @@ def _alternatives(decision: Decision, alternatives: Alternatives) -> Table:
     return table
 
 
-def _reason(decision: Decision, alternatives: Alternatives) -> str:
+def _reason(decision: ExplainedStep, alternatives: Alternatives) -> str:
     status = decision.step.told["status"]
     if status not in _AS_PLANNED or not alternatives.reason:
         return f"not that of a plan: {_RUNGS.get(status, status)}"
@@ -113,7 +113,7 @@ def _reason(decision: Decision, alternatives: Alternatives) -> str:
     return f"the plan's first step, of {alternatives.reason}{but}"
 
 
-def _lines(decision: Decision) -> list[str]:
+def _lines(decision: ExplainedStep) -> list[str]:
     step = decision.step
     record, names = step.told, step.names
     lines = [f"{decision.controller}, step {record['index']}: {words_of(step.time_s)} ({step.time_s:.0f} s)"]
@@ -151,7 +151,7 @@ def _lines(decision: Decision) -> list[str]:
     return lines
 
 
-def _table(decision: Decision, hours: float) -> Table:
+def _table(decision: ExplainedStep, hours: float) -> Table:
     boundary, names, plan = decision.boundary, decision.step.names, decision.plan
     n = plan["u"].shape[-1]
     ends = hour_ends(n, boundary.step_s, hours)
@@ -183,7 +183,7 @@ def _table(decision: Decision, hours: float) -> Table:
     return table
 
 
-def _json(decision: Decision) -> dict[str, Any]:
+def _json(decision: ExplainedStep) -> dict[str, Any]:
     content = {key: value for key, value in decision.step.told.items() if key not in ("plan", "forecast", "asked")}
     content |= {"controller": decision.controller, "bounds": decision.bounds(), "notes": list(decision.step.notes)}
     content["plan"] = {name: values.tolist() for name, values in decision.plan.items()}

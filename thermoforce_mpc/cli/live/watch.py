@@ -17,7 +17,7 @@ from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.data.clock import words_of
 from thermoforce_mpc.experiment.explaining import hour_ends
-from thermoforce_mpc.report.live_view import LiveRun, View
+from thermoforce_mpc.report.live_view import LiveRun, RunView
 from thermoforce_mpc.report.whole_tables import plain_table, width_of
 
 _BARS = "▁▂▃▄▅▆▇█"
@@ -71,7 +71,7 @@ def watch(run: Path, controller: str | None, hours: float, every: float, once: b
             screen.update(shown(view, hours, console), refresh=True)
 
 
-def shown(view: View, hours: float, console: Console) -> RenderableType:
+def shown(view: RunView, hours: float, console: Console) -> RenderableType:
     """The view as tables and lines, no wider than the console as long as figures fit."""
     days = f"day {view.days:.2f}" + (f" of {view.days_in_all:g}" if math.isfinite(view.days_in_all) else "")
     head = Text(f"{view.testcase} · {view.controller} · {words_of(view.time_s)} ({days}) · ", style="bold")
@@ -95,7 +95,7 @@ def _figure(value: float, digits: str, unit: str = "") -> str:
     return "–" if math.isnan(value) else f"{value:{digits}}{unit}"
 
 
-def _zones(view: View, bars: int) -> Table:
+def _zones(view: RunView, bars: int) -> Table:
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
     past_h = round((view.past[-1].time_s - view.past[0].time_s) / HOUR_S, 1) if view.past else 0.0
     for column in ("", "now", "bounds", f"last {past_h:g} h"):
@@ -117,7 +117,7 @@ def _zones(view: View, bars: int) -> Table:
     return table
 
 
-def _plan(view: View, hours: float, console: Console) -> list[Table]:
+def _plan(view: RunView, hours: float, console: Console) -> list[Table]:
     """The plan as a table, or as several below one another where the console is too narrow for all columns."""
     parts = [[f"u {name}"] for name in view.actuators] + [[f"T {zone.name}", "bounds"] for zone in view.zones]
     tables: list[Table] = []
@@ -132,7 +132,7 @@ def _plan(view: View, hours: float, console: Console) -> list[Table]:
     return tables
 
 
-def _plan_table(view: View, hours: float, parts: list[list[str]], which: range) -> Table:
+def _plan_table(view: RunView, hours: float, parts: list[list[str]], which: range) -> Table:
     step_s = view.plan[1].time_s - view.plan[0].time_s if len(view.plan) > 1 else HOUR_S
     ends = hour_ends(len(view.plan), step_s, hours)
     every = ends.step

@@ -12,7 +12,7 @@ from thermoforce_mpc.cli.options import Opening
 from thermoforce_mpc.comparison.cells import Cell
 from thermoforce_mpc.comparison.store import DONE, Ran, Store
 from thermoforce_mpc.comparison.tasks import failure
-from thermoforce_mpc.execution import Outcome, Task, TaskProgress, execute, source_fingerprint
+from thermoforce_mpc.execution import Task, TaskOutcome, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.report.findings import COST, DISCOMFORT
 
@@ -27,7 +27,7 @@ def sayer(console: Console, quiet: bool) -> Callable[[str], None]:
 
 def outcomes_of(
     tasks: Iterable[Task], store: Store, console: Console, engine: Opening, quiet: bool
-) -> Iterator[Outcome]:
+) -> Iterator[TaskOutcome]:
     """The outcomes of tasks as they come; raises as `execute`."""
     with TaskProgress(console, quiet=quiet, line=_line) as progress, engine(sayer(console, quiet)) as where:
         store.create()  # not before: a cluster that cannot be used leaves no folder
@@ -67,7 +67,7 @@ def note_other_code(sources: Iterable[str], say: Callable[[str], None], anew: st
         say(f"Note: {stale} of them made by other source code of this version; to run all anew, {anew}")
 
 
-def _line(outcome: Outcome) -> str:
+def _line(outcome: TaskOutcome) -> str:
     if not isinstance(outcome.value, Ran):
         return summary(outcome)
     kpis = outcome.value.record["kpis"]

@@ -29,10 +29,10 @@ from thermoforce_mpc.fleet.dataset import (
     write_dataset,
 )
 from thermoforce_mpc.fleet.file import buildings_of, load_fleet
-from thermoforce_mpc.fleet.page import Group, causes, fleet_page, groups, headline, lost, paired
+from thermoforce_mpc.fleet.page import RunGroup, causes, fleet_page, groups, headline, lost, paired
 from thermoforce_mpc.fleet.runs import (
+    FleetRun,
     Measured,
-    Run,
     models_again,
     place_trajectories,
     runs_of,
@@ -144,7 +144,9 @@ def fleet(
         sys.exit(FAILED)
 
 
-def _row(run: Run, records: Mapping[str, Mapping[str, Any]], others: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def _row(
+    run: FleetRun, records: Mapping[str, Mapping[str, Any]], others: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
     if run.refused:
         return row_of(run, failure(run.cell, run.refused))
     if run.cell.key in others:
@@ -152,7 +154,7 @@ def _row(run: Run, records: Mapping[str, Mapping[str, Any]], others: Mapping[str
     return row_of(run, records[run.cell.key])
 
 
-def _counts_in_words(runs: list[Run]) -> str:
+def _counts_in_words(runs: list[FleetRun]) -> str:
     sources = Counter({run.building.name: run.building.source for run in runs}.values())
     axes = [
         (sum(sources.values()), f"buildings ({', '.join(f'{n} {source}' for source, n in sources.items())})"),
@@ -183,7 +185,7 @@ def _identify(
     return models, none
 
 
-def saving_cells(group: Group) -> tuple[str, str, str]:
+def saving_cells(group: RunGroup) -> tuple[str, str, str]:
     """Median saving, its range and the share that is cheaper, %; dashes where no run has a saving."""
     if not group.counted:
         return "–", "–", "–"

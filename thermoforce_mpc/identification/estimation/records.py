@@ -15,7 +15,7 @@ from thermoforce_mpc.data.limits import LEVEL, ROUNDING
 from thermoforce_mpc.data.names import AXIS
 from thermoforce_mpc.data.series import WEATHER, bridged, long_gaps, long_level_gaps
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.screening import Limits, screened_history
+from thermoforce_mpc.model.screening import ReadingLimits, screened_history
 
 # Least excitation: hours on, standard deviation of u, changes of u. Below it, gain and drift cannot be separated.
 MIN_ON_H = 1.0
@@ -71,7 +71,7 @@ class Pair:
         return Pair(self.a.part(zone, actuators, machines), self.b.part(zone, actuators, machines), self.label)
 
 
-def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record], list[str]]:
+def prepared_runs(runs: Sequence[Record], allowed: ReadingLimits) -> tuple[list[Record], list[str]]:
     """Return usable runs without implausible readings and gaps, and notes on the changes.
 
     Short gaps of the weather and of u are bridged as in `data.series`. Steps in longer gaps are dropped; each
@@ -115,7 +115,7 @@ def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record]
     return prepared, notes
 
 
-def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], list[str]]:
+def prepared_pairs(pairs: Sequence[Pair], allowed: ReadingLimits) -> tuple[list[Pair], list[str]]:
     """Return pairs without implausible readings and with short gaps of the weather bridged, and notes on the changes.
 
     Longer gaps and unknown levels remain and are refused by `check_pairs`: a pair cannot be divided, since its runs
@@ -140,7 +140,7 @@ def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], 
     return prepared, notes
 
 
-def _plausible(record: Record, allowed: Limits, name: str) -> tuple[Record, tuple[str, ...]]:
+def _plausible(record: Record, allowed: ReadingLimits, name: str) -> tuple[Record, tuple[str, ...]]:
     """Return the record without implausible readings, and notes; raises `DataError` above 10 % of a signal's row."""
     screened, doubts = screened_history(record, allowed)
     for signal in SIGNALS:

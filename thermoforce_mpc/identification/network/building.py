@@ -18,8 +18,8 @@ from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.data.series import interpolated
 from thermoforce_mpc.identification.effects.level_laws import LevelLaw
 from thermoforce_mpc.identification.network.circuits import Circuit
-from thermoforce_mpc.identification.network.estimate import RoomFit, Run, estimate_room
-from thermoforce_mpc.identification.network.room import BETWEEN, EMITTER, Law, Room, neighbours_of
+from thermoforce_mpc.identification.network.estimate import RoomFit, RoomRun, estimate_room
+from thermoforce_mpc.identification.network.room import BETWEEN, EMITTER, Law, RoomNetwork, neighbours_of
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
@@ -38,7 +38,7 @@ _DIFFERENCE = 1e-4
 
 
 @dataclass(frozen=True)
-class Actuators:
+class NetworkInputs:
     """What acts in a building: `layout`, v of each actuator (A,), what is not known of it (A,), and whether it acts on
     other zones than its own.
     """
@@ -52,16 +52,18 @@ class Actuators:
         """The measured neighbours of a zone."""
         return neighbours_of(zone, len(self.layout.floor_area_m2)) if self.across else ()
 
-    def room(self, zone: int) -> Room:
+    def room(self, zone: int) -> RoomNetwork:
         """The network of one zone."""
         home, area = self.layout.actuators_of(zone), self.layout.floor_area_m2[zone]
         inputs = [self.heat_inputs[a] for a in home]
         heat = [heat_input.reference_W / area if heat_input.law is not None else np.nan for heat_input in inputs]
         laws = tuple(Law(k, law.name, law.mean, law.sd) for k, a in enumerate(home) for law in self.laws[a])
-        return Room(tuple(self.layout.signs[a] for a in home), tuple(heat), len(self.neighbours(zone)), laws)
+        return RoomNetwork(tuple(self.layout.signs[a] for a in home), tuple(heat), len(self.neighbours(zone)), laws)
 
     def inputs(self, record: Record, zone: int) -> Array:
-        """Inputs of a room in each step (n, m), see `Room`: v is that of the heat that was measured, else of levels."""
+        """Inputs of a room in each step (n, m), see `RoomNetwork`: v is that of the heat that was measured, else of
+        levels.
+        """
         drives, phi, T_out_C = [], [], record.T_out_C[:-1]
         for a in self.layout.actuators_of(zone):
             heat_input, heat_W = self.heat_inputs[a], self.layout.signs[a] * record.heat_W[a]
@@ -77,7 +79,7 @@ class Actuators:
 
 
 @dataclass(frozen=True)
-class Network:
+class RcNetwork:
     """Nodes of all rooms: capacities `C` (s,) Wh/K, conductances `L` (s, s) W/K, `heat` (s, A + 8) W of full level of
     each actuator and of a unit of each of `INPUTS`, and which nodes the `rooms` are (Z,).
     """
@@ -136,7 +138,7 @@ class BuildingFit:
         return replace(self, rooms=tuple(rooms))
 
     @cached_property
-    def network(self) -> Network:
+    def network(self) -> RcNetwork:
         """The joined network at the rooms' most likely parameters."""
         return self._network([fit.theta for fit in self.rooms])
 
@@ -154,7 +156,7 @@ class BuildingFit:
         rising = -np.expm1(-np.outer(rates, RESPONSE_H))
         return np.asarray(np.einsum("zm,ma,mt->zat", modes[network.rooms], weights, rising))
 
-    def _network(self, thetas: Sequence[Array]) -> Network:
+    def _network(self, thetas: Sequence[Array]) -> RcNetwork:
         A, area = len(self.layout.home), self.area_m2
         begins = np.concatenate([[0], np.cumsum([len(fit.room.nodes) for fit in self.rooms])]).astype(int)
         C, L, heat = np.zeros(begins[-1]), np.zeros((begins[-1], begins[-1])), np.zeros((begins[-1], A + len(INPUTS)))
@@ -196,7 +198,7 @@ class BuildingFit:
             for other in range(z if fit.room.neighbours else 0):
                 for name, (node, _) in BETWEEN.items():
                     joined(begins[z] + node, begins[other] + node, self._between(name, z, other, thetas, area))
-        return Network(C, L, heat, begins[:-1])
+        return RcNetwork(C, L, heat, begins[:-1])
 
     def _between(self, name: str, z: int, other: int, thetas: Sequence[Array], area: Array) -> float:
         """Conductance between two rooms, W/K: the mean of the logarithms that both saw, weighted by their precision."""
@@ -211,7 +213,7 @@ class BuildingFit:
 
 
 def building_fit(
-    actuators: Actuators, rooms: Sequence[Sequence[Run]], before: BuildingFit | None = None
+    actuators: NetworkInputs, rooms: Sequence[Sequence[RoomRun]], before: BuildingFit | None = None
 ) -> BuildingFit:
     """The network of a building from the runs of each of its zones (Z,), as of `room_run`.
 
@@ -224,7 +226,7 @@ def building_fit(
     return BuildingFit(actuators.layout, tuple(fits))
 
 
-def room_run(record: Record, zone: int, actuators: Actuators, grid_K: float, less: Record | None = None) -> Run:
+def room_run(record: Record, zone: int, actuators: NetworkInputs, grid_K: float, less: Record | None = None) -> RoomRun:
     """A record of the building as a run of one of its zones, whose sensor reads in steps of `grid_K` K.
 
     With `less`, the other record of a pair, their difference, in which the weather cancels.
@@ -233,7 +235,7 @@ def room_run(record: Record, zone: int, actuators: Actuators, grid_K: float, les
     if less is not None:
         inputs, readings = inputs - actuators.inputs(less, zone), readings - less.T_zone_C[zone]
     inputs = np.concatenate([inputs, inputs[-1:]])
-    return Run(inputs, np.ascontiguousarray(readings), record.step_s / HOUR_S, grid_K**2 / 12.0, less is not None)
+    return RoomRun(inputs, np.ascontiguousarray(readings), record.step_s / HOUR_S, grid_K**2 / 12.0, less is not None)
 
 
 def _jacobian(function: Callable[[Array], Array], at: Array, count: int) -> Array:

@@ -23,7 +23,7 @@ from scipy.optimize import lsq_linear
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
 from thermoforce_mpc.data.series import interpolated, lagged
 from thermoforce_mpc.identification.effects.couplings import largest_W
-from thermoforce_mpc.identification.network.estimate import RoomFit, Run
+from thermoforce_mpc.identification.network.estimate import RoomFit, RoomRun
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE, TRUST_K, MachineLoad
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
@@ -54,7 +54,7 @@ class Circuit:
 
 
 def circuit_of(
-    fit: RoomFit, a: int, records: Sequence[Record], runs: Sequence[Run], layout: Layout, heat_input: HeatInput
+    fit: RoomFit, a: int, records: Sequence[Record], runs: Sequence[RoomRun], layout: Layout, heat_input: HeatInput
 ) -> Circuit | None:
     """The circuit of actuator `a` by the fit of its room, `records` of the building and the same as `runs` of the room.
 
@@ -88,7 +88,7 @@ def circuit_of(
     return Circuit(load, at_full, _USUAL_LEVEL * warmer, usual_C)
 
 
-def _emitter_C(fit: RoomFit, k: int, run: Run) -> Array:
+def _emitter_C(fit: RoomFit, k: int, run: RoomRun) -> Array:
     """Temperature of the room's `k`-th emitter in each step of a run, °C, by the readings and v."""
     room, theta = fit.room, fit.theta
     C, H, heat = (room.value(theta, f"{name}_{k}") for name in ("C_emitter", "H_emitter", "heat"))

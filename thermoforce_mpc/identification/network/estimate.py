@@ -17,7 +17,7 @@ from scipy.optimize import OptimizeResult, minimize
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.network.filtering import likelihood
-from thermoforce_mpc.identification.network.room import ENVELOPE, ROOM, STRUCTURE, SUN_ON_SENSOR, Room
+from thermoforce_mpc.identification.network.room import ENVELOPE, ROOM, STRUCTURE, SUN_ON_SENSOR, RoomNetwork
 
 # Before the first reading, K: the room is about what it reads, its structure and emitters may be elsewhere.
 _START_SD_K = {ROOM: 1.0, STRUCTURE: 2.0, ENVELOPE: 5.0}
@@ -37,11 +37,11 @@ _DIFFERENCE = 1e-4
 
 
 @dataclass(frozen=True)
-class Run:
+class RoomRun:
     """What a room read and what acted on it, at one step.
 
     Attributes:
-        inputs: of each step, those of `Room`, the last one repeated (N, m).
+        inputs: of each step, those of `RoomNetwork`, the last one repeated (N, m).
         readings: °C (N,); NaN is a gap.
         step_h: h.
         rounding_K2: variance of the rounding of a reading, K².
@@ -68,10 +68,10 @@ class RoomFit:
     there, up to a constant.
     """
 
-    room: Room
+    room: RoomNetwork
     theta: Array
     value: float
-    runs: Sequence[Run]
+    runs: Sequence[RoomRun]
 
     @cached_property
     def covariance(self) -> Array:
@@ -104,13 +104,13 @@ class RoomFit:
         return np.asarray((self.theta - self.room.mean) / self.room.sd)
 
 
-def start_K2(room: Room, stationary: Array) -> Array:
+def start_K2(room: RoomNetwork, stationary: Array) -> Array:
     """Variances of the states (n,) before the first reading; those of the disturbances are `stationary`."""
     nodes = [_START_SD_K.get(state, _EMITTER_START_SD_K) ** 2 for state in range(room.disturbances.start)]
     return np.concatenate([nodes, stationary])
 
 
-def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Array]:
+def posterior(room: RoomNetwork, theta: Array, runs: Sequence[RoomRun]) -> tuple[float, Array]:
     """Half the negative log posterior at θ (p,) up to a constant, and its gradient (p,)."""
     equations, n = room.equations(theta), room.n_states
     value, gradient = room.prior(theta)
@@ -152,7 +152,7 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
 
 
 def estimate_room(
-    room: Room, runs: Sequence[Run], before: RoomFit | None = None, most_starts: int | None = None
+    room: RoomNetwork, runs: Sequence[RoomRun], before: RoomFit | None = None, most_starts: int | None = None
 ) -> RoomFit:
     """The largest posterior of a room's parameters, searched from several starts, or from a fit to fewer runs.
 
@@ -170,7 +170,7 @@ def estimate_room(
     return RoomFit(room, room.mean + room.sd * best.x, float(best.fun), runs)
 
 
-def gain_of_one_more(room: Room, runs: Sequence[Run], start: Array, spread: Array) -> tuple[float, float]:
+def gain_of_one_more(room: RoomNetwork, runs: Sequence[RoomRun], start: Array, spread: Array) -> tuple[float, float]:
     """What the last parameter of `room` gains where the others were fitted without it, nats, and its value there.
 
     `start` (p,): the fit, and 0; `spread` (p − 1, p − 1): covariance of the fit. By the slope and curvature there
@@ -187,7 +187,7 @@ def gain_of_one_more(room: Room, runs: Sequence[Run], start: Array, spread: Arra
     return float(0.5 * slope[-1] ** 2 / curvature), float(-slope[-1] / curvature)
 
 
-def _scaled(room: Room, runs: Sequence[Run], z: Array) -> tuple[float, Array]:
+def _scaled(room: RoomNetwork, runs: Sequence[RoomRun], z: Array) -> tuple[float, Array]:
     """`posterior` at z (p,), θ in prior standard deviations from its mean, and its gradient by z.
 
     Infinite, without a slope, where rates are beyond numbers: a search does not step there.
@@ -197,7 +197,7 @@ def _scaled(room: Room, runs: Sequence[Run], z: Array) -> tuple[float, Array]:
     return (value, gradient * room.sd) if np.isfinite(value) else (np.inf, np.zeros_like(z))
 
 
-def _curvature(room: Room, runs: Sequence[Run], z: Array) -> Array:
+def _curvature(room: RoomNetwork, runs: Sequence[RoomRun], z: Array) -> Array:
     """Second derivatives of half the negative log posterior at z (p,), (p, p)."""
     here = _scaled(room, runs, z)[1]
     slopes = [_scaled(room, runs, z + unit)[1] - here for unit in np.eye(z.size) * _DIFFERENCE]
@@ -205,7 +205,7 @@ def _curvature(room: Room, runs: Sequence[Run], z: Array) -> Array:
     return np.asarray(0.5 * (curvature + curvature.T))
 
 
-def searched(room: Room, runs: Sequence[Run], start: Array, spread: Array | None = None) -> OptimizeResult:
+def searched(room: RoomNetwork, runs: Sequence[RoomRun], start: Array, spread: Array | None = None) -> OptimizeResult:
     """The largest posterior from a start (p,), in prior standard deviations from the mean.
 
     By Newton's steps within a trusted distance (Conn, Gould and Toint 2000): curvatures differ by a factor of 10⁴ from

@@ -74,7 +74,7 @@ class Link(NamedTuple):
     factor: float = 1.0
 
 
-class Source(NamedTuple):
+class HeatSource(NamedTuple):
     """Heat of an input into a node: `factor`, positive parameters, and a signed one where it is named."""
 
     node: int
@@ -107,7 +107,7 @@ class Equations:
 
 
 @dataclass(frozen=True)
-class Room:
+class RoomNetwork:
     """Structure of a room's network with K actuators and N measured neighbours.
 
     Attributes:
@@ -234,24 +234,24 @@ class Room:
         )
 
     @cached_property
-    def sources(self) -> tuple[Source, ...]:
+    def sources(self) -> tuple[HeatSource, ...]:
         """The heat of sun, people and actuators."""
         sources = [
-            Source(ROOM, SUN, ("sun",)),
-            Source(STRUCTURE, SUN, ("sun_structure",)),
-            Source(ROOM, _ONE, ("gains",)),
-            *(Source(ROOM, INPUTS.index(name), (), signed=name) for name in WAVES),
+            HeatSource(ROOM, SUN, ("sun",)),
+            HeatSource(STRUCTURE, SUN, ("sun_structure",)),
+            HeatSource(ROOM, _ONE, ("gains",)),
+            *(HeatSource(ROOM, INPUTS.index(name), (), signed=name) for name in WAVES),
         ]
         for a, sign in enumerate(self.signs):
             signed = ["", *(_name_of(law) for law in self.laws if law.actuator == a)]
             for drive, name in zip(self.drives(a), signed, strict=True):
-                sources.append(Source(EMITTER + a, drive, (f"heat_{a}",), sign, name))
-                sources.append(Source(STRUCTURE, drive, (f"heat_{a}", f"heat_structure_{a}"), sign, name))
+                sources.append(HeatSource(EMITTER + a, drive, (f"heat_{a}",), sign, name))
+                sources.append(HeatSource(STRUCTURE, drive, (f"heat_{a}", f"heat_structure_{a}"), sign, name))
         for i in range(self.facades):
             sun = self.n_inputs - self.facades + i
             sources += [
-                Source(ROOM, sun, (), signed=f"facade_{i}"),
-                Source(STRUCTURE, sun, (), signed=f"facade_inside_{i}"),
+                HeatSource(ROOM, sun, (), signed=f"facade_{i}"),
+                HeatSource(STRUCTURE, sun, (), signed=f"facade_inside_{i}"),
             ]
         return tuple(sources)
 

@@ -19,8 +19,8 @@ from scipy.special import expit, log_ndtr
 from thermoforce_mpc.data import DAY_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import resolution_K
-from thermoforce_mpc.identification.network.building import Actuators, room_run
-from thermoforce_mpc.identification.network.estimate import Run, estimate_room, gain_of_one_more, searched
+from thermoforce_mpc.identification.network.building import NetworkInputs, room_run
+from thermoforce_mpc.identification.network.estimate import RoomRun, estimate_room, gain_of_one_more, searched
 from thermoforce_mpc.identification.network.priors import SENSOR_SD_K
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, off_sensors, sensor_lag, sun_at
@@ -85,7 +85,7 @@ def sun_on_sensor(
     home = layout.actuators_of(zone)
     if not home or any(heat_inputs[a].lowest < 0.0 for a in home) or (noon_s := _noon_s(runs)) is None:
         return None
-    actuators = Actuators(layout, heat_inputs, [()] * len(heat_inputs), config.cross_effects)
+    actuators = NetworkInputs(layout, heat_inputs, [()] * len(heat_inputs), config.cross_effects)
     grid_K = resolution_K([run.part(zone, [home[0]], [layout.machine_of[home[0]]]) for run in runs])
     lit = [_with_windows(room_run(run, zone, actuators, grid_K), run, noon_s) for run in runs]
     room = replace(actuators.room(zone), facades=len(_WINDOWS_DEG))
@@ -135,7 +135,7 @@ def _found(explanations: Sequence[_Explanation], without: float, noon_s: float) 
     return SunOnSensor(*size, probability, best.azimuth_deg, best.lag_s, _LATITUDE_DEG, noon_s)
 
 
-def _with_windows(run: Run, record: Record, noon_s: float) -> Run:
+def _with_windows(run: RoomRun, record: Record, noon_s: float) -> RoomRun:
     """The run with the sun on the windows' facades in each step as inputs, W/m²."""
     at_boundaries = facade_W_m2(record.time_s, record.solar_W_m2, _LATITUDE_DEG, noon_s, _WINDOWS_DEG)
     of_steps = np.concatenate([0.5 * (at_boundaries[:-1] + at_boundaries[1:]), at_boundaries[-1:]])

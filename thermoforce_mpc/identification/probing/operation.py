@@ -23,7 +23,7 @@ _EVERY_DAYS, _LEAST_KNOWN = 7.0, 0.5
 
 
 @dataclass(frozen=True)
-class Finding:
+class OperationFinding:
     """What a linear model of a record says of one actuator: whether it is competent, why, and what to do about it."""
 
     actuator: str
@@ -67,15 +67,15 @@ def _worth(part: Record, layout: Layout) -> float:
     return float(sum(information(part.part(home, [a])) for a, home in enumerate(layout.home)) * min(measured_shares))
 
 
-def findings(record: Record, layout: Layout) -> list[Finding]:
+def findings(record: Record, layout: Layout) -> list[OperationFinding]:
     """What a linear model of the record says of each actuator; where none can be fitted, the reason stands at all."""
     try:
         model = identify(record, layout=layout, config=IdentificationConfig(modulation="linear"))
     except DataError as error:
-        return [Finding(name, False, str(error)) for name in layout.names.actuators]
+        return [OperationFinding(name, False, str(error)) for name in layout.names.actuators]
     verdicts = [card.competence for card in model.cards]
     return [
-        Finding(name, verdict.competent, verdict.in_words(), verdict.advice)
+        OperationFinding(name, verdict.competent, verdict.in_words(), verdict.advice)
         for name, verdict in zip(layout.names.actuators, verdicts, strict=True)
         if verdict is not None
     ]

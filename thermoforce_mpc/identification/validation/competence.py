@@ -17,7 +17,7 @@ from scipy.special import ndtr
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.estimation.modes import EFFECT_H, STEP_RESPONSE_H
-from thermoforce_mpc.identification.network.room import EMITTER, ROOM, Room
+from thermoforce_mpc.identification.network.room import EMITTER, ROOM, RoomNetwork
 from thermoforce_mpc.identification.validation.blocks import (
     BLOCK_H,
     LEAST_BLOCKS,
@@ -185,7 +185,7 @@ def most_K(hours: Sequence[float], heat_W_m2: float = float("nan")) -> Array:
 
 @lru_cache(maxsize=64)
 def _most_K(hours: tuple[float, ...], heat_W_m2: float | None) -> tuple[float, ...]:
-    room = Room((1,), (float("nan") if heat_W_m2 is None else heat_W_m2,))
+    room = RoomNetwork((1,), (float("nan") if heat_W_m2 is None else heat_W_m2,))
     draws = room.mean + room.sd * np.random.default_rng(_SEED).normal(size=(_ROOMS, room.mean.size))
     draws[:, room.place["H_emitter_0"]] = _NOTHING
     F = np.array([room.equations(theta).matrix[:EMITTER, :EMITTER] for theta in draws])

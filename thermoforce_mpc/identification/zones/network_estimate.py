@@ -14,9 +14,15 @@ from thermoforce_mpc.identification.effects.level_laws import Estimates, LevelLa
 from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H, Effect, unit_steps
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.estimation.regression import without_others
-from thermoforce_mpc.identification.network.building import RESPONSE_H, Actuators, BuildingFit, building_fit, room_run
+from thermoforce_mpc.identification.network.building import (
+    RESPONSE_H,
+    BuildingFit,
+    NetworkInputs,
+    building_fit,
+    room_run,
+)
 from thermoforce_mpc.identification.network.circuits import circuit_of
-from thermoforce_mpc.identification.network.estimate import Run
+from thermoforce_mpc.identification.network.estimate import RoomRun
 from thermoforce_mpc.identification.network.free_part import free_part
 from thermoforce_mpc.identification.network.projection import Modes, projected
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
@@ -49,7 +55,7 @@ def network_estimates(
         seen = [run.slice(0, n) for run, n in zip(runs, data[0].last_steps(fold), strict=False) if n > 1]
         heat_inputs = [of_zone.heat_input_of(fold) for of_zone in data]
         laws = [laws_of(seen, layout, a, heat_input, config) for a, heat_input in enumerate(heat_inputs)]
-        actuators, rooms = Actuators(layout, heat_inputs, laws, config.cross_effects), []
+        actuators, rooms = NetworkInputs(layout, heat_inputs, laws, config.cross_effects), []
         for zone in range(len(layout.floor_area_m2)):
             first = layout.actuators_of(zone)[:1]
             rooms.append(_seen(runs, pairs, zone, actuators, data[first[0]] if first else data[0], fold))
@@ -115,8 +121,8 @@ def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw], *, sd: bool = Fal
 
 
 def _seen(
-    runs: Sequence[Record], pairs: Sequence[Pair], zone: int, actuators: Actuators, data: ZoneData, fold: str
-) -> list[Run]:
+    runs: Sequence[Record], pairs: Sequence[Pair], zone: int, actuators: NetworkInputs, data: ZoneData, fold: str
+) -> list[RoomRun]:
     """What a fold may see of a zone."""
     records: list[tuple[Record, Record | None]] = [*((run, None) for run in runs), *((p.a, p.b) for p in pairs)]
     return [

@@ -22,7 +22,7 @@ from thermoforce_mpc.measurements.map.entries import (
     OfTemperature,
     Signal,
 )
-from thermoforce_mpc.measurements.tables.forms import Clock, CsvFormat, TableForm
+from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
 from thermoforce_mpc.scenario.comfort import OfComfort
 from thermoforce_mpc.scenario.settings import StrictModel, read_yaml, validate
 
@@ -94,7 +94,7 @@ class MappedMachine(StrictModel):
 class ForecastMap(StrictModel):
     """Where a forecast file differs from the table of measurements; what is left out stands there by the same key."""
 
-    time: Clock | None = None
+    time: TimeStampRules | None = None
     csv: CsvFormat | None = None
     table: TableForm | None = None
     outdoor: OfTemperature | None = None
@@ -107,7 +107,7 @@ class ForecastMap(StrictModel):
 class MeasurementMap(StrictModel):
     """Map of a table of measurements of one building."""
 
-    time: Clock = Clock()
+    time: TimeStampRules = TimeStampRules()
     csv: CsvFormat = CsvFormat()
     table: TableForm = TableForm()
     step: str | None = Field(

@@ -15,7 +15,7 @@ from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses
 from thermoforce_mpc.measurements.map.words import tags, unit_of, words_of
 from thermoforce_mpc.measurements.tables.clock import all_year, instants
 from thermoforce_mpc.measurements.tables.files import all_readings, found_files, head_of, named_after, stamps_of
-from thermoforce_mpc.measurements.tables.forms import Clock, CsvFormat, TableForm
+from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, bad_status, raw_table
 from thermoforce_mpc.measurements.tables.recognition import Recognised, recognised
 
@@ -91,7 +91,7 @@ def _key(column: str, path: Path, taken: Recognised) -> str | None:
     return column
 
 
-def _seconds(table: RawTable, clock: Clock) -> np.ndarray:
+def _seconds(table: RawTable, clock: TimeStampRules) -> np.ndarray:
     try:
         at = pd.DatetimeIndex(
             instants(table, clock.model_copy(update={"ambiguous": "first", "nonexistent": "gap"}), [])

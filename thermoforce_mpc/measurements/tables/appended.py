@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.errors import DataError, counted
 from thermoforce_mpc.measurements.tables.clock import parsed_or_nat
 from thermoforce_mpc.measurements.tables.files import columns_of, header_of, is_text, opened, read_tables, reading
-from thermoforce_mpc.measurements.tables.forms import Clock, CsvFormat, TableForm
+from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import (
     MISSING,
     RawTable,
@@ -64,7 +64,7 @@ class _Left:
 def read_appended(
     paths: Sequence[Path],
     wanted: Sequence[str],
-    clock: Clock,
+    clock: TimeStampRules,
     form: CsvFormat,
     table: TableForm,
     latest: pd.Timestamp,
@@ -93,7 +93,7 @@ def read_appended(
 def _read(
     path: Path,
     wanted: Sequence[str],
-    clock: Clock,
+    clock: TimeStampRules,
     form: CsvFormat,
     table: TableForm,
     latest: pd.Timestamp,
@@ -142,7 +142,7 @@ def _read(
 
 
 def frame_appended(
-    df: pd.DataFrame, columns: Sequence[str], clock: Clock, latest: pd.Timestamp, notes: list[str]
+    df: pd.DataFrame, columns: Sequence[str], clock: TimeStampRules, latest: pd.Timestamp, notes: list[str]
 ) -> RawTable:
     """As `raw_table` of a data frame, without the rows and cells that cannot be read; `notes` collects them."""
     of_stamps = isinstance(df.index, pd.DatetimeIndex) or not pd.api.types.is_numeric_dtype(df.index)
@@ -221,7 +221,13 @@ def _numbers(
 
 
 def _with_stamps(
-    text: pd.Series, clock: Clock, latest: pd.Timestamp, lines: NDArray[np.intp], left: _Left, *, in_order: bool
+    text: pd.Series,
+    clock: TimeStampRules,
+    latest: pd.Timestamp,
+    lines: NDArray[np.intp],
+    left: _Left,
+    *,
+    in_order: bool,
 ) -> NDArray[np.bool_]:
     """Which rows (n,) have a stamp that is a time, and not far from the rows before and after it, or from most."""
     if pd.api.types.is_datetime64_any_dtype(text):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.tables.forms import Clock
+from thermoforce_mpc.measurements.tables.forms import TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import ISO, OFFSET, RawTable, full_offsets, with_offset
 
 # Months by how their names begin, in English, German, French and Dutch, without accents.
@@ -41,7 +41,7 @@ _AHEAD = pd.Timedelta("5min")
 _MOST_SHARED = 0.5
 
 
-def instants(table: RawTable, clock: Clock, notes: list[str], now: pd.Timestamp | None = None) -> pd.Series:
+def instants(table: RawTable, clock: TimeStampRules, notes: list[str], now: pd.Timestamp | None = None) -> pd.Series:
     """The instants of a table's rows, in the zone of the map; rows that are left out are missing from its index.
 
     `now`: the time, with a zone, of a table that is being written; it tells the hour that comes twice apart.
@@ -67,7 +67,7 @@ def instants(table: RawTable, clock: Clock, notes: list[str], now: pd.Timestamp 
     return _localised(table, times, clock, notes, now)
 
 
-def _counted(table: RawTable, clock: Clock) -> pd.Series:
+def _counted(table: RawTable, clock: TimeStampRules) -> pd.Series:
     """Numbers as elapsed time: since an instant where `since` has an offset, else on the clock of the map's zone."""
     if clock.unit is None or clock.since is None:
         raise DataError(
@@ -88,7 +88,7 @@ def _counted(table: RawTable, clock: Clock) -> pd.Series:
         ) from error
 
 
-def _parsed(table: RawTable, text: pd.Series, clock: Clock) -> pd.Series:
+def _parsed(table: RawTable, text: pd.Series, clock: TimeStampRules) -> pd.Series:
     form = clock.format or "ISO8601"
     if clock.format is None and not ISO.match(text.iloc[0]):
         raise DataError(
@@ -125,7 +125,7 @@ def _parsed(table: RawTable, text: pd.Series, clock: Clock) -> pd.Series:
         return times
 
 
-def parsed_or_nat(text: pd.Series, clock: Clock) -> pd.Series:
+def parsed_or_nat(text: pd.Series, clock: TimeStampRules) -> pd.Series:
     """Stamps (n,) as text to times of UTC, those without an offset as if they were of UTC; NaT for what is none.
 
     Of stamps with and without an offset in one table the fewer are none.
@@ -199,7 +199,7 @@ def _in_digits(word: str, form: str | None) -> str | None:
 
 
 def _localised(
-    table: RawTable, times: pd.Series, clock: Clock, notes: list[str], now: pd.Timestamp | None
+    table: RawTable, times: pd.Series, clock: TimeStampRules, notes: list[str], now: pd.Timestamp | None
 ) -> pd.Series:
     """Stamps of the wall clock as instants, by the rules of the map for the hours of summer time's begin and end."""
     zone = str(clock.zone)
@@ -298,7 +298,7 @@ class Timed:
         return float(min(usual, default=np.nan))
 
 
-def timed(tables: Sequence[RawTable], clock: Clock, now: pd.Timestamp | None = None) -> Timed:
+def timed(tables: Sequence[RawTable], clock: TimeStampRules, now: pd.Timestamp | None = None) -> Timed:
     """The rows of `tables` in the order of time, in the zone of the map, without a zone where there is none.
 
     Tables with the same columns follow one another; others stand beside, and their columns keep instants of their own.
@@ -374,7 +374,9 @@ def timed(tables: Sequence[RawTable], clock: Clock, now: pd.Timestamp | None = N
     return Timed(union, columns, tuple(notes), own, beside)
 
 
-def _instants_of_readings(table: RawTable, clock: Clock, notes: list[str], now: pd.Timestamp | None) -> pd.Series:
+def _instants_of_readings(
+    table: RawTable, clock: TimeStampRules, notes: list[str], now: pd.Timestamp | None
+) -> pd.Series:
     """Instants of a table of one reading a row; each signal's rows tell which of the two hours in autumn they mean."""
     of_wall_clock = not pd.api.types.is_numeric_dtype(table.stamps) and clock.zone is not None
     if not of_wall_clock or getattr(table.stamps.dtype, "tz", None) is not None or table.codes is None:
@@ -391,7 +393,7 @@ def _instants_of_readings(table: RawTable, clock: Clock, notes: list[str], now: 
 
 
 def _after_one_another(
-    tables: Sequence[RawTable], stamps: Sequence[pd.Series], clock: Clock, notes: list[str]
+    tables: Sequence[RawTable], stamps: Sequence[pd.Series], clock: TimeStampRules, notes: list[str]
 ) -> tuple[pd.DatetimeIndex, dict[str, Array]]:
     """Instants and columns of tables with the same columns."""
     order = sorted(range(len(stamps)), key=lambda i: stamps[i].iloc[0])
@@ -440,7 +442,7 @@ def _place(tables: Sequence[RawTable], stamps: Sequence[pd.Series], row: int) ->
 
 
 def _in_order(
-    index: pd.DatetimeIndex, clock: Clock, where: Callable[[int], str], notes: list[str]
+    index: pd.DatetimeIndex, clock: TimeStampRules, where: Callable[[int], str], notes: list[str]
 ) -> NDArray[np.intp] | None:
     """The rows to keep in the order to keep them, None where all stand as they should."""
     at = index.asi8

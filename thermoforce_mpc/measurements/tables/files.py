@@ -28,7 +28,7 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import check_regular, pyarrow_for
 from thermoforce_mpc.measurements.tables.clock import instants
-from thermoforce_mpc.measurements.tables.forms import Clock, CsvFormat, TableForm
+from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import (
     MISSING,
     RawTable,
@@ -175,7 +175,7 @@ def stamps_of(path: Path, stamps: Stamps, form: CsvFormat) -> RawTable:
 
 
 def all_readings(
-    paths: Sequence[Path], clock: Clock, form: CsvFormat, table: TableForm
+    paths: Sequence[Path], clock: TimeStampRules, form: CsvFormat, table: TableForm
 ) -> dict[str, tuple[Array, Array, bool]]:
     """Seconds and values of every signal of files of one reading a row, and whether it holds words; for a first look.
 

@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 from thermoforce_mpc.scenario.settings import StrictModel
 
 
-class Clock(StrictModel):
+class TimeStampRules(StrictModel):
     """How time stamps are read."""
 
     column: str | tuple[str, ...] | None = Field(
@@ -66,14 +66,14 @@ class Clock(StrictModel):
         return value
 
     @model_validator(mode="after")
-    def _numbers_count_from(self) -> Clock:
+    def _numbers_count_from(self) -> TimeStampRules:
         if (self.unit is None) != (self.since is None):
             raise ValueError("unit and since belong together: stamps that are numbers need both")
         if self.since is not None:
             self.counted_from()
         return self
 
-    def lenient(self) -> Clock:
+    def lenient(self) -> TimeStampRules:
         """The clock of a table that a machine appends to: what a person would be asked is decided."""
         kept = self.duplicates if self.duplicates != "refuse" else "last"
         return self.model_copy(update={"order": "sort", "duplicates": kept, "nonexistent": "gap"})

@@ -15,7 +15,7 @@ import pandas as pd
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.tables.clock import plain
 from thermoforce_mpc.measurements.tables.files import SEPARATORS, head_of, is_text, named_after, sample
-from thermoforce_mpc.measurements.tables.forms import Clock, CsvFormat, TableForm
+from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import ISO, SWITCH, as_numbers, with_offset
 
 ROWS = 2000
@@ -76,7 +76,7 @@ class Recognised:
     paths: tuple[Path, ...]
     csv: CsvFormat
     table: TableForm
-    clock: Clock
+    clock: TimeStampRules
     words: str
     notes: dict[str, str]
 
@@ -206,7 +206,7 @@ def _stamp(cell: str) -> bool:
     )
 
 
-def _clock(head: pd.DataFrame, path: Path) -> tuple[tuple[str, ...], Clock, str]:
+def _clock(head: pd.DataFrame, path: Path) -> tuple[tuple[str, ...], TimeStampRules, str]:
     """Columns of the stamps, how they are read, and a note."""
     columns = [str(column) for column in head.columns]
     dated = [c for c in columns if _dated(head[c])]
@@ -231,7 +231,7 @@ def _clock(head: pd.DataFrame, path: Path) -> tuple[tuple[str, ...], Clock, str]
     if pd.api.types.is_numeric_dtype(stamps):
         return key, *_counted_clock(stamps)
     if pd.api.types.is_datetime64_any_dtype(stamps):
-        return key, Clock(zone=_zone(stamps.astype(str).iloc[:1])), ""
+        return key, TimeStampRules(zone=_zone(stamps.astype(str).iloc[:1])), ""
     text = plain(stamps.dropna().astype(str))
     if not len(text):
         raise DataError(f"{path}: no column holds time stamps")
@@ -239,7 +239,7 @@ def _clock(head: pd.DataFrame, path: Path) -> tuple[tuple[str, ...], Clock, str]
     zone = _zone(
         text if with_offset(text).any() else stamps.dropna().astype(str).iloc[:1], str(stamps.dropna().iloc[0])
     )
-    return key, Clock(format=form, zone=zone) if form != "FILL IN" else Clock(zone=zone), note
+    return key, TimeStampRules(format=form, zone=zone) if form != "FILL IN" else TimeStampRules(zone=zone), note
 
 
 def _dated(column: pd.Series) -> bool:
@@ -267,12 +267,12 @@ def _only(column: pd.Series, pattern: str, *, absent: bool = False) -> bool:
     return len(told) > 0 and bool(told.str.fullmatch(pattern).all())
 
 
-def _counted_clock(stamps: pd.Series) -> tuple[Clock, str]:
+def _counted_clock(stamps: pd.Series) -> tuple[TimeStampRules, str]:
     first = float(stamps.dropna().iloc[0]) if stamps.notna().any() else 0.0
     for unit, scale in (("s", 1.0), ("ms", 1e3)):
         if 1e9 * scale < first < 2.5e9 * scale:
-            return Clock(unit=unit, since="1970-01-01T00:00Z", zone="UTC"), ""
-    return Clock(), "? stamps are numbers: name their unit and what they count from"
+            return TimeStampRules(unit=unit, since="1970-01-01T00:00Z", zone="UTC"), ""
+    return TimeStampRules(), "? stamps are numbers: name their unit and what they count from"
 
 
 def _stamp_format(text: pd.Series) -> tuple[str | None, str]:

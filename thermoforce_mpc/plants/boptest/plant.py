@@ -16,7 +16,7 @@ from boptest_client import (
     BoptestClient,
     BoptestError,
     RequestRejected,
-    Scenario,
+    ServiceScenario,
     TransportConfig,
     UnknownTest,
 )
@@ -89,7 +89,7 @@ class BoptestPlant(Releasing):
         if level and seed < 1:
             why = "means 'no seed' to a BOPTEST service and cannot be repeated; use 1 or more"
             raise ConfigError(f"seed: {seed} {why}")
-        self._scenario = Scenario("constant", None, level, level, None if level is None else seed)
+        self._scenario = ServiceScenario("constant", None, level, level, None if level is None else seed)
         self._start_of: dict[str, float] = {}
         self._step_s = math.nan
         self._now_s = self._begin_s = 0.0

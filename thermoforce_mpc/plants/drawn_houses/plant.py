@@ -12,7 +12,7 @@ from thermoforce_mpc.data import DAY_S, Array, Block, Boundary, Period, PlantInf
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_start, day_period
 from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S, STEP_S
-from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.kpis import EnergySupply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.shell import CLOCK_S, BranchingShell
 from thermoforce_mpc.version import VERSION
 
@@ -91,7 +91,7 @@ class DrawnHousePlant(BranchingShell):
         outside = map(excess, T_C, *map(np.atleast_2d, self._bounds_C(time_s)))
         return building_kpis(
             time_s,
-            supplies=[Supply(self._carrier, power_W, *self._bought(time_s))],
+            supplies=[EnergySupply(self._carrier, power_W, *self._bought(time_s))],
             thermal=list(map(Violation, self.zones, outside)),
             air_quality=[],
             area_m2=self.house.floor_area_m2,

@@ -31,7 +31,7 @@ from thermoforce_mpc.plants.embedded.envelope import AS_SCHEDULED, COOKING, PEOP
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
 from thermoforce_mpc.plants.embedded.kernel import STEP_S, integrals
 from thermoforce_mpc.plants.embedded.schedule import OccupancySchedule
-from thermoforce_mpc.plants.kpis import PEAKS, Supply, Violation, building_kpis, excess, peak_power
+from thermoforce_mpc.plants.kpis import PEAKS, EnergySupply, Violation, building_kpis, excess, peak_power
 from thermoforce_mpc.plants.people import live
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.plants.shell import CLOCK_S, BranchingShell
@@ -158,7 +158,7 @@ class Emulator(BranchingShell):
         for name, carrier in self.case.carriers.items():
             price = self._tariffs[self._price] if carrier.price_per_kWh is None else known[f"Price{name}"]
             power_W = np.sum([rows[:, self._column[column]] for column in carrier.columns], axis=0)
-            supplies.append(Supply(name, power_W, price(time_s), known[f"Emissions{name}"](time_s)))
+            supplies.append(EnergySupply(name, power_W, price(time_s), known[f"Emissions{name}"](time_s)))
         T_C = rows[:, self._column[self.case.zone]] - ZERO_C_K
         too_much = np.maximum(rows[:, self._column["CO2"]] - use.co2_limit_ppm(time_s), 0.0)
         return building_kpis(

@@ -26,7 +26,7 @@ from thermoforce_mpc.plants.energyplus.engine import (
     weather_reading,
 )
 from thermoforce_mpc.plants.energyplus.idf import Calendar, Schedule, idf_objects
-from thermoforce_mpc.plants.energyplus.process import Building
+from thermoforce_mpc.plants.energyplus.process import SimulatedBuilding
 from thermoforce_mpc.plants.energyplus.zone import YEAR
 
 BUILDING = "RefBldgSmallOfficeNew2004_Chicago"
@@ -139,7 +139,8 @@ def _shipped() -> str:
 def _acting(
     heating_C: Array, cooling_C: Array, step: int, demand: tuple[float, ...] | None, last: OfficeReading | None
 ) -> tuple[dict[str, float], tuple[float, ...]]:
-    """`Building.acting` of the office: told a set-point per actuator, °C, NaN for the native one of its schedule.
+    """`SimulatedBuilding.acting` of the office: told a set-point per actuator, °C, NaN for the native one of its
+    schedule.
 
     Where one set-point of a zone is told and the other is native, the native one gives way if it would lie on the wrong
     side: the engine refuses a zone that is to be heated above the temperature it is to be cooled to.
@@ -166,13 +167,13 @@ def _read(value: Mapping[str, float]) -> OfficeReading:
     return (*each("T"), weather.T_out_C, weather.solar_W_m2, *each("burner"), *coils, *each("gas"), *electric)
 
 
-def office_building(first_day: int, days: int) -> Building[tuple[float, ...], OfficeReading]:
+def office_building(first_day: int, days: int) -> SimulatedBuilding[tuple[float, ...], OfficeReading]:
     """Return what the engine simulates from midnight of a day on."""
     n = round(days * DAY_S / STEP_S)
     times_s = first_day * DAY_S + STEP_S * np.arange(n, dtype=np.float64)
     acting = partial(_acting, *office_schedules().setpoints_C(times_s))
     model = office_model(first_day, days, STEPS_PER_HOUR)
-    return Building(first_day, STEP_S, n, model, weather_file(WEATHER), _WIRING, acting)
+    return SimulatedBuilding(first_day, STEP_S, n, model, weather_file(WEATHER), _WIRING, acting)
 
 
 def _points(names: Mapping[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:

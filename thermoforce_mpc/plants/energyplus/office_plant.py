@@ -17,8 +17,8 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import ZERO_C_K, Array, Block, Measurement, PlantInfo, Record
 from thermoforce_mpc.plants.energyplus import office_model as office
 from thermoforce_mpc.plants.energyplus.engine import file_hash, reference_building
-from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, Building, EnginePlant, whole_steps
-from thermoforce_mpc.plants.kpis import Supply
+from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, EnginePlant, SimulatedBuilding, whole_steps
+from thermoforce_mpc.plants.kpis import EnergySupply
 from thermoforce_mpc.plants.shell import RoomSetpointShell
 from thermoforce_mpc.scenario.actuator import RoomSetpoints
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -58,7 +58,7 @@ class SmallOfficePlant(EnginePlant[tuple[float, ...], office.OfficeReading], Roo
         for what, duration_s in (("start", start_s), ("warm-up", warmup_s)):
             whole_steps(what, duration_s, office.STEP_S)
 
-    def _building(self, first_day: int) -> Building[tuple[float, ...], office.OfficeReading]:
+    def _building(self, first_day: int) -> SimulatedBuilding[tuple[float, ...], office.OfficeReading]:
         return office.office_building(first_day, RUN_DAYS)
 
     def _demand(self, block: Block) -> tuple[float, ...]:
@@ -95,12 +95,12 @@ class SmallOfficePlant(EnginePlant[tuple[float, ...], office.OfficeReading], Roo
             edges, T_zone, T_out, solar, **self._acting(means(office.HEAT), means(office.POWER)), names=self._names
         )
 
-    def _supplies(self, time_s: Array, rows: Array) -> list[Supply]:
+    def _supplies(self, time_s: Array, rows: Array) -> list[EnergySupply]:
         power = rows[:, office.POWER]
         gas = np.full(time_s.size, tariffs.GAS), np.full(time_s.size, tariffs.GAS_EMISSION_KG_PER_KWH)
         return [
-            Supply("GasPower", power[:, :_Z].sum(axis=1), *gas, of_steps=True),
-            Supply("ElectricPower", power[:, _Z:].sum(axis=1), *self._bought(time_s), of_steps=True),
+            EnergySupply("GasPower", power[:, :_Z].sum(axis=1), *gas, of_steps=True),
+            EnergySupply("ElectricPower", power[:, _Z:].sum(axis=1), *self._bought(time_s), of_steps=True),
         ]
 
     def _bounds(self, time_s: Array) -> tuple[Array, Array]:

@@ -17,19 +17,19 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, Block, Measurement, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.energyplus.engine import Reading
-from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, Building, EnginePlant
+from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, EnginePlant, SimulatedBuilding
 from thermoforce_mpc.plants.energyplus.zone import (
     CLIMATES,
     GAINS,
     HVAC,
     ZONE_WIRING,
-    Job,
     PiPolicy,
+    ZoneJob,
     base_setpoint,
     gains,
     zone_model,
 )
-from thermoforce_mpc.plants.kpis import Supply
+from thermoforce_mpc.plants.kpis import EnergySupply
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.scenario.testcase import EnergyPlusZone, TestCase
 
@@ -47,7 +47,7 @@ def electric_power_W(zone: EnergyPlusZone, mode: str, heat_W: Array, T_out_C: Ar
 class ZoneActing:
     """`acting` of a single zone, told a level in [0, 1]: the heat of its source and the internal gains, W."""
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: ZoneJob) -> None:
         self._job, self._policy = job, PiPolicy(job)
         self._sign = job.spec.sign
 
@@ -98,12 +98,12 @@ class EnergyPlusPlant(EnginePlant[float, Reading]):
         what = f"EnergyPlus zone of {self._spec.floor_area_m2:g} m2 with {self._spec.capacity_W:g} W"
         return self._info(self.testcase.name, what)
 
-    def _building(self, first_day: int) -> Building[float, Reading]:
+    def _building(self, first_day: int) -> SimulatedBuilding[float, Reading]:
         climate, spec = self._climate, self._spec
         setpoint_C = base_setpoint(climate, RUN_DAYS) + self._zone.native_margin_K * spec.sign
-        job = Job(spec, first_day, setpoint_C, gains(climate, first_day, RUN_DAYS, _GAINS_SEED))
+        job = ZoneJob(spec, first_day, setpoint_C, gains(climate, first_day, RUN_DAYS, _GAINS_SEED))
         model = json.dumps(zone_model(spec, first_day, RUN_DAYS))
-        return Building(first_day, spec.step_s, job.n_steps, model, self._file, ZONE_WIRING, ZoneActing(job))
+        return SimulatedBuilding(first_day, spec.step_s, job.n_steps, model, self._file, ZONE_WIRING, ZoneActing(job))
 
     def _demand(self, block: Block) -> float | None:
         return block.u[0]
@@ -124,8 +124,8 @@ class EnergyPlusPlant(EnginePlant[float, Reading]):
         heat_W = self._spec.sign * self._spec.capacity_W * rows[:, 3]
         return heat_W, electric_power_W(self._zone, self.testcase.mode, heat_W, rows[:, 1])
 
-    def _supplies(self, time_s: Array, rows: Array) -> list[Supply]:
-        return [Supply("ElectricPower", self._heat_and_power(rows)[1], *self._bought(time_s), of_steps=True)]
+    def _supplies(self, time_s: Array, rows: Array) -> list[EnergySupply]:
+        return [EnergySupply("ElectricPower", self._heat_and_power(rows)[1], *self._bought(time_s), of_steps=True)]
 
     def _bounds(self, time_s: Array) -> tuple[Array, Array]:
         """The suite's set-points on the machine's side, `band_K` beyond on the other."""

@@ -26,7 +26,7 @@ from thermoforce_mpc.plants.energyplus.engine import (
     run_engine,
     weather_file,
 )
-from thermoforce_mpc.plants.kpis import PEAKS, Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.kpis import PEAKS, EnergySupply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.shell import PlantShell, Samples, WithProcess
 from thermoforce_mpc.plants.worker_process import PATIENCE_S, PIECE_S, START_S, Failed, WorkerProcess, channel
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -38,7 +38,7 @@ U = TypeVar("U")
 
 
 @dataclass(frozen=True)
-class Building(Generic[U, R]):
+class SimulatedBuilding(Generic[U, R]):
     """Building that a worker process simulates; picklable. Its run begins at midnight of `first_day`, from 0.
 
     `model`: the engine's input of `n_steps` steps or more, each a zone time step of `step_s`. `acting` is called with
@@ -55,7 +55,7 @@ class Building(Generic[U, R]):
     acting: Callable[[int, U | None, R | None], tuple[dict[str, float], U]]
 
 
-class Stretch(NamedTuple, Generic[U, R]):
+class ZoneStretch(NamedTuple, Generic[U, R]):
     """The reading at the end of each step, and what acted in each step."""
 
     readings: tuple[R, ...]
@@ -68,7 +68,9 @@ class _Live(Generic[U, R]):
     The first answer is the state after the engine's warm-up.
     """
 
-    def __init__(self, building: Building[U, R], receive: Callable[[], Any], send: Callable[[Any], None]) -> None:
+    def __init__(
+        self, building: SimulatedBuilding[U, R], receive: Callable[[], Any], send: Callable[[Any], None]
+    ) -> None:
         self._n_steps, self._act = building.n_steps, building.acting
         self._received, self._sent = receive, send
         self._last: R | None = None
@@ -90,7 +92,7 @@ class _Live(Generic[U, R]):
             if self._answer:
                 self._send()
             else:
-                self._sent(Stretch((self._last,), ()))
+                self._sent(ZoneStretch((self._last,), ()))
             (self._demand, self._steps), self._answer = self._received(), []
         if self.done:
             return {}
@@ -108,11 +110,11 @@ class _Live(Generic[U, R]):
         return self.done
 
     def _send(self) -> None:
-        self._sent(Stretch(tuple(r for r, _ in self._answer), tuple(u for _, u in self._answer)))
+        self._sent(ZoneStretch(tuple(r for r, _ in self._answer), tuple(u for _, u in self._answer)))
 
 
 def main() -> None:
-    """Run the `Building` of the first request in this process, and answer what it is told."""
+    """Run the `SimulatedBuilding` of the first request in this process, and answer what it is told."""
     receive, send = channel()
     building = receive()
     try:
@@ -132,7 +134,7 @@ def whole_steps(what: str, duration_s: float, step_s: float) -> int:
 class EngineProcess(WorkerProcess, Generic[U, R]):
     """See `WorkerProcess`. `first`: reading after the engine's warm-up, at midnight of the building's first day."""
 
-    def __init__(self, building: Building[U, R], patience_s: float = PATIENCE_S) -> None:
+    def __init__(self, building: SimulatedBuilding[U, R], patience_s: float = PATIENCE_S) -> None:
         """Start the process and wait for the end of the engine's warm-up; raises `PlantError`."""
         self._folder = tempfile.TemporaryDirectory(prefix="energyplus-", ignore_cleanup_errors=True)
         super().__init__(__name__, "EnergyPlus", Path(self._folder.name), patience_s)
@@ -140,7 +142,7 @@ class EngineProcess(WorkerProcess, Generic[U, R]):
         self._left = building.n_steps
         self.first: R = self.ask("warm-up before", building, limit_s=max(patience_s, START_S)).readings[0]
 
-    def advance(self, demand: U | None, duration_s: float) -> Stretch[U, R]:
+    def advance(self, demand: U | None, duration_s: float) -> ZoneStretch[U, R]:
         """Do what is `demand` (None: the building's own control) for `duration_s`.
 
         Raises `InputError` where that is no multiple of the engine's step, `PlantError` where the engine failed or took
@@ -153,12 +155,12 @@ class EngineProcess(WorkerProcess, Generic[U, R]):
         readings: list[R] = []
         acted: list[U] = []
         for steps in (min(most, n - i) for i in range(0, n, most)):
-            piece: Stretch[U, R] = self.ask("step from", (demand, steps))
+            piece: ZoneStretch[U, R] = self.ask("step from", (demand, steps))
             self._left -= steps
             self.now_s += steps * self.step_s
             readings += piece.readings
             acted += piece.acted
-        return Stretch(tuple(readings), tuple(acted))
+        return ZoneStretch(tuple(readings), tuple(acted))
 
     def close(self) -> None:
         """See `WorkerProcess.close`; the engine's files go too."""
@@ -278,7 +280,7 @@ class EnginePlant(WithProcess[EngineProcess[U, R]], PlantShell, Generic[U, R]):
         return self._bought(time_s)[0]
 
     @abstractmethod
-    def _building(self, first_day: int) -> Building[U, R]:
+    def _building(self, first_day: int) -> SimulatedBuilding[U, R]:
         """What the engine simulates from midnight of a day on."""
 
     @abstractmethod
@@ -298,5 +300,5 @@ class EnginePlant(WithProcess[EngineProcess[U, R]], PlantShell, Generic[U, R]):
         """People in the zones, (Z, n)."""
 
     @abstractmethod
-    def _supplies(self, time_s: Array, rows: Array) -> list[Supply]:
+    def _supplies(self, time_s: Array, rows: Array) -> list[EnergySupply]:
         """What the building was billed for at samples (n, k)."""

@@ -182,7 +182,7 @@ ZONE_WIRING: Wiring[Reading] = Wiring(
 
 
 @dataclass(frozen=True)
-class Job:
+class ZoneJob:
     """Simulation job from midnight of `first_day`; `setpoint_C` and `gains` (fraction of the full ones) (n_steps,).
 
     Runs that must be equal up to an intervention need the same length: the engine's results differ by microkelvins
@@ -203,7 +203,7 @@ class Job:
 class PiPolicy:
     """PI loop on a job's set-points, signed for heating or cooling; its integral is clamped at a limit of u."""
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: ZoneJob) -> None:
         self._job, self._sign, self._integral = job, job.spec.sign, 0.0
 
     def __call__(self, step: int, T_zone_C: float) -> float:

@@ -16,7 +16,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import parse_json
 from thermoforce_mpc.plants.fmu.boundary_data import MOST_BYTES, BoundaryData, read_table
 from thermoforce_mpc.plants.fmu.members import Members
-from thermoforce_mpc.plants.fmu.process import Job
+from thermoforce_mpc.plants.fmu.process import FmuJob
 
 _NAME, _RESOURCES = "modelDescription.xml", "resources/"
 # BOPTEST's test cases of one and two zones have 4 to 13 MB; in memory ten times that.
@@ -27,7 +27,7 @@ _PIECE = 4096
 _MOST_REFERENCE = 2**32 - 1
 
 
-class Signal(NamedTuple):
+class FmuVariable(NamedTuple):
     """Input or output of the FMU: value reference, FMI type ('Real', 'Integer', 'Boolean'), and description."""
 
     reference: int
@@ -60,7 +60,7 @@ def read_description(path: Path, members: Members) -> Any:
     return description
 
 
-def read_signals(path: Path, description: Any, causality: str) -> dict[str, Signal]:
+def read_signals(path: Path, description: Any, causality: str) -> dict[str, FmuVariable]:
     """Return the signals of one causality ('input', 'output') by name; raises `ConfigError` for one without sense."""
     signals = {}
     for variable in description.modelVariables:
@@ -75,7 +75,7 @@ def read_signals(path: Path, description: Any, causality: str) -> dict[str, Sign
         if not 0 <= reference <= _MOST_REFERENCE:
             raise ConfigError(f"{where}: value reference {reference:g}, expected 0 to {_MOST_REFERENCE}")
         point = Point(str(variable.name), unit, variable.description or "", low, high)
-        signals[point.name] = Signal(reference, str(variable.type), point)
+        signals[point.name] = FmuVariable(reference, str(variable.type), point)
     return signals
 
 
@@ -126,16 +126,16 @@ class FmuArchive:
     guid: str
     model_identifier: str
     tolerance: float | None
-    inputs: Mapping[str, Signal]
-    outputs: Mapping[str, Signal]
+    inputs: Mapping[str, FmuVariable]
+    outputs: Mapping[str, FmuVariable]
     kpi_signals: Mapping[str, tuple[str, ...]]
     days: Mapping[str, int]
     area_m2: float | None
     boundary: BoundaryData
 
-    def job(self, folder: Path, recorded: tuple[str, ...]) -> Job:
+    def job(self, folder: Path, recorded: tuple[str, ...]) -> FmuJob:
         """What a worker process is to run from `folder`, where the archive is unpacked, and which outputs it keeps."""
-        return Job(
+        return FmuJob(
             folder=str(folder),
             guid=self.guid,
             model_identifier=self.model_identifier,

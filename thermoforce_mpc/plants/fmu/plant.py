@@ -18,7 +18,7 @@ from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import day_period
 from thermoforce_mpc.plants.fmu.archive import read_archive, unpack
 from thermoforce_mpc.plants.fmu.process import FmuRun
-from thermoforce_mpc.plants.fmu.scores import Scores
+from thermoforce_mpc.plants.fmu.scores import KpiOutputs
 from thermoforce_mpc.plants.records import acting_means, boundary, inputs, mean_levels, measurement, past_record
 from thermoforce_mpc.plants.shell import RoomSetpointShell, Samples, WithProcess
 from thermoforce_mpc.plants.worker_process import PATIENCE_S
@@ -72,7 +72,7 @@ class FmuPlant(WithProcess[FmuRun], RoomSetpointShell):
         for echo in echoes:
             if echo not in archive.outputs:
                 raise ConfigError(f"the FMU {path} has no output '{echo}': the applied level cannot be recorded")
-        self._scores = Scores(archive, testcase)
+        self._scores = KpiOutputs(archive, testcase)
         p = self._points
         kept = [*p.temperatures, p.outdoor_temperature, p.solar, *echoes, *p.flows]
         self._kept = tuple(dict.fromkeys([*kept, *self._scores.signals]))

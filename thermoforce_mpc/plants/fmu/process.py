@@ -19,7 +19,7 @@ SAMPLE_S = 30.0
 
 
 @dataclass(frozen=True)
-class Job:
+class FmuJob:
     """FMU to load and outputs to record. `inputs` and `outputs` are (value reference, FMI type) by name."""
 
     folder: str
@@ -32,7 +32,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class FmuStretch:
     """Result of one advance: times (n,) s, recorded outputs (n, columns), and all outputs at its end."""
 
     time_s: Array
@@ -43,7 +43,7 @@ class Stretch:
 class _Slave:
     """FMU instance whose signals are addressed by name."""
 
-    def __init__(self, job: Job, start_s: float) -> None:
+    def __init__(self, job: FmuJob, start_s: float) -> None:
         from fmpy.fmi2 import FMU2Slave
 
         self._job = job
@@ -55,10 +55,10 @@ class _Slave:
         self._now_s = start_s
         self._recorded = [job.outputs[name] for name in job.recorded]
 
-    def start(self) -> Stretch:
-        return Stretch(np.array([self._now_s]), np.array([self._read(self._recorded)]), self._final())
+    def start(self) -> FmuStretch:
+        return FmuStretch(np.array([self._now_s]), np.array([self._read(self._recorded)]), self._final())
 
-    def advance(self, inputs: Mapping[str, float], time_s: Array) -> Stretch:
+    def advance(self, inputs: Mapping[str, float], time_s: Array) -> FmuStretch:
         """Set `inputs`, and simulate from one of the times to the next."""
         for name, value in inputs.items():
             self._write(*self._job.inputs[name], value)
@@ -67,7 +67,7 @@ class _Slave:
             self._fmu.doStep(self._now_s, float(reached_s) - self._now_s)
             self._now_s = float(reached_s)
             rows[i] = self._read(self._recorded)
-        return Stretch(time_s, rows, self._final())
+        return FmuStretch(time_s, rows, self._final())
 
     def _final(self) -> dict[str, float]:
         outputs = self._job.outputs
@@ -112,28 +112,28 @@ def main() -> None:
 class FmuProcess(WorkerProcess):
     """See `WorkerProcess`."""
 
-    def __init__(self, job: Job, work_folder: Path, patience_s: float = PATIENCE_S) -> None:
+    def __init__(self, job: FmuJob, work_folder: Path, patience_s: float = PATIENCE_S) -> None:
         """Start the process; the FMU may write files in `work_folder`."""
         super().__init__(__name__, "the FMU", work_folder, patience_s)
         self._job = job
 
-    def start(self, start_s: float) -> Stretch:
+    def start(self, start_s: float) -> FmuStretch:
         """Load and initialise the FMU at `start_s`; raises `PlantError`."""
         self.now_s = start_s
         request, limit_s = (self._job, start_s), max(self.patience_s, START_S)
-        found: Stretch = self.ask("start at", request, doing="be loaded", limit_s=limit_s)
+        found: FmuStretch = self.ask("start at", request, doing="be loaded", limit_s=limit_s)
         return found
 
-    def advance(self, inputs: Mapping[str, float], duration_s: float) -> Stretch:
+    def advance(self, inputs: Mapping[str, float], duration_s: float) -> FmuStretch:
         """Set inputs by name and simulate; raises `PlantError`."""
         n = max(int(duration_s / SAMPLE_S + 1e-9), 1)
         times_s = self.now_s + np.arange(1.0, n + 1.0) * (duration_s / n)
-        parts: list[Stretch] = []
+        parts: list[FmuStretch] = []
         for times in np.split(times_s, range(int(PIECE_S / SAMPLE_S), n, int(PIECE_S / SAMPLE_S))):
             # Inputs are set once: an FMU may take each setting for an event.
             parts.append(self.ask("step from", ({} if parts else dict(inputs), times)))
             self.now_s = float(times[-1])
-        return Stretch(times_s, np.vstack([part.rows for part in parts]), parts[-1].final)
+        return FmuStretch(times_s, np.vstack([part.rows for part in parts]), parts[-1].final)
 
     def advice(self, why: str) -> str:
         """See `WorkerProcess`: what to do about a system library that the loader did not find."""
@@ -165,7 +165,7 @@ class FmuRun:
     returned before is not taken back; the repeated course differs from it by the integration error, and by that minute.
     """
 
-    def __init__(self, job: Job, work_folder: Path, patience_s: float) -> None:
+    def __init__(self, job: FmuJob, work_folder: Path, patience_s: float) -> None:
         """Start the process at `start`; `patience_s` as for `FmuProcess`."""
         tolerance = job.tolerance if job.tolerance and job.tolerance > 0.0 else _TOLERANCE
         self._job, self._folder, self._patience_s = job, work_folder, patience_s
@@ -181,12 +181,12 @@ class FmuRun:
         self.restarts: tuple[str, ...] = ()
         """When, why and with which tolerance it was started again."""
 
-    def start(self, start_s: float) -> Stretch:
+    def start(self, start_s: float) -> FmuStretch:
         """Load and initialise the FMU at `start_s`; raises `PlantError`, and is not tried again."""
         self._start_s = start_s
         return self._begin(self._job)[1]
 
-    def advance(self, inputs: Mapping[str, float], duration_s: float, told: Sequence[str] = ()) -> Stretch:
+    def advance(self, inputs: Mapping[str, float], duration_s: float, told: Sequence[str] = ()) -> FmuStretch:
         """Simulate; `told`: `restarts` in a run that is repeated; raises `PlantError` at the last tolerance."""
         if self._process is None or self._process.closed:
             raise PlantError("the FMU was closed; reset the plant to start it again")
@@ -203,12 +203,12 @@ class FmuRun:
         if self._process is not None:
             self._process.close()
 
-    def _begin(self, job: Job) -> tuple[FmuProcess, Stretch]:
+    def _begin(self, job: FmuJob) -> tuple[FmuProcess, FmuStretch]:
         self.close()
         self._process = FmuProcess(job, self._folder, self._patience_s)
         return self._process, self._process.start(self._start_s)
 
-    def _restarted(self, error: PlantError) -> Stretch:
+    def _restarted(self, error: PlantError) -> FmuStretch:
         """The latest stretch at the next tolerance at which the run comes to its end; raises the last error."""
         while len(self.restarts) < len(self._other):
             tolerance, later_s = self._other[len(self.restarts)]
@@ -229,7 +229,7 @@ class FmuRun:
         """Whether inputs went before the latest ones, which hold for long enough."""
         return len(self._told) > 1 and self._told[-1][1] > 2.0 * later_s
 
-    def _again(self, restarts: Sequence[str]) -> Stretch:
+    def _again(self, restarts: Sequence[str]) -> FmuStretch:
         """The latest stretch, in a new process that has repeated those before."""
         self.restarts = tuple(restarts)
         tolerance, later_s = self._other[min(len(restarts), len(self._other)) - 1]
@@ -243,4 +243,6 @@ class FmuRun:
         rest = process.advance(inputs, duration_s - later_s)
         # So it is repeated from now on.
         self._told[-1:] = [(before[-1][0], later_s), (inputs, duration_s - later_s)]
-        return Stretch(np.concatenate([first.time_s, rest.time_s]), np.concatenate([first.rows, rest.rows]), rest.final)
+        return FmuStretch(
+            np.concatenate([first.time_s, rest.time_s]), np.concatenate([first.rows, rest.rows]), rest.final
+        )

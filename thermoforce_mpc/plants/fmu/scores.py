@@ -10,7 +10,7 @@ import numpy as np
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.fmu.archive import FmuArchive
-from thermoforce_mpc.plants.kpis import PEAKS, Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.kpis import PEAKS, EnergySupply, Violation, building_kpis, excess
 from thermoforce_mpc.scenario.testcase import ForecastPoints, Price, TestCase
 
 _ELECTRIC = "ElectricPower"
@@ -19,7 +19,7 @@ _CARRIERS = (_ELECTRIC, "DistrictHeatingPower", "GasPower", "BiomassPower", "Sol
 _THERMAL, _AIR_QUALITY = ("AirZoneTemperature", "OperativeZoneTemperature"), ("CO2Concentration",)
 
 
-class Scores:
+class KpiOutputs:
     """Outputs that make up each KPI, from the FMU's kpis.json or else from the test case file."""
 
     def __init__(self, archive: FmuArchive, testcase: TestCase) -> None:
@@ -70,7 +70,7 @@ class Scores:
             names += ["tdis_tot"] * bool(self._thermal) + ["idis_tot"] * bool(self._air_quality)
             return dict.fromkeys(names, 0.0)
         supplies = [
-            Supply(
+            EnergySupply(
                 carrier,
                 np.sum([record[signal][scored] for signal in signals], axis=0),
                 at(self._price(carrier, price), time_s),

@@ -26,7 +26,7 @@ from thermoforce_mpc.plants.people import PERSON_W, at_home, live, set_back, var
 from thermoforce_mpc.plants.random_houses import physics
 from thermoforce_mpc.plants.random_houses.draw import House, draw_house
 from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record
-from thermoforce_mpc.scenario.testcase import Actuator, Measurements, TestCase
+from thermoforce_mpc.scenario.testcase import Actuator, MeasuredPoints, TestCase
 
 # Native set-point above the lower bound while at home, K; set-back below it, K, and preheating, h, by emitter.
 NATIVE_ABOVE_K = 0.6
@@ -82,7 +82,7 @@ def house_testcase(house: House) -> TestCase:
         floor_area_m2=house.floor_area_m2,
         mode="heating",
         actuator=Actuator(point="level"),
-        measurements=Measurements(
+        measurements=MeasuredPoints(
             zone_temperature="T_measured",
             outdoor_temperature="T_out",
             solar="solar",

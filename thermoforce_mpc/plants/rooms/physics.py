@@ -44,7 +44,7 @@ _supply = njit(cache=True)(curve_supply_C)
 _capacity = njit(cache=True)(full_capacity_W)
 
 
-class Network(NamedTuple):
+class HouseNetwork(NamedTuple):
     """Parameters of a house for `advance`, SI units and °C; Z rooms, D doors, n = 5 Z nodes in blocks of Z.
 
     `capacity_J_K` (n,), `between_W_K` (n, n) symmetric constant couplings, `outdoors_W_K` and `ground_W_K` (n,).
@@ -72,7 +72,7 @@ class Network(NamedTuple):
     heat_pump: np.ndarray
 
 
-def network(house: DrawnHouse) -> Network:
+def network(house: DrawnHouse) -> HouseNetwork:
     """Return the parameters of a house."""
     rooms, n = house.rooms, len(house.rooms)
     area = np.array([room.area_m2 for room in rooms])
@@ -111,7 +111,7 @@ def network(house: DrawnHouse) -> Network:
 
     pump = house.heat_pump
     curves = [house.curves[room.emitter] for room in rooms]
-    return Network(
+    return HouseNetwork(
         capacity_J_K=capacity,
         between_W_K=between,
         outdoors_W_K=outdoors,
@@ -143,7 +143,7 @@ def operative_C(T: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def open_circuit_W(h: Network, i: int, T: np.ndarray, supply_C: float) -> float:
+def open_circuit_W(h: HouseNetwork, i: int, T: np.ndarray, supply_C: float) -> float:
     """Return the heat that circuit `i` takes from water of `supply_C` with its valve fully open, W.
 
     That at which heat taken at design flow and heat emitted are equal, given slab (floor) or room (radiator).
@@ -168,7 +168,7 @@ def open_circuit_W(h: Network, i: int, T: np.ndarray, supply_C: float) -> float:
 
 @njit(cache=True)
 def circuits_W(
-    h: Network, T: np.ndarray, levels: np.ndarray, own_C: np.ndarray, supply_C: float, q: np.ndarray
+    h: HouseNetwork, T: np.ndarray, levels: np.ndarray, own_C: np.ndarray, supply_C: float, q: np.ndarray
 ) -> float:
     """Write the heat of each circuit into `q` (Z,) and return the sum, W, if the machine supplies `supply_C`.
 
@@ -187,7 +187,9 @@ def circuits_W(
 
 
 @njit(cache=True)
-def machine(h: Network, T: np.ndarray, levels: np.ndarray, T_out_C: float, q: np.ndarray) -> tuple[float, float, float]:
+def machine(
+    h: HouseNetwork, T: np.ndarray, levels: np.ndarray, T_out_C: float, q: np.ndarray
+) -> tuple[float, float, float]:
     """Write the heat of each circuit into `q` (Z,) and return heat W, electric power W and supply temperature °C.
 
     The machine supplies what the heating curve of the warmest open circuit asks for. Where the open circuits would
@@ -252,7 +254,7 @@ def advance(
     weather: np.ndarray,
     gains: np.ndarray,
     setpoints: np.ndarray,
-    h: Network,
+    h: HouseNetwork,
     record: np.ndarray,
 ) -> None:
     """Advance nodes `T` (5 Z,) °C and thermostats `on` (Z,) in place by `n_steps` of `dt` s and fill `record`.

@@ -22,7 +22,7 @@ from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import DrawnHouse
 from thermoforce_mpc.plants.rooms.use import USES
 from thermoforce_mpc.scenario.building import Machine, Zone, ZoneActuator
-from thermoforce_mpc.scenario.testcase import TestCase, Weather
+from thermoforce_mpc.scenario.testcase import MeasuredWeather, TestCase
 
 # Set-points that the thermostats of rooms take, °C.
 LEAST_SETPOINT_C, MOST_SETPOINT_C = 5.0, 30.0
@@ -78,7 +78,7 @@ def testcase_of(house: DrawnHouse, name: str) -> TestCase:
         name=name,
         description=house.words,
         step_s=900.0,
-        measurements=Weather(outdoor_temperature="T_out", solar="solar"),
+        measurements=MeasuredWeather(outdoor_temperature="T_out", solar="solar"),
         zones=zones,
         actuators=actuators,
         machines={"heat_pump": Machine(power=("power",))},
