@@ -287,7 +287,7 @@ def test_a_run_that_fails_is_listed_and_the_others_are_kept(tmp_path: Path) -> N
             "windows: bestest_air has no 'cold_week'; use peak_heat_day",
         ),
         ({"windows": [400]}, "'400': a start day lies between 0 and 365"),
-        ({"windows": ["nan"]}, "'nan': a start day lies between 0 and 365"),
+        ({"windows": ["nan"]}, "windows: 'nan' is"),
         ({"seeds": [1, 1]}, "twice"),
         ({"seeds": [-1]}, "few.yaml:\n  line 7: seeds.0: Input should be greater than or equal to 0"),
         ({"buildings": [{"testcase": "nope"}]}, "few.yaml: buildings.0.testcase: unknown testcase 'nope'"),
@@ -311,7 +311,7 @@ def test_a_window_that_an_fmu_does_not_have_is_refused_before_anything_is_run(tm
     with zipfile.ZipFile(tmp_path / "house.fmu", "w") as archive:
         archive.writestr("resources/days.json", '{"mix_day": 100}')
     (tmp_path / "few.csv").write_text("name,testcase,fmu\nnorth,bestest_air,house.fmu\n")
-    code, said = _fleet(_file(tmp_path, buildings=[{"table": "few.csv"}]))
+    code, said = _fleet(_file(tmp_path, buildings=[{"table": "few.csv"}]), "--code", str(tmp_path / "house.fmu"))
     assert code == 2
     assert "few.yaml: building 'north': windows: bestest_air has no 'cold_week'; use mix_day, or the day" in said
 

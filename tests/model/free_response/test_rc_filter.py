@@ -120,7 +120,7 @@ def test_a_single_instant_is_enough() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        ("poles", np.array([0.5, 1.0]), "leave"),
+        ("poles", np.array([0.5, 1.0]), "no time constant"),
         ("weights", np.zeros((2, 3)), "weights"),
         ("process_K2", np.array([[1.0, 2.0], [2.0, 1.0]]), "no covariance"),
         ("start_K2", np.ones(2), "start_K2"),
