@@ -229,15 +229,19 @@ def _day(column: pd.Series) -> pd.Series:
     return column.astype(str).str.strip().str.removesuffix(" 00:00:00")
 
 
+class NoColumn(DataError):
+    """A table lacks a column that the map names."""
+
+
 def known_column(key: str, columns: pd.Index, name: str) -> str:
-    """`key` if it is among `columns` of the table `name`; else raises `DataError`."""
+    """`key` if it is among `columns` of the table `name`; else raises `NoColumn`."""
     names = [str(column) for column in columns]
     if key not in names:
         first = "; if that is not the line of column names, set csv.skip_lines or csv.separator of the map"
         hint = first if len(names) == 1 else ""
         if key == "FILL IN":
-            raise DataError(f"{name}: the map still says FILL IN; name a column there, one of {', '.join(names)}")
-        raise DataError(f"{name}: no column '{key}'{suggestion(key, names)}; there are {', '.join(names)}{hint}")
+            raise NoColumn(f"{name}: the map still says FILL IN; name a column there, one of {', '.join(names)}")
+        raise NoColumn(f"{name}: no column '{key}'{suggestion(key, names)}; there are {', '.join(names)}{hint}")
     return key
 
 
