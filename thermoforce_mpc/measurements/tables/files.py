@@ -534,6 +534,7 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
                 cells = next(csv.reader([block[k].rstrip("\r\n")], delimiter=separator, skipinitialspace=True), [])
                 told = [cell.strip() for cell in cells]
                 current = parts[-1][0]
+                n[k] = max(len(cells), 1) - 1  # separators in quotes part no cells
                 if told in (current, names):
                     kept[k] = False
                     continue

@@ -288,7 +288,9 @@ def _refuse(column: pd.Series, rows: Sequence[int], key: str, table: RawTable, d
     more = f" ({len(rows)} such cells)" if len(rows) > 1 else ""
     first = str(column.iloc[rows[0]])
     advice = "if it stands for an empty cell, name it in csv.missing of the map"
-    if decimal == "." and re.fullmatch(r"\s*-?\d+,\d+\s*", first):
+    if decimal == "." and re.fullmatch(r"\s*-?[1-9]\d{0,2},\d{3}\s*", first):
+        advice = "write numbers without marks between thousands, or, if it is a decimal comma, set csv: {decimal: ','}"
+    elif decimal == "." and re.fullmatch(r"\s*-?\d+,\d+\s*", first):
         advice = "a decimal comma: set csv: {decimal: ','} in the map"
     elif re.fullmatch(r"\s*-?\d+([.,' ]\d+)+\s*", first):
         advice = f"write numbers without marks between thousands, with '{decimal}' as decimal mark (csv.decimal)"
