@@ -41,7 +41,8 @@ class CommandState:
 class CommandedLoop:
     """A loop over the N steps of a plan: its command with the limits of each step, and the outdoor temperature.
 
-    `low`, `high`, `usual` (N,): limits of the command and what it is when left alone; `T_out_C` (N,): mean of the step.
+    `low`, `high`, `usual` (N,): limits of the command and what it is when left alone; `T_out_C` (N,): mean of the step;
+    `age_s`: how long ago `learned.last` was read, s.
     """
 
     learned: LearnedCommand
@@ -50,11 +51,13 @@ class CommandedLoop:
     usual: Array
     T_out_C: Array
     step_s: float
+    age_s: float = 0.0
 
     def begin(self) -> CommandState:
-        """What is set where no plan was made before."""
-        value = self.learned.last if np.isfinite(self.learned.last) else float(self.usual[0])
-        return CommandState(value, self.learned.held_s)
+        """What is set where no plan acted in the last step: as it was read, or later what it usually is."""
+        if self.age_s <= self.step_s + 1.0 and np.isfinite(self.learned.last):
+            return CommandState(self.learned.last, self.learned.held_s + max(self.age_s, 0.0))
+        return CommandState(float(self.usual[0]), self.step_s)
 
     def reach(self, T_mean_C: Array, before: float) -> tuple[Array, Array]:
         """Least and largest level of each step (N,) that commands within the limits bring, room at `T_mean_C` (N,)."""

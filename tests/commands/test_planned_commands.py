@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 import pytest
-from home_by_setpoint import RULES, START, HomeBySetpoint, price
+from home_by_setpoint import DAY_C, RULES, START, HomeBySetpoint, price
 from simple_house import simple_model
 
 from controllers.mpc.config import MPCConfig
@@ -58,6 +58,18 @@ def test_a_set_point_is_held_for_its_least_time(home, hold_min):
     assert len(settings) > 2
     assert all(one.end_s == later.start_s for one, later in pairwise(settings))
     assert all(one.end_s - one.start_s >= 60.0 * hold_min for one in settings[1:-1])
+
+
+def test_a_plan_days_after_its_commands_were_learned_holds_none_of_then():
+    """Its own control acted since: at noon the people's set-point is held, not that of the night of the start."""
+    home = HomeBySetpoint(days=14)
+    rules = with_command(hold_min=720)
+    measured = read_measurements(home.measurements(), rules, step_s=3600.0).served()
+    then = controller(measured)
+    home.wait_until(START + pd.Timedelta("12h"))
+    now = read_measurements(home.measurements(), rules, step_s=3600.0).served()
+    (settings,) = then.plan(Observation(now.record, read_forecast(home.forecast(), now))).settings
+    assert settings[0].value == DAY_C
 
 
 def test_a_plan_asks_for_no_more_than_its_set_points_bring(home):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydantic import TypeAdapter
@@ -64,3 +66,11 @@ def test_what_may_not_be_set_is_left_at_once(keys, value, wanted):
     assert all(18.0 <= one <= 24.0 for one, _ in chosen(loop, CommandState(value, 600.0), wanted)[1:])
     turns, _ = loop.choose(0, np.full(N, wanted), 21.0, np.full(N, 21.0), wanted, CommandState(value, 600.0))
     assert all(18.0 <= one <= 24.0 for one, _ in turns)
+
+
+@pytest.mark.parametrize(("age_s", "value", "held_s"), [(0.0, 3.0, 600.0), (1800.0, 3.0, 2400.0), (9e4, 2.0, 3600.0)])
+def test_what_was_read_at_the_start_is_not_what_is_set_days_later(age_s, value, held_s):
+    """After a step of the building's own control, what it usually sets."""
+    loop = loop_of("sg_ready", [0.0, 0.5, 1.0])
+    begun = replace(loop, learned=replace(loop.learned, last=3.0, held_s=600.0), age_s=age_s).begin()
+    assert (begun.value, begun.held_s) == (value, held_s)

@@ -11,6 +11,7 @@ the loop does within a step, and what else moves it, is `spread`.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,9 @@ from scipy.optimize import isotonic_regression, nnls
 from thermoforce_mpc.commands.command import SAME, Command
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import DataError
+
+if TYPE_CHECKING:  # loaded only where tables are read
+    import pandas as pd
 
 # Least record of a command, and least difference that it must have made to the level, with 95 % certainty.
 _LEAST_H, _LEAST_EFFECT, _CERTAIN = 72.0, 0.02, 1.645
@@ -96,8 +100,8 @@ class LoopMap:
 class LearnedCommand:
     """A command with its map, and what was set until now.
 
-    `last`: the command now (NaN: not known), held for `held_s`; `usual` (n,): what it is when left alone, at the times
-    of a week from its beginning on, in equal parts.
+    `last`: the command at the time `at` (NaN: not known; None: now), held for `held_s`; `usual` (n,): what it is when
+    left alone, at the times of a week from its beginning on, in equal parts.
     """
 
     command: Command
@@ -105,6 +109,7 @@ class LearnedCommand:
     last: float
     held_s: float
     usual: Array
+    at: pd.Timestamp | None = None
 
     @property
     def in_words(self) -> str:
