@@ -82,13 +82,9 @@ class BuildingCommands:
             return None
         loops, T_out_C = {}, 0.5 * (boundary.T_out_C[:-1] + boundary.T_out_C[1:])
         for a, learned in self._learned.items():
-            z, usual = self._layout.home[a], learned.usual_at(boundary.time_s[:-1])
+            time_s = learned.from_origin_s(boundary.time_s[:-1], origin)
+            z, usual, age_s = self._layout.home[a], learned.usual_at(time_s), float(time_s[0]) - learned.last_s
             low, high = learned.command.limits(boundary.lower_C[z, 1:], boundary.upper_C[z, 1:], usual)
-            age_s = 0.0
-            if origin is not None and learned.at is not None:
-                from thermoforce_mpc.data.dataframes import stamps  # loads pandas
-
-                age_s = float((stamps(boundary.time_s[:1], origin)[0] - learned.at).total_seconds())
             loops[a] = CommandedLoop(learned, low, high, usual, T_out_C, boundary.step_s, age_s)
         return CommandedPlan(operator, problem, boundary, loops, frozenset(left_alone), self._spread)
 

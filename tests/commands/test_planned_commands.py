@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -70,6 +71,22 @@ def test_a_plan_days_after_its_commands_were_learned_holds_none_of_then():
     now = read_measurements(home.measurements(), rules, step_s=3600.0).served()
     (settings,) = then.plan(Observation(now.record, read_forecast(home.forecast(), now))).settings
     assert settings[0].value == DAY_C
+
+
+def test_the_usual_command_is_of_the_same_day_though_seconds_count_from_another_year(home):
+    """A plan's clock goes on over the new year; control that is started again reads a record of this year alone."""
+    measured = read_measurements(home.measurements(), RULES, step_s=3600.0).served()
+    learned, record = learned_commands(measured)["actuator"], measured.record
+    hours = float(record.time_s[-1]) + 3600.0 * np.arange(48)
+    before = record.origin - pd.Timedelta("366D") + pd.Timedelta("5h")
+    again = learned.from_origin_s(hours + (record.origin - before).total_seconds(), before)
+    np.testing.assert_array_equal(learned.usual_at(again), learned.usual_at(hours))
+    then = replace(record, time_s=record.time_s + (record.origin - before).total_seconds(), origin=before)
+    ahead = read_forecast(home.forecast(), measured)
+    shifted = replace(ahead, time_s=ahead.time_s + (record.origin - before).total_seconds())
+    plans = [controller(measured).plan(Observation(*one)) for one in ((record, ahead), (then, shifted))]
+    assert [one.value for one in plans[1].settings[0]] == [one.value for one in plans[0].settings[0]]
+    assert plans[1].saving.cost_alone == pytest.approx(plans[0].saving.cost_alone)
 
 
 def test_a_plan_asks_for_no_more_than_its_set_points_bring(home):
