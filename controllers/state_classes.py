@@ -5,6 +5,7 @@ A state of a plugin's class cannot be kept.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from controllers.actuation.actuator import ActuationState
@@ -20,6 +21,7 @@ from controllers.mpc.state import MPCState
 from controllers.rules.pi import PIState
 from controllers.rules.thermostat import ThermostatState
 from controllers.safety.fallback_policy import GoodPlan
+from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.data import Boundary, Names
 from thermoforce_mpc.execution.keys import canonical, digest
 from thermoforce_mpc.model.card import Competence, HorizonScore, ModelCard
@@ -83,6 +85,9 @@ STATE_CLASSES: tuple[type[Any], ...] = (
 )
 
 
-def controller_key(model: ThermalModel, config: MPCConfig) -> str:
-    """Key by which a kept state tells controllers apart: of the same model and options it is the same, 16 digits."""
-    return digest({"mpc": canonical((model, config))})
+def controller_key(model: ThermalModel, config: MPCConfig, commands: Mapping[str, Command] | None = None) -> str:
+    """Key by which a kept state tells controllers apart, 16 digits: of the same model, options and commands the same.
+
+    `commands`: what is set, by actuator.
+    """
+    return digest({"mpc": canonical((model, config))} | ({"commands": canonical(commands)} if commands else {}))

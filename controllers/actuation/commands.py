@@ -41,7 +41,8 @@ class CommandState:
 class CommandedLoop:
     """A loop over the N steps of a plan: its command with the limits of each step, and the outdoor temperature.
 
-    `low`, `high`, `usual` (N,): limits of the command and what it is when left alone; `T_out_C` (N,): mean of the step.
+    `low`, `high`, `usual` (N,): limits of the command and what it is when left alone; `T_out_C` (N,): mean of the step;
+    `age_s`: how long ago `learned.last` was read, s.
     """
 
     learned: LearnedCommand
@@ -50,11 +51,13 @@ class CommandedLoop:
     usual: Array
     T_out_C: Array
     step_s: float
+    age_s: float = 0.0
 
     def begin(self) -> CommandState:
-        """What is set where no plan was made before."""
-        value = self.learned.last if np.isfinite(self.learned.last) else float(self.usual[0])
-        return CommandState(value, self.learned.held_s)
+        """What is set where no plan acted in the last step: as it was read, or later what it usually is."""
+        if self.age_s <= self.step_s + 1.0 and np.isfinite(self.learned.last):
+            return CommandState(self.learned.last, self.learned.held_s + max(self.age_s, 0.0))
+        return CommandState(float(self.usual[0]), self.step_s)
 
     def reach(self, T_mean_C: Array, before: float) -> tuple[Array, Array]:
         """Least and largest level of each step (N,) that commands within the limits bring, room at `T_mean_C` (N,)."""
@@ -81,10 +84,14 @@ class CommandedLoop:
         """
         command, n, part_s = self.learned.command, self.parts, self.step_s / self.parts
         grid = command.values(float(self.low[k]), float(self.high[k]))
-        grid = grid[np.abs(grid - state.value) <= command.most_change(state.held_s) + SAME]
+        near = grid[np.abs(grid - state.value) <= command.most_change(state.held_s) + SAME]
+        may_stay = command.allows(state.value)
+        # What may not be set at all is left at once, by more than the slowest change where it must be.
+        grid = near if near.size or may_stay else grid[[int(np.argmin(np.abs(grid - state.value)))]]
         values = np.unique(np.append(grid, state.value))
         at = np.linspace(T_start_C, T_end_C[0], 2 * n + 1)[1::2]
-        T_out, hold_s, longest_s = self.T_out_C[k], 60.0 * command.hold_min, command.longest_s(state.value)
+        T_out, hold_s = self.T_out_C[k], 60.0 * command.hold_min
+        longest_s = np.array([command.longest_s(float(value)) for value in values])
         levels = self.learned.loop.level(values[:, None], at, T_out, before)  # (values, parts)
         cost = self.learned.loop.scatter(values[:, None], at, T_out)
         now = int(np.argmin(np.abs(values - state.value)))
@@ -94,7 +101,10 @@ class CommandedLoop:
         best, chosen = np.inf, (n, now)
         for i in range(n + 1):  # the command changes after `i` parts
             kept_s = state.held_s + i * part_s
-            if kept_s > longest_s + SAME or (i < n and kept_s < hold_s - SAME and state.value in grid):
+            if i > 0 and (kept_s > longest_s[now] + SAME or not may_stay):
+                continue
+            waits = kept_s + part_s <= longest_s[now] + SAME and state.value in grid
+            if i < n and kept_s < hold_s - SAME and waits:
                 continue
             share = i / n
             mean = (levels[now, :i].sum() + levels[:, i:].sum(axis=1)) / n
@@ -103,6 +113,7 @@ class CommandedLoop:
             score = score + (later if i < n else later[now]) + (_CHANGE if i < n else 0.0)
             if i < n:
                 score[now] = np.inf
+                score[longest_s < (n - i) * part_s - SAME] = np.inf
                 v = int(np.argmin(score))
             else:
                 v = now

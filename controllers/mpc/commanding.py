@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -66,16 +67,25 @@ class BuildingCommands:
         self._layout, self._learned, self._spread = layout, dict(learned), np.array(spread)
 
     def begin(
-        self, operator: BuildingOperator, problem: MPCProblem, boundary: Boundary, left_alone: Collection[int]
+        self,
+        operator: BuildingOperator,
+        problem: MPCProblem,
+        boundary: Boundary,
+        left_alone: Collection[int],
+        origin: Any,
     ) -> CommandedPlan | None:
-        """What is needed for one plan, None without commands; `left_alone`: actuators that will not follow it."""
+        """What is needed for one plan, None without commands.
+
+        `left_alone`: actuators that will not follow it; `origin`: what the boundary's seconds count from, if known.
+        """
         if not self._learned:
             return None
         loops, T_out_C = {}, 0.5 * (boundary.T_out_C[:-1] + boundary.T_out_C[1:])
         for a, learned in self._learned.items():
-            z, usual = self._layout.home[a], learned.usual_at(boundary.time_s[:-1])
+            time_s = learned.from_origin_s(boundary.time_s[:-1], origin)
+            z, usual, age_s = self._layout.home[a], learned.usual_at(time_s), float(time_s[0]) - learned.last_s
             low, high = learned.command.limits(boundary.lower_C[z, 1:], boundary.upper_C[z, 1:], usual)
-            loops[a] = CommandedLoop(learned, low, high, usual, T_out_C, boundary.step_s)
+            loops[a] = CommandedLoop(learned, low, high, usual, T_out_C, boundary.step_s, age_s)
         return CommandedPlan(operator, problem, boundary, loops, frozenset(left_alone), self._spread)
 
 

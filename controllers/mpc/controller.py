@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from controllers.actuation.runs import in_runs, needs_runs, without_owed
-from controllers.checks import check_names, message_of
+from controllers.checks import ControllerConfigError, check_names, message_of
 from controllers.monitoring.watch import Watch
 from controllers.mpc.acting import ActuatedController
 from controllers.mpc.commanding import (
@@ -108,6 +108,12 @@ class ThermoForceMPC(ActuatedController):
         check_names("commands", learned, "actuator", layout.names.actuators)
         check_names("actuations", c.actuations, "actuator", layout.names.actuators)
         check_names("sensors", c.sensors, "zone", zones)
+        for a in {a for group in layout.exclusive for a in group}:
+            if layout.names.actuators[a] in learned:
+                raise ControllerConfigError(
+                    f"{layout.names.actuators[a]} excludes others, and is set by a command, which does not tell "
+                    "whether it runs: leave command out of the map, and set its level"
+                )
         check_power(model)
         zone_models = [model.actuator(a) for a in range(len(layout.names.actuators))]
         choices = actuations_of(c, model, layout)
@@ -311,7 +317,9 @@ class ThermoForceMPC(ActuatedController):
         forecast = self._prediction.record(forecast, readings)
         planner, seconds = forecast.planner, forecast.context.seconds
         guess = self._guess(forecast.state.good, readings.time_s)
-        own = self._commands.begin(planner.operator, instance.problem, forecast.context.boundary, overrides)
+        own = self._commands.begin(
+            planner.operator, instance.problem, forecast.context.boundary, overrides, readings.history.origin
+        )
         try:
             for again in range(MOST_SOLVES if own else 1):
                 problem = own.within_reach(guess) if own else instance.problem

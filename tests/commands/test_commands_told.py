@@ -10,10 +10,16 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from home_by_setpoint import RULES, HomeBySetpoint
+from pydantic import ValidationError
 from simple_house import simple_model
 
+from controllers.mpc.config import MPCConfig
+from controllers.state_classes import controller_key
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.connections.files import FilesConnection
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.live import LiveBuilding
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.plants.rooms import house_of_rooms
 
 
@@ -88,3 +94,32 @@ def test_a_higher_curve_brings_hotter_water_and_more_heat_to_all_rooms():
         taken.append((done.heat_W, done.points["T_supply_C"]))
     assert (taken[1][0] > taken[0][0]).all()
     assert taken[1][1] > taken[0][1]
+
+
+def test_a_torn_last_line_does_not_keep_control_from_its_commands(files, tmp_path):
+    """As after a power failure, when it is started again."""
+    whole = (files / "house.csv").read_text()
+    house = FilesConnection(str(tmp_path / "house.csv"))
+    building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0)
+    for torn in ("2025-01-29 00:0", "2025-01-29 00:01:00+00:00,20.", "\0\0\0\0"):
+        (tmp_path / "house.csv").write_text(whole + torn)
+        assert building.commands()["actuator"].last == 19.0
+
+
+def test_what_was_kept_is_not_gone_on_from_with_other_commands():
+    """A set-point of 21 °C is no offset of the curve."""
+    model = simple_model()
+    offset = RULES | {"actuators": {"actuator": {"level": "u", "command": {"kind": "curve_offset", "column": "set"}}}}
+    commands = [
+        {name: one.command for name, one in MeasurementMap.model_validate(rules).actuators.items()}
+        for rules in (RULES, offset, offset)
+    ]
+    setpoint, curve, again = (controller_key(model, MPCConfig(), one) for one in commands)
+    assert setpoint != curve == again
+    assert controller_key(model, MPCConfig()) not in (setpoint, curve)
+
+
+def test_one_command_has_one_value():
+    actuators = {name: RULES["actuators"]["actuator"] | {"level": name} for name in ("one", "other")}
+    with pytest.raises(ValidationError, match="column 'set' is the command of one too"):
+        MeasurementMap.model_validate(RULES | {"actuators": actuators})

@@ -36,6 +36,16 @@ def test_limits_steps_and_words(one, limits, values, words):
     assert one.in_words(values[1]) == words
 
 
+@pytest.mark.parametrize(("low", "high"), [(22.3, 22.3), (20.2, 20.2), (19.8, 19.9), (23.0, 21.0)])
+def test_between_steps_the_nearest_inside_the_limits_is_set(low, high):
+    """Comfort bounds beyond `maximum` or `minimum` leave no multiple of the resolution between."""
+    one = command("setpoint", minimum=20.2, maximum=22.3)
+    least, most = one.within(np.array([low]), np.array([high]))
+    (value,) = one.values(float(least[0]), float(most[0]))
+    assert one.allows(value)
+    assert not one.allows(22.5)
+
+
 def test_a_change_is_as_slow_as_the_map_says_but_a_step_at_least():
     slow = command("flow_temperature", change_per_h=2.0)
     assert (slow.most_change(7200.0), slow.most_change(60.0)) == (4.0, 1.0)
@@ -52,6 +62,8 @@ def test_sg_ready_is_blocked_for_two_hours_at_most():
         ({"kind": "setpoint", "minimum": 22, "maximum": 20}, "minimum (22) must be below maximum (20)"),
         ({"kind": "setpoint", "resolution": 0}, "greater than 0"),
         ({"kind": "sg_ready", "states": [2, 5]}, "states of SG-Ready are 1 blocked"),
+        ({"kind": "sg_ready", "states": [1]}, "blocked alone cannot be held"),
+        ({"kind": "setpoint", "minimum": 20.2, "maximum": 20.4}, "no multiple of resolution (0.5) from minimum (20.2)"),
         ({"kind": "sg_ready", "hold_min": 5}, "greater than or equal to 10"),
         ({"kind": "setpoint", "setpoint": 21}, "Extra inputs are not permitted"),
     ],

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 import pytest
-from home_by_setpoint import RULES, START, HomeBySetpoint, price
+from home_by_setpoint import DAY_C, RULES, START, HomeBySetpoint, price
 from simple_house import simple_model
 
 from controllers.mpc.config import MPCConfig
@@ -58,6 +59,34 @@ def test_a_set_point_is_held_for_its_least_time(home, hold_min):
     assert len(settings) > 2
     assert all(one.end_s == later.start_s for one, later in pairwise(settings))
     assert all(one.end_s - one.start_s >= 60.0 * hold_min for one in settings[1:-1])
+
+
+def test_a_plan_days_after_its_commands_were_learned_holds_none_of_then():
+    """Its own control acted since: at noon the people's set-point is held, not that of the night of the start."""
+    home = HomeBySetpoint(days=14)
+    rules = with_command(hold_min=720)
+    measured = read_measurements(home.measurements(), rules, step_s=3600.0).served()
+    then = controller(measured)
+    home.wait_until(START + pd.Timedelta("12h"))
+    now = read_measurements(home.measurements(), rules, step_s=3600.0).served()
+    (settings,) = then.plan(Observation(now.record, read_forecast(home.forecast(), now))).settings
+    assert settings[0].value == DAY_C
+
+
+def test_the_usual_command_is_of_the_same_day_though_seconds_count_from_another_year(home):
+    """A plan's clock goes on over the new year; control that is started again reads a record of this year alone."""
+    measured = read_measurements(home.measurements(), RULES, step_s=3600.0).served()
+    learned, record = learned_commands(measured)["actuator"], measured.record
+    hours = float(record.time_s[-1]) + 3600.0 * np.arange(48)
+    before = record.origin - pd.Timedelta("366D") + pd.Timedelta("5h")
+    again = learned.from_origin_s(hours + (record.origin - before).total_seconds(), before)
+    np.testing.assert_array_equal(learned.usual_at(again), learned.usual_at(hours))
+    then = replace(record, time_s=record.time_s + (record.origin - before).total_seconds(), origin=before)
+    ahead = read_forecast(home.forecast(), measured)
+    shifted = replace(ahead, time_s=ahead.time_s + (record.origin - before).total_seconds())
+    plans = [controller(measured).plan(Observation(*one)) for one in ((record, ahead), (then, shifted))]
+    assert [one.value for one in plans[1].settings[0]] == [one.value for one in plans[0].settings[0]]
+    assert plans[1].saving.cost_alone == pytest.approx(plans[0].saving.cost_alone)
 
 
 def test_a_plan_asks_for_no_more_than_its_set_points_bring(home):

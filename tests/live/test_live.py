@@ -229,6 +229,57 @@ def test_what_is_past_when_a_plan_is_there_is_not_set_any_more():
     assert {levels["actuator"] for _, levels, _ in house.written[:-1]} == {0.0}
 
 
+BY_SETPOINT = {"kind": "setpoint", "column": "T", "minimum": 18, "maximum": 24}
+
+
+@pytest.mark.parametrize(
+    ("command", "told", "written", "refused"),
+    [
+        (BY_SETPOINT, 21, 21.0, ""),
+        (BY_SETPOINT, np.float32(21.5), 21.5, ""),
+        (BY_SETPOINT, None, None, "a level of 0.4 for 'actuator', of which its set-point is set"),
+        (BY_SETPOINT, 24.5, None, "24.5 °C for 'actuator', which its command in the map does not allow"),
+        (BY_SETPOINT, float("nan"), None, "command of nan"),
+        (BY_SETPOINT, [20.0, 24.0], None, "room set-points, which a connection has none of"),
+        (None, 21.0, None, "a command of 21 for 'actuator', whose level is set"),
+        (None, None, 0.4, ""),
+    ],
+)
+def test_a_level_is_not_written_for_a_command_nor_what_its_map_does_not_allow(command, told, written, refused):
+    house, controller = SimulatedBuilding(), mpc()
+    plan = controller.plan
+    block = Block(0.4, 3600.0, told if isinstance(told, list) else (told,))
+    controller.plan = lambda observation, state=None: replace(plan(observation, state), blocks=(block,))
+    rules = RULES | {"actuators": {"actuator": {"level": "u", "command": command}}}
+    decisions = []
+    building = LiveBuilding(house, MeasurementMap.model_validate(rules), 3600.0)
+    control(building, controller, clock=house, steps=1, told=decisions.append)
+    assert house.written[0][1] == {"actuator": written}
+    assert refused in decisions[0].refused
+    assert bool(refused) == bool(decisions[0].refused)
+    assert house.written[-1][1] == {"actuator": None}
+
+
+@pytest.mark.parametrize("jump", [-5 * HOUR, 5 * HOUR])
+def test_nothing_is_set_for_less_than_no_time_or_for_longer_than_a_step(jump):
+    """A machine sleeps until the second block of a step is over, or its clock is set back while it waits for it."""
+    house = SimulatedBuilding()
+    now, wait, off = house.now, house.wait_until, [0 * HOUR]
+    house.now = lambda: now() + off[0]
+
+    def waited(at):
+        until = at - off[0]
+        if not off[0] and until > START + HOUR / 10:
+            off[0] = jump
+        wait(until)
+
+    house.wait_until = waited
+    in_two_blocks(house, 3)
+    assert all(0.0 < seconds <= 3600.0 + 120.0 for *_, seconds in house.written[:-1])
+    real = [at for at, *_ in house.written]
+    assert all((later - at) <= pd.Timedelta(seconds=3600.0 + 120.0) for at, later in pairwise(real))
+
+
 @pytest.mark.parametrize("error", [TimeoutError("no answer"), KeyboardInterrupt()])
 def test_a_level_that_was_set_by_a_call_that_failed_is_given_back(error):
     house = SimulatedBuilding()

@@ -41,6 +41,36 @@ def path(tmp_path):
     return tmp_path / "log.csv"
 
 
+@pytest.mark.parametrize("behind", ["", "\x00" * 64], ids=["torn", "nul"])
+def test_a_last_line_torn_at_any_byte_tells_nothing_that_was_not_measured(path, behind):
+    """Of a room in the last column too, of which the first digits are another number."""
+    header, row = "time,out,u,P,T\n", "2025-01-12 00:00:00,2.2,1,1000,21.4"
+    rows = [line.strip().split(",") for line in lines()]
+    whole = header + "".join(",".join([t, out, u, P, T]) + "\n" for t, T, out, u, P in rows[:-1])
+    for cut in range(len(row) + 1):
+        path.write_text(whole + row[:cut] + behind)
+        at = NOW.tz_convert("UTC").floor("15min")
+        found = read_measurements(str(path), RULES, step_s=900.0, at=at, now=NOW)
+        assert np.nanmin(found.record.T_zone_C) > 20.5, row[:cut]
+        assert len(found.left_out) <= 2
+
+
+def test_a_torn_line_with_the_next_one_behind_it_is_no_row(path):
+    """Its last cells are empty: as many as there are names, but for one that ends the line."""
+    last = "2025-01-12 00:00:00,21.2,2.2,,\n"
+    for cut in range(1, len(last)):
+        found = live(path, [*lines()[:-1], last[:cut] + last])
+        assert np.nanmax(found.record.T_out_C) < 3.0, last[:cut] + last
+        assert np.nanmin(found.record.T_zone_C) > 20.0
+        assert found.left_out
+
+
+def test_rows_that_end_with_a_separator_are_rows(path):
+    rows = [line.replace("\n", ",\n") for line in lines()]
+    assert not live(path, rows).left_out
+    assert not live(path, [*rows[:-1], rows[-1].rstrip("\n")]).left_out
+
+
 @pytest.mark.parametrize(
     ("wrong", "note"),
     [

@@ -37,6 +37,10 @@ class Command(StrictModel):
     def values(self, low: float, high: float) -> Array:
         """What can be set from `low` to `high` (n,), rising; the nearest one where there is none between."""
 
+    def allows(self, value: float) -> bool:
+        """Whether `value` may be set at any time."""
+        return bool(np.isfinite(value))
+
     @abstractmethod
     def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
         """Least and largest command (N,) each, with comfort bounds of the room, °C, and what it usually is, (N,)."""
@@ -69,15 +73,27 @@ class StepwiseCommand(Command):
                 raise ValueError(f"minimum ({self.minimum:g}) must be below maximum ({self.maximum:g})")
             if (self.maximum - self.minimum) / self.resolution > _MOST_VALUES:
                 raise ValueError(f"more than {_MOST_VALUES} commands: a larger resolution, or a smaller range")
+            if np.ceil(self.minimum / self.resolution - SAME) > np.floor(self.maximum / self.resolution + SAME):
+                raise ValueError(
+                    f"there is no multiple of resolution ({self.resolution:g}) from minimum ({self.minimum:g}) to "
+                    f"maximum ({self.maximum:g})"
+                )
         return self
 
     def values(self, low: float, high: float) -> Array:
         """See `Command.values`."""
         first, last = np.ceil(low / self.resolution - SAME), np.floor(high / self.resolution + SAME)
         if first > last:
-            return np.array([round(0.5 * (low + high) / self.resolution) * self.resolution])
+            around = np.round(np.array([last, first]) * self.resolution, 9)
+            around = around[[self.allows(value) for value in around]]
+            return around[[int(np.argmin(np.abs(around - 0.5 * (low + high))))]]
         last = min(last, first + _MOST_VALUES)
         return np.asarray(np.round(np.arange(first, last + 1.0) * self.resolution, 9))
+
+    def allows(self, value: float) -> bool:
+        """See `Command.allows`."""
+        above = self.minimum is None or value >= self.minimum - SAME
+        return above and (self.maximum is None or value <= self.maximum + SAME) and super().allows(value)
 
     def within(self, low: Array, high: Array) -> tuple[Array, Array]:
         """`low` and `high` (N,) inside `minimum` and `maximum`, in order."""

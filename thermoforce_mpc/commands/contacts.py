@@ -31,6 +31,8 @@ class SGReady(Command):
     def _are_states(cls, states: tuple[int, ...]) -> tuple[int, ...]:
         if not states or not set(states) <= set(_SG_STATES):
             raise ValueError("states of SG-Ready are 1 blocked, 2 normal, 3 recommended, 4 ordered")
+        if set(states) == {1}:
+            raise ValueError("states of SG-Ready: blocked alone cannot be held, name another one")
         return tuple(sorted(set(states)))
 
     def values(self, low: float, high: float) -> Array:
@@ -42,6 +44,10 @@ class SGReady(Command):
     def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
         """See `Command.limits`."""
         return np.full(lower_C.shape, float(self.states[0])), np.full(upper_C.shape, float(self.states[-1]))
+
+    def allows(self, value: float) -> bool:
+        """See `Command.allows`."""
+        return any(abs(value - state) <= SAME for state in self.states)
 
     def longest_s(self, value: float) -> float:
         """See `Command.longest_s`."""
@@ -62,6 +68,10 @@ class Enable(Command):
     def values(self, low: float, high: float) -> Array:
         """See `Command.values`."""
         return np.array([0.0, 1.0])
+
+    def allows(self, value: float) -> bool:
+        """See `Command.allows`."""
+        return value in (0.0, 1.0)
 
     def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
         """See `Command.limits`."""

@@ -11,6 +11,7 @@ the loop does within a step, and what else moves it, is `spread`.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,9 @@ from scipy.optimize import isotonic_regression, nnls
 from thermoforce_mpc.commands.command import SAME, Command
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import DataError
+
+if TYPE_CHECKING:  # loaded only where tables are read
+    import pandas as pd
 
 # Least record of a command, and least difference that it must have made to the level, with 95 % certainty.
 _LEAST_H, _LEAST_EFFECT, _CERTAIN = 72.0, 0.02, 1.645
@@ -96,8 +100,8 @@ class LoopMap:
 class LearnedCommand:
     """A command with its map, and what was set until now.
 
-    `last`: the command now (NaN: not known), held for `held_s`; `usual` (n,): what it is when left alone, at the times
-    of a week from its beginning on, in equal parts.
+    `last`: the command (NaN: not known) at `last_s`, s, held for `held_s`; `usual` (n,): what it is when left alone, at
+    the times of a week, in equal parts, from `origin` on. Seconds count from there; None: from where a plan's do.
     """
 
     command: Command
@@ -105,11 +109,19 @@ class LearnedCommand:
     last: float
     held_s: float
     usual: Array
+    last_s: float
+    origin: pd.Timestamp | None = None
 
     @property
     def in_words(self) -> str:
         """What is set, and what is known of its loop."""
         return f"set by {self.command.name_in_words}, whose map {self.loop.in_words}"
+
+    def from_origin_s(self, time_s: Array, origin: pd.Timestamp | None) -> Array:
+        """`time_s` (N,), s from `origin`, counted from that of the record, which may have begun in another year."""
+        if origin is None or self.origin is None:
+            return time_s
+        return np.asarray(time_s + (origin - self.origin).total_seconds())
 
     def usual_at(self, time_s: Array) -> Array:
         """What the command is when it is left alone, at `time_s` (N,), s."""
@@ -141,7 +153,8 @@ def learn_command(
     last = float(value[known[-1]])
     changed = known[np.abs(value[known] - last) > SAME]
     since = int(changed[-1]) + 1 if changed.size else int(known[0])
-    return LearnedCommand(command, loop, last, float(time_s[-1] - time_s[since]), _usual(value[:-1], time_s[:-1]))
+    held_s, now_s = float(time_s[-1] - time_s[since]), float(time_s[-1])
+    return LearnedCommand(command, loop, last, held_s, _usual(value[:-1], time_s[:-1]), now_s)
 
 
 def _means(values: Array) -> Array:

@@ -82,7 +82,7 @@ class Block:
 
     def __init__(self, u: Levels, duration_s: float, command: Commands = None) -> None:
         levels: tuple[Any, ...] = tuple(u) if isinstance(u, Sequence) else (u,)
-        commands = commands_of_each(command, len(levels))
+        commands = tuple(map(_as_told, commands_of_each(command, len(levels))))
         if len(commands) != len(levels):
             raise DataError(f"a block of {len(levels)} levels has {len(commands)} commands")
         object.__setattr__(self, "u", tuple(None if level is None else float(level) for level in levels))
@@ -103,6 +103,15 @@ class Block:
     def as_array(self) -> Array:
         """Levels (A,), NaN under native control."""
         return np.array([np.nan if level is None else level for level in self.u])
+
+
+def _as_told(value: Any) -> Any:
+    """A command as `CommandValue`; what is none stays, for the check before the plant."""
+    if isinstance(value, int | float | np.integer | np.floating | np.bool_):
+        return float(value)
+    if isinstance(value, tuple | list | np.ndarray) and np.shape(value) == (2,):
+        return tuple(map(_as_told, value))
+    return value
 
 
 def commands_of_each(command: Commands, n: int) -> tuple[Any, ...]:

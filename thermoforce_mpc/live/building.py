@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from controllers.safety.deadline import BoundedCalls, Crashed
+from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Record
 from thermoforce_mpc.errors import DataError, InputError, NoForecast, PlantError
@@ -65,6 +66,11 @@ class LiveBuilding:
     def names(self) -> tuple[str, ...]:
         """Names of the actuators that are set."""
         return self._rules.names.actuators if self._measured is None else self._measured.record.names.actuators
+
+    def command_of(self, name: str) -> Command | None:
+        """What is set in the place of the level of an actuator, by the map; None where its level is."""
+        actuator = self._rules.actuators.get(name)
+        return None if actuator is None else actuator.command
 
     @property
     def layout(self) -> Layout:
@@ -120,7 +126,8 @@ class LiveBuilding:
 
     def commands(self) -> dict[str, LearnedCommand]:
         """The commands of the map, with what the measurements tell of them; raises as `record`, and `DataError`."""
-        measured = read_measurements(self._call("measurements"), self._rules, step_s=self._step_s)
+        now = pd.Timestamp.now("UTC")  # a table that a machine appends to, also after a power failure
+        measured = read_measurements(self._call("measurements"), self._rules, step_s=self._step_s, now=now)
         return learned_commands(measured.served())
 
     def _ahead(self, measured: Measurements, now: pd.Timestamp) -> tuple[str, ...]:

@@ -117,8 +117,6 @@ def control(
 class _Building:
     """A real building as the driver of a loop: it goes on by itself, and may fail at any time."""
 
-    takes_room_setpoints = False
-
     def __init__(
         self,
         building: LiveBuilding,
@@ -170,6 +168,24 @@ class _Building:
         self._instant = self._next
         self._clock.wait_until(self._instant + self._delay)
         return True
+
+    def unfit(self, blocks: Sequence[Block]) -> str:
+        """See `LoopDriver.unfit`: of each actuator its level is set, or the command of its map within its limits."""
+        for block in blocks:
+            for name, u, told in zip(self._building.names, block.u, block.command, strict=True):
+                command = self._building.command_of(name)
+                if isinstance(told, tuple):
+                    return "room set-points, which a connection has none of"
+                if u is None:
+                    continue
+                if command is None:
+                    if told is not None:
+                        return f"a command of {told:g} for '{name}', whose level is set"
+                elif told is None:
+                    return f"a level of {u:g} for '{name}', of which {command.name_in_words} is set"
+                elif not command.allows(told):
+                    return f"{command.in_words(told)} for '{name}', which its command in the map does not allow"
+        return ""
 
     def read(self) -> Believed:
         """See `LoopDriver.read`."""
@@ -236,9 +252,10 @@ class _Building:
         self._keep(self._at, decided.before, state)
         for block in decided.blocks:
             until = min(begin + pd.Timedelta(seconds=block.duration_s), end)
-            if until > self._clock.now():
-                self._clock.wait_until(begin)
-                hold_s = (end - self._clock.now()).total_seconds() + beyond_s
+            # No longer than a step, where the clock was set back; a machine that slept may wake after the block's end.
+            self._clock.wait_until(min(begin, self._clock.now() + self._step))
+            if until > (now := self._clock.now()):
+                hold_s = min((end - now).total_seconds(), self._step.total_seconds()) + beyond_s
                 taken = self._write(block.told, hold_s)
                 start_s = self._building.time_s(begin)
                 # A plan whose levels were not taken did not act.
@@ -249,7 +266,7 @@ class _Building:
                 self._applied = [*self._applied, done][-_REMEMBERED:]
                 self._keep(self._at, decided.before, state)
             begin = until
-        self._clock.wait_until(end)
+        self._clock.wait_until(min(end, self._clock.now() + self._step))
         return state
 
     def _keep(self, instant: pd.Timestamp, before: object, after: object) -> None:

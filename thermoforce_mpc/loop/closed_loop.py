@@ -193,7 +193,6 @@ def run_closed_loop(
 class _Simulated:
     """A simulated plant as the driver of a loop: its clock goes on where it is advanced."""
 
-    takes_room_setpoints = True  # a plant that has none refuses them itself
     begun_anew = False
     start: Measurement
 
@@ -234,6 +233,10 @@ class _Simulated:
         """See `LoopDriver.read`."""
         as_read = self._history if self.steps else self._as_read
         return Believed(self._history, as_read, self._notes, self._end_s - self._now_s, self._lowest)
+
+    def unfit(self, blocks: Sequence[Block]) -> str:
+        """See `LoopDriver.unfit`: the plant refuses itself what it has not."""
+        return ""
 
     def units(self) -> UnitDoubts | None:
         """See `LoopDriver.units`."""

@@ -83,7 +83,6 @@ class Decided:
 class LoopDriver(Protocol):
     """What is controlled in a loop."""
 
-    takes_room_setpoints: bool
     begun_anew: bool
     """Whether what was known is of times that come again: the controller then begins anew, too."""
 
@@ -95,6 +94,9 @@ class LoopDriver(Protocol):
 
     def read(self) -> Believed:
         """What is known now."""
+
+    def unfit(self, blocks: Sequence[Block]) -> str:
+        """Why checked blocks are none for what is controlled, in words; empty where they may be applied."""
 
     def units(self) -> UnitDoubts | None:
         """What looks for wrong units, asked for once after the first reading."""
@@ -156,9 +158,8 @@ class Loop:
         # Records do not hold the controller's state, which grows with the run; only the latest is kept.
         plan, after = replace(plan, state=None), plan.state
         blocks, refused = checked_blocks(plan, controller.step_s, believed.left_s, believed.lowest, history.names)
-        bands = any(isinstance(command, tuple) for block in blocks for command in block.command)
-        if bands and not self._driver.takes_room_setpoints:
-            refused = "refused room set-points, which a connection has none of: native control instead"
+        if not refused and (unfit := self._driver.unfit(blocks)):
+            refused = f"refused {unfit}: native control instead"
             blocks = (Block.native(len(history.names.actuators), min(controller.step_s, believed.left_s)),)
         return Decided(
             index,

@@ -348,7 +348,8 @@ def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
         if command is not None:
             T_zone_C, was = record.T_zone_C[measured.layout.home[a]], measured.commands[name]
             where = f"actuators.{name}.command (column {command.column})"
-            out[name] = learn_command(command, was, T_zone_C, record.T_out_C, record.u[a], record.time_s, where)
+            learned = learn_command(command, was, T_zone_C, record.T_out_C, record.u[a], record.time_s, where)
+            out[name] = replace(learned, origin=record.origin)
     return out
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import xml.etree.ElementTree as ElementTree
 import zipfile
 from collections.abc import Callable, Mapping
@@ -60,7 +61,11 @@ def bare_fmu(script: Path, file: Path) -> Path:
     """The FMU as PythonFMU builds it of a script that imports `fmu_points`."""
     from pythonfmu.builder import FmuBuilder
 
-    built: Path = FmuBuilder.build_FMU(script, file, project_files=[_HERE / "fmu_points.py"])
+    sys.path.insert(0, str(_HERE))  # PythonFMU finds what a script imports from another folder no other way
+    try:
+        built: Path = FmuBuilder.build_FMU(script, file, project_files=[_HERE / "fmu_points.py"])
+    finally:
+        sys.path.remove(str(_HERE))
     return built
 
 

@@ -303,3 +303,10 @@ def test_whatever_is_asked_in_whatever_state_one_of_a_group_acts(asked, machine_
         assert all(sum(block.duration_s for block in blocks) == pytest.approx(900.0) for blocks in acted.blocks)
         for a in acted.excluded:
             assert not any(levels[a])
+
+
+def test_one_of_a_group_is_not_set_by_a_command():
+    """A command does not tell whether what answers to it runs; a level of 0 in its place would be a command of 0."""
+    learned = dict.fromkeys(["heating_coil"])
+    with pytest.raises(ConfigError, match="heating_coil excludes others, and is set by a command"):
+        ThermoForceMPC(model(exclusive=((HEAT, COOL),)), commands=learned)

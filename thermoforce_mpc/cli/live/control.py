@@ -104,6 +104,7 @@ def control(
     ):
         commands = commands_of(building, rules, options.step_s or thermal.operator.step_s)
         mpc = ThermoForceMPC(thermal, options, commands=commands)
+        key = controller_key(thermal, mpc.config, {name: learned.command for name, learned in commands.items()})
         say(f"Control of {', '.join(thermal.names.actuators)} by connection {connection}; log: {out}/log.jsonl")
         say(f"Actuation: {mpc.actuation_in_words}")
         control(
@@ -112,7 +113,7 @@ def control(
             steps=steps,
             delay_s=0.0 if dry_run else delay_s,
             dry=dry_run,
-            kept=None if dry_run else KeptState(out / "state.npz", controller_key(thermal, mpc.config)),
+            kept=None if dry_run else KeptState(out / "state.npz", key),
             told=_told(say, commands),
             sets=set_by(building, connection, chosen.get("connection", {})),
         )

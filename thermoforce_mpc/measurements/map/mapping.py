@@ -166,6 +166,13 @@ class MeasurementMap(StrictModel):
         for name, zone in self.zones.items():
             if zone.temperature.columns == self.outdoor.columns:
                 raise ValueError(f"zones.{name}.temperature and outdoor are the same column")
+        set_by: dict[str, str] = {}
+        for name, actuator in self.actuators.items():
+            if actuator.command is not None and (other := set_by.setdefault(actuator.command.column, name)) != name:
+                raise ValueError(
+                    f"actuators.{name}.command: column '{actuator.command.column}' is the command of {other} too, and "
+                    "one command cannot have two values: name it at the actuator that answers to it most"
+                )
         if self.comfort is not None:
             try:
                 self.comfort.strictest_C(tuple(self.zones))

@@ -38,6 +38,8 @@ _FAR_S, _FEW = 86400.0, 0.01
 _FAR_FROM_MOST_S = 5 * 365 * 86400.0
 _EMPTY = frozenset(("", "nan", "NaN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A", *MISSING))
 _SHOWN = 60
+# Rows before the last one whose cells tell how long one of its last column is at least.
+_BEFORE = 100
 
 
 @dataclass
@@ -184,6 +186,7 @@ def _rows(
     """Line numbers and cells of the lines from `first` on that can be split into as many cells as there are `names`."""
     rows: list[list[str]] = []
     numbers: list[int] = []
+    longer: dict[int, tuple[int, str]] = {}
     text = content.decode(form.encoding, errors="replace")
     for number, line in enumerate(io.StringIO(text, newline=None), start=1):
         if number <= first or not line.strip() or (form.comment and line.startswith(form.comment)):
@@ -200,6 +203,7 @@ def _rows(
         cells = line.split(separator) if '"' not in line else next(csv.reader([line], delimiter=separator), [])
         if len(cells) == len(names) + 1 and not cells[-1].strip():
             cells.pop()
+            longer[len(rows)] = number, line
         cells = [cell.strip() for cell in cells]
         if cells == names:
             left.add("the header again", number)
@@ -208,7 +212,25 @@ def _rows(
         else:
             rows.append(cells)
             numbers.append(number)
+    open_end = text[-1:] not in ("\n", "\r") and len(rows) - 1 not in longer
+    if rows and open_end and numbers[-1] == number:
+        _leave_cut(rows, numbers[-1], left)
+    longer = {row: of for row, of in longer.items() if row < len(rows)}
+    if 2 * len(longer) <= len(rows):  # not as its rows end: a line that was torn, with the next one behind it
+        for number, line in longer.values():
+            left.add(f"{counted(len(names) + 1, 'cell')}, the header has {len(names)}", number, line)
+        kept = [row for row in range(len(rows)) if row not in longer]
+        rows, numbers = [rows[row] for row in kept], [numbers[row] for row in kept]
     return np.array(numbers, dtype=np.intp), rows
+
+
+def _leave_cut(rows: list[list[str]], number: int, left: _Left) -> None:
+    """Empty the last cell of a file that ends in it where it is shorter than all before: it is still being written."""
+    *before, last = (row[-1] for row in rows[-_BEFORE - 1 :])
+    lengths = [len(cell) for cell in before if cell not in _EMPTY]
+    if last and lengths and len(last) < min(lengths):
+        left.add("its last cell is cut off", number, last)
+        rows[-1] = [*rows[-1][:-1], ""]
 
 
 def _numbers(
