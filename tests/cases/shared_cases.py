@@ -118,6 +118,38 @@ CASES = (
     ),
     Case("locator_warning", ("Picture: data_check.png",), run=("data check $C/ok.csv --map $C/ok.yaml --no-fit",)),
     Case("reversible", ("COMPETENT", "Plan from", "Plan from"), (r"leave \(0, 1\)", "belong together", _TRACES)),
+    Case("min_run", (r"10 min\)\n", r"7200\n.*\n\[(?=.*0\.0, 0\.0)(?=.*1\.0, 1\.0)(0\.0|1\.0|, )+\]")),
+    Case(
+        "price_tail",
+        ("== complete", "UTC  pump", "exit code 0", "UTC  pump", "exit code 0", "UTC  pump", "exit code 0"),
+    ),
+    Case("plan_late_readings", (r"Plan from 2025-02-09 23:45", r"09 Feb 23:45 .*100 %")),
+    Case(
+        "plan_step",
+        (
+            "Plan from 2025-02-10 00:00",
+            "--step 7min: a plan of",
+            "--step 30: has no unit",
+            "--step 1h30min: is no step",
+        ),
+        ("end at 23:40", "3e-08", _TRACES),
+    ),
+    Case("future_stamps", ("true_clock", "exit code 0", "exit code 2", r"after the clock.*time\.zone")),
+    Case(
+        "gate_levels_in_plan",
+        (
+            "own control +own control",
+            "own control, set nothing: bounds of south, meeting",
+            '"u\\[south_valve\\]": null',
+        ),
+        (r'"u\[(south|meeting)_valve\]": \d', _TRACES),
+        (
+            "identify --data $C/metasys.csv.gz --map $C/map.yaml --out office",
+            "plan --model office --data $C/office_recent.csv.gz --map $C/map.yaml --forecast $C/forecast.csv "
+            "--hours 24 --out plan.json",
+            "cat plan.json",
+        ),
+    ),
     Case(
         "embed_own_plant",
         ("A record ends with a row of now.*append one",),
@@ -155,7 +187,14 @@ def _ran(words: str, folder: Path, where: Path, environment: dict[str, str]) -> 
         first = "" if words.split()[0] in ("cat", "python") else "tf-mpc "
         command = first + words.replace("$C", shlex.quote(str(folder)))
     done = subprocess.run(
-        ["bash", "-c", command], cwd=where, env=environment, capture_output=True, text=True, timeout=900, check=False
+        ["bash", "-c", command],
+        cwd=where,
+        env=environment,
+        capture_output=True,
+        text=True,
+        errors="replace",
+        timeout=900,
+        check=False,
     )
     return done.stdout + done.stderr
 

@@ -49,6 +49,13 @@ def test_weather_is_interpolated_and_schedules_hold(measured):
     assert earlier.T_out_C[0] == 24
 
 
+def test_a_forecast_without_the_columns_of_the_map_says_how_to_name_its_own(measured, tmp_path):
+    hourly().rename(columns={"out": "t2m"}).to_csv(tmp_path / "weather.csv")
+    for now in (None, pd.Timestamp("2025-01-11", tz="Europe/Brussels")):
+        with pytest.raises(DataError, match=r"no column 'out'; there are .*t2m.*forecast: \{outdoor: NAME"):
+            read_forecast(tmp_path / "weather.csv", measured, now=now)
+
+
 def test_other_columns_for_the_forecast(measured, tmp_path):
     rules = {**RULES, "forecast": {"outdoor": {"column": "t2m", "unit": "K"}, "sun": "ghi", "price": 0.5, "upper": 25}}
     df = hourly().rename(columns={"out": "t2m", "sun": "ghi"})

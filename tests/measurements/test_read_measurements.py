@@ -332,6 +332,26 @@ def test_lines_with_other_than_all_cells_are_refused(tmp_path):
     assert tf.read_measurements(path, rules).record.n_steps == 191, "a separator at the end of every row"
 
 
+def test_separators_in_quotes_part_no_cells(tmp_path):
+    df = house().assign(note="north, upper floor")
+    path, rules = written(tmp_path, df)
+    assert tf.read_measurements(path, rules).record.n_steps == 191
+    df["P"] = [f"{power:,.0f}" for power in df["P"]]
+    path, rules = written(tmp_path, df)
+    with pytest.raises(DataError, match=r"'P' holds '1,500', .* without marks between thousands"):
+        tf.read_measurements(path, rules)
+
+
+@pytest.mark.parametrize("quoted", [False, True])
+def test_exports_joined_end_to_end_are_one_table(tmp_path, quoted):
+    path, rules = written(tmp_path, house())
+    header, *rows = path.read_text().splitlines()
+    header = ",".join(f'"{name}"' for name in header.split(",")) if quoted else header
+    path.write_text("\n".join([header, *rows[:90], header, *rows[90:]]) + "\n")
+    assert tf.read_measurements(path, rules).record.n_steps == 191
+    assert "FILL IN" not in starting_map(path)
+
+
 COMMA = BASE | {"csv": {"decimal": ","}}
 
 

@@ -101,6 +101,8 @@ def test_a_thermostat_that_writes_on_and_off_has_a_level(tmp_path):
         ("02/03/2025 08:00", ["format: '%d/%m/%Y %H:%M'  # CHECK: or '%m/%d/%Y %H:%M'"]),
         ("2025.02.13 08h00", ["format: '%Y.%m.%d %Hh%M'\n"]),
         ("13. Mär 2025 08:00 Uhr", ["format: '%d. %b %Y %H:%M'\n"]),
+        ("13 agosto 2025 08:00", ["format: '%d %b %Y %H:%M'\n"]),
+        ("13-ene-2025 08:00", ["format: '%d-%b-%Y %H:%M'\n"]),
         ("13 of 2 2025 at 8", ["format: FILL IN", "13 of 2 2025"]),
     ],
 )
@@ -108,6 +110,53 @@ def test_a_starting_map_says_how_it_read_the_stamps(tmp_path, first, expected):
     (tmp_path / "house.csv").write_text(f"at,T_room\n{first},20\n")
     text = starting_map(tmp_path / "house.csv")
     assert all(words in text for words in expected)
+
+
+LANGUAGES = {
+    "Italian": "Data;Ora;Temperatura soggiorno;Temperatura esterna;Radiazione solare;Valvola soggiorno;"
+    "Potenza pompa di calore (kW);Temp. impostata soggiorno;Temperatura mandata;Umidità soggiorno;Finestra cucina",
+    "Spanish": "Fecha;Hora;Temp ambiente salón;Temp exterior;Radiación;Válvula salón (%);"
+    "Potencia bomba de calor (kW);Consigna salón;Temp. impulsión;Humedad salón;Ventana salón",
+    "French": "Date;Heure;Température salon;Température extérieure;Rayonnement;Vanne salon;"
+    "Puissance pompe à chaleur (kW);Consigne salon;Température départ;Humidité salon;Fenêtre salon",
+}
+
+
+@pytest.mark.parametrize("names", LANGUAGES.values(), ids=LANGUAGES)
+def test_names_in_languages_of_europe(tmp_path, names):
+    """The sheet has the same columns in each: day, hour, room, outdoors, sun, valve, power; four that no map uses."""
+    day, hour, room, outdoor, sun, valve, power, *unused = names.split(";")
+    at, k = pd.date_range("2025-01-20", periods=384, freq="15min"), np.arange(384)
+    of_day = np.sin(2 * np.pi * (k - 36) / 96)
+    df = pd.DataFrame({day: at.strftime("%d/%m/%Y"), hour: at.strftime("%H:%M")})
+    df[room], df[outdoor], df[sun] = 21 + of_day + k % 7 / 10, 3 + 5 * of_day, np.maximum(0, 300 * of_day)
+    df[valve], df[power] = k % 11 * 10, 0.3 * (k % 11)
+    for name, values in zip(unused, (20.0 + k // 48 % 2, 30 + k % 11, 50 + of_day * 9, k // 40 % 2), strict=True):
+        df[name] = values
+    df.to_csv(tmp_path / "house.csv", index=False, sep=";", decimal=",")
+    text = starting_map(tmp_path / "house.csv")
+    rules = yaml.safe_load(text)
+    assert rules["time"]["column"] == [day, hour]
+    assert (rules["outdoor"]["column"], rules["sun"]["column"]) == (outdoor, sun)
+    assert [zone["temperature"]["column"] for zone in rules["zones"].values()] == [room]
+    assert [one["level"] for one in rules["actuators"].values()] == [{"column": valve, "unit": "%"}]
+    assert rules["machines"]["machine"]["power"] == {"column": power, "unit": "kW"}
+    assert f"# not used: {', '.join(unused)}" in text
+
+
+@pytest.mark.parametrize(
+    ("written", "expected"),
+    [
+        ("%m/%d/%Y %I:%M %p", "format: '%m/%d/%Y %I:%M %p'\n"),
+        ("%d/%m/%Y %H:%M", "format: '%d/%m/%Y %H:%M'\n"),
+        ("%y/%m/%d %H:%M", "format: '%y/%m/%d %H:%M'\n"),
+    ],
+)
+def test_days_and_months_are_told_apart_by_the_length_of_the_record(tmp_path, written, expected):
+    """From 6 to 10 February both orders fit every stamp, and the wrong one makes months or years of four days."""
+    at = pd.date_range("2025-02-06", "2025-02-10", freq="15min").strftime(written)
+    pd.DataFrame({"at": at, "T_room": 20.0}).to_csv(tmp_path / "house.csv", index=False)
+    assert expected in starting_map(tmp_path / "house.csv")
 
 
 def test_names_in_brackets_are_shown_whole(tmp_path, capsys):

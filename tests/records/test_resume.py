@@ -104,7 +104,7 @@ def test_a_model_that_was_edited_is_refused(whole, tmp_path):
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path):
-    assert "journal.jsonl: cannot be read" in str(call("resume", tmp_path).exception)
+    assert "journal.jsonl: no such file; give the folder of a run" in str(call("resume", tmp_path).exception)
     (tmp_path / "journal.jsonl").write_bytes(b'{"n": 0, "kind": "run"')
     assert "ended before it began" in str(call("resume", tmp_path).exception)
     assert isinstance(call("resume", tmp_path / "nowhere").exception, ConfigError)

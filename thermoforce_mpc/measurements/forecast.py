@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,7 @@ from thermoforce_mpc.measurements.tables.appended import frame_appended, read_ap
 from thermoforce_mpc.measurements.tables.clock import timed
 from thermoforce_mpc.measurements.tables.files import found_files, read_tables
 from thermoforce_mpc.measurements.tables.forms import TableForm
-from thermoforce_mpc.measurements.tables.raw_table import tables_of
+from thermoforce_mpc.measurements.tables.raw_table import NoColumn, tables_of
 from thermoforce_mpc.measurements.tables.recognition import recognised
 
 # Days before now whose hours tell what a price or bound is likely to be.
@@ -72,27 +74,28 @@ def read_forecast(
     clock, notes = ours.time, [] if left_out is None else left_out
     if now is not None:
         clock, latest = clock.lenient(), now + _LATEST
-    if isinstance(file, pd.DataFrame):
-        if now is None:
-            tables = tables_of(file, clock.column, columns, rules.forecast.table or TableForm(), "forecast")
+    with _own_columns():
+        if isinstance(file, pd.DataFrame):
+            if now is None:
+                tables = tables_of(file, clock.column, columns, rules.forecast.table or TableForm(), "forecast")
+            else:
+                tables = [frame_appended(file, columns, clock, latest, notes)]
         else:
-            tables = [frame_appended(file, columns, clock, latest, notes)]
-    else:
-        paths = found_files([file])
-        if len(paths) > 1:
-            raise DataError(f"{file}: names {len(paths)} files, a forecast is one: name the latest")
-        form, csv = rules.forecast.table or TableForm(), rules.forecast.csv or rules.csv
-        if rules.table != TableForm():  # a forecast is a table of another form than the measurements
-            taken = recognised(paths)
-            form, csv = rules.forecast.table or taken.table, rules.forecast.csv or taken.csv
-            if rules.forecast.time is None:
-                zone = taken.clock.zone or rules.time.zone
-                clock = taken.clock.model_copy(update={"zone": zone})
-                clock = clock if now is None else clock.lenient()
-        if now is None:
-            tables = read_tables(paths, clock.column, columns, csv, form, [])
-        else:
-            tables = read_appended(paths, columns, clock, csv, form, latest, notes)
+            paths = found_files([file])
+            if len(paths) > 1:
+                raise DataError(f"{file}: names {len(paths)} files, a forecast is one: name the latest")
+            form, csv = rules.forecast.table or TableForm(), rules.forecast.csv or rules.csv
+            if rules.table != TableForm():  # a forecast is a table of another form than the measurements
+                taken = recognised(paths)
+                form, csv = rules.forecast.table or taken.table, rules.forecast.csv or taken.csv
+                if rules.forecast.time is None:
+                    zone = taken.clock.zone or rules.time.zone
+                    clock = taken.clock.model_copy(update={"zone": zone})
+                    clock = clock if now is None else clock.lenient()
+            if now is None:
+                tables = read_tables(paths, clock.column, columns, csv, form, [])
+            else:
+                tables = read_appended(paths, columns, clock, csv, form, latest, notes)
     table, rows = tables[0], timed(tables, clock, now)
     if now is not None:
         notes += rows.notes
@@ -158,6 +161,18 @@ def read_forecast(
     )  # fmt: skip
     _check_known(boundary, measured, table.name)
     return boundary
+
+
+@contextmanager
+def _own_columns() -> Iterator[None]:
+    """Say how columns of a forecast are named where one is missing."""
+    try:
+        yield
+    except NoColumn as error:
+        raise DataError(
+            f"{error}. Columns of a forecast with other names stand in the key forecast of the map, "
+            "as forecast: {outdoor: NAME, sun: NAME}"
+        ) from error
 
 
 def _as_days_before(

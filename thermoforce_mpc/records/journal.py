@@ -202,6 +202,8 @@ def lines_of(path: Path, at: int = 0) -> Iterator[bytes]:
                 if len(line) > MOST_LINE_BYTES:
                     raise JournalError(f"{path}: a line of more than {MOST_LINE_BYTES:,} bytes, longer than any record")
                 yield line
+    except FileNotFoundError as error:
+        raise JournalError(f"{path}: no such file; give the folder of a run") from error
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise JournalError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
 

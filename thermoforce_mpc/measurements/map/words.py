@@ -1,4 +1,4 @@
-"""Words in names of signals: English, German, French and Dutch, and the abbreviations of building automation.
+"""Words in names of signals: English, German, French, Dutch, Italian, Spanish; abbreviations of building automation.
 
 Abbreviations are those of ASHRAE's and Project Haystack's point lists (OA-T, ZN-T, SAT, VLV), grey-box models write Ti,
 Ta, Ph and Ps (Bacher and Madsen 2011, doi 10.1016/j.enbuild.2011.02.005).
@@ -16,8 +16,9 @@ _WORDS: dict[str, tuple[str, str]] = {
     "outdoor": (
         "out outdoor outdoors outside oa oat oda osa osat ambient amb ext exterior external extern exterieur "
         "exterieure aussen aussenluft ta te tout toa tamb text tex tdb drybulb weather wetter meteo weer buiten "
-        "oataverage toutdoor outdoortemp tdrybul at dehors gevel",
-        "aussen buiten exterieur outdoor outside ambient drybul weather witterung wetter",
+        "oataverage toutdoor outdoortemp tdrybul at dehors gevel "
+        "esterno esterna esterni fuori exteriores externa afuera",
+        "aussen buiten exterieur outdoor outside ambienta ambientt tambient drybul weather witterung wetter estern",
     ),
     "room": (
         "room rooms zone zn znt rm rmt space spt indoor inside innen inne interior interieur int in tin tint ti "
@@ -26,56 +27,67 @@ _WORDS: dict[str, tuple[str, str]] = {
         "keller basement studio nursery guest gast dining lounge corridor lobby meeting conference classroom "
         "stube eg og dg ug cellar loft tzone troom tair tz zat sdb wohnen schlafen kuche kueche buro buero flur "
         "diele house home maison huis haus building apartment wohnung flat tenant suite lab library lib kids "
-        "child children parents eltern piece thermostat ambiance ambiante woning interne",
+        "child children parents eltern piece thermostat ambiance ambiante woning interne "
+        "stanza soggiorno cucina bagno ufficio salotto corridoio interno interna ambiente "
+        "sala habitacion dormitorio cocina oficina pasillo despacho vivienda comedor",
         "zimmer wohn schlaf kinder kuche kueche badezimmer bureau chambre kamer keuken room raum buero innen "
-        "binnen interieur indoor spacetemp office kitchen",
+        "binnen interieur indoor spacetemp office kitchen "
+        "soggiorn habitac dormitor",
     ),
     "temperature": (
         "t temp temps temperature temperatur temperatuur tmp ti ta te tin tout tint text tamb tz tr th degc degf "
         "celsius rt sat rat mat dat oat lwt ewt znt rmt spt zat tzone troom tair tdb toa tex traum tdrybul thermo "
-        "hws hwr chws chwr tsup tret tvl trl istwert",
+        "hws hwr chws chwr tsup tret tvl trl istwert "
+        "temperatura",
         "temperat temp",
     ),
     "setpoint": (
         "sp stp setp set setpoint setpt stpt target targ soll sollwert solltemp consigne cons ingesteld gewenst "
         "streefwaarde setpunt instelling desired wunsch csp hsp clgsp htgsp htsp clsp zsp tset thset tcset tsp "
-        "tsoll wunschtemperatur doel gewuenscht vorgabe occclgsp occhtgsp eff sptrn sollt gewenste ingestelde",
+        "tsoll wunschtemperatur doel gewuenscht vorgabe occclgsp occhtgsp eff sptrn sollt gewenste ingestelde "
+        "impostata impostato consigna deseada deseado objetivo desiderata desiderato",
         "setpoint sollwert solltemp consigne streef instelwaarde wunschtemp settemp targettemp tempset vorgabe "
-        "gewenst ingesteld",
+        "gewenst ingesteld "
+        "impostat consigna desider",
     ),
     "lower": (
-        "lower min minimum tmin unten untere hsp htgsp htsp thset occhtgsp",
+        "lower min minimum tmin unten untere hsp htgsp htsp thset occhtgsp minima minimo inferiore inferior",
         "lower minimal",
     ),
     "upper": (
-        "upper max maximum tmax obere csp clgsp clsp tcset occclgsp",
+        "upper max maximum tmax obere csp clgsp clsp tcset occclgsp massima massimo superiore superior maxima maximo",
         "upper maximal",
     ),
     "supply": (
         "supply sup sat sa dat da flow vorlauf vl depart aller aanvoer lwt hws chws leaving discharge zuluft "
-        "inlet tsup tvl flowtemp soufflage inblaas pulsion",
-        "vorlauf aanvoer supply zuluft discharge soufflage pulsion flowtemp",
+        "inlet tsup tvl flowtemp soufflage inblaas pulsion "
+        "mandata impulsion",
+        "vorlauf aanvoer supply zuluft discharge soufflage pulsion flowtemp mandata impulsion",
     ),
     "return": (
-        "return ret retour rat ra rl rucklauf ruecklauf hwr chwr ewt entering abluft tret trl returntemp reprise",
-        "rucklauf ruecklauf retour return abluft",
+        "return ret retour rat ra rl rucklauf ruecklauf hwr chwr ewt entering abluft tret trl returntemp reprise "
+        "ritorno retorno",
+        "rucklauf ruecklauf retour return abluft ritorno retorno",
     ),
     "water": (
         "water wasser eau buffer puffer tank brine sole evaporator evap condenser cond refrigerant kaeltemittel "
         "hotgas heissgas heater hhw chw hw mixed mat ma exhaust fortluft abgas flue slab ballon speicher storage "
-        "hx coil outlet mixing source quelle glycol collector kollektor cellartank",
+        "hx coil outlet mixing source quelle glycol collector kollektor cellartank "
+        "acqua agua accumulo deposito",
         "puffer speicher wasser water ballon buffer heissgas fortluft condens verdampf brine",
     ),
     "hot water": (
         "dhw ww warmwasser ecs tapwater brauchwasser trinkwasser warmwater sww boilerwater dhwt cylinder geyser "
-        "legionella shower dusche",
+        "legionella shower dusche "
+        "acs acquacalda aguacaliente sanitaria",
         "warmwasser brauchwasser trinkwasser tapwater warmwater hotwater warmtapwater eauchaude",
     ),
     "valve": (
         "valve vlv vp ventil stellventil stellung stellwert stellgrosse stellgroesse stellsignal stellantrieb "
         "vanne klep klepstand afsluiter trv opening ouverture oeffnung offnung hv rv htgvlv clgvlv reheat rhv "
-        "rhvlv ventilstellung ventilposition vannenposition servo actuator aktor vlvo",
-        "ventil valve vanne klepst stellwert stellgr stellsig stellantr",
+        "rhvlv ventilstellung ventilposition vannenposition servo actuator aktor vlvo "
+        "valvola valvula apertura",
+        "ventil valve vanne klepst stellwert stellgr stellsig stellantr valvol valvul",
     ),
     "level": (
         "u level modulation modul mod modulating stage stufe demand cmd command co lvl duty speed drehzahl freq "
@@ -83,23 +95,29 @@ _WORDS: dict[str, tuple[str, str]] = {
         "burner brenner bruleur brander relay relais switch schalter position pos heater heizstab hp heatpump "
         "active aktiv ove output fan boiler waermepumpe warmepumpe wp pac warmtepomp ketel chaudiere kessel "
         "heizung heizen chauffage verwarming heat heating htg stat status run running enable betrieb onoff on "
-        "state signal cool cooling clg climatisation koeling kuhlung kuehlung kuehlen",
-        "modul verdicht compress drehzahl frequen brenner stufe pumpe burner circul umwalz umwaelz toerental drehz",
+        "state signal cool cooling clg climatisation koeling kuhlung kuehlung kuehlen "
+        "velocita velocidad compressore compresor pompa bomba bruciatore quemador riscaldamento calefaccion "
+        "caldaia caldera",
+        "modul verdicht compress drehzahl frequen brenner stufe pumpe burner circul umwalz umwaelz toerental drehz "
+        "riscald calefac",
     ),
     "power": (
         "power pwr p pel watt watts w kw leistung puissance vermogen php pwp elec electric electrical elektrisch "
         "electrique load last strom stroom wattage pe phvac pheat pheating pcomp aufnahmeleistung "
-        "verbrauchsleistung demandkw draw",
-        "power leistung puissance vermogen",
+        "verbrauchsleistung demandkw draw "
+        "potenza potencia",
+        "power leistung puissance vermogen potenza potencia",
     ),
     "energy": (
         "energy energie kwh wh mwh btu verbrauch consumption consommation verbruik conso zahler zaehler compteur "
-        "meter teller meterstand zahlerstand zaehlerstand arbeit total totalizer kwhtot",
-        "energy energie zaehler zahlerst meterst verbrauch consomm verbruik",
+        "meter teller meterstand zahlerstand zaehlerstand arbeit total totalizer kwhtot "
+        "energia consumo contatore contador",
+        "energy energie zaehler zahlerst meterst verbrauch consomm verbruik energia contator",
     ),
     "heat": (
         "heat warme waerme chaleur warmte thermal thermisch thermique q qh qheat phi ph heatflow heizleistung wmz "
-        "heatmeter qdot pth phea qhea thermischvermogen",
+        "heatmeter qdot pth phea qhea thermischvermogen "
+        "calore calor termica termico",
         "warmemeng waermemeng heizleist waermeleist warmeleist heatout thermal calor",
     ),
     "gas": (
@@ -107,25 +125,29 @@ _WORDS: dict[str, tuple[str, str]] = {
         "erdgas gasz",
     ),
     "electric": (
-        "el elec electric electrical elektrisch electrique pel stroom strom php pwp pe",
-        "elektr electr strom",
+        "el elec electric electrical elektrisch electrique pel stroom strom php pwp pe "
+        "elettrica elettrico electrica electrico",
+        "elektr electr strom elettr",
     ),
     "heating machine": (
         "hp heatpump wp warmepumpe waermepumpe pac warmtepomp heater heating heizung chauffage verwarming boiler "
         "kessel ketel chaudiere heizstab hvac ahu compressor verdichter baseboard radiator convector heat furnace "
-        "ac split klima clim airco chiller php pwp phvac pheat pheating pcomp htg",
-        "pompe warmepump waermepump heatpump warmtepomp heizung chauffage verwarm radiat klima",
+        "ac split klima clim airco chiller php pwp phvac pheat pheating pcomp htg "
+        "riscaldamento calefaccion caldaia caldera radiatore radiador",
+        "pompe warmepump waermepump heatpump warmtepomp heizung chauffage verwarm radiat klima riscald calefac",
     ),
     "cooling": (
         "cool cooling clg chw kuhlung kuehlung kuehlen kuhlen kuhl kalte kaelte froid climatisation clim koeling "
-        "koel airco ac chiller klima clgvlv",
-        "kuhl kuehl koel froid climatis kaelte",
+        "koel airco ac chiller klima clgvlv "
+        "raffrescamento raffreddamento refrigeracion freddo climatizzatore",
+        "kuhl kuehl koel froid climatis kaelte raffre refriger",
     ),
     "sun": (
         "sun solar irradiance irrad irradiation ghi glohor hglohor global radiation globalstrahlung strahlung "
         "einstrahlung sonne rayonnement ensoleillement straling zonnestraling instraling pyranometer pyrano ps "
-        "isol igh solrad solradiation solarradiation shortwave poa isolation glorad zon soleil is sol gsol hsol",
-        "irradi strahlung radiation rayonnement straling solar ensoleil",
+        "isol igh solrad solradiation solarradiation shortwave poa isolation glorad zon soleil is sol gsol hsol "
+        "radiazione radiacion irraggiamento solare irradiancia irradianza",
+        "irradi strahlung radiation rayonnement straling solar ensoleil radiazion radiacion irragg",
     ),
     "part of the sun": (
         "dni dhi diffuse diffus diffuus direct direkt beam normal azimuth elevation zenith altitude above rising "
@@ -139,12 +161,14 @@ _WORDS: dict[str, tuple[str, str]] = {
     ),
     "humidity": (
         "rh hum humidity feuchte luftfeuchte luftfeuchtigkeit humidite hr vocht luchtvochtigheid vochtigheid "
-        "moisture relhum",
-        "feucht humid vocht",
+        "moisture relhum "
+        "umidita humedad",
+        "feucht humid vocht umidit humedad",
     ),
     "price": (
-        "price tariff preis prix tarif prijs tarief spot epex cost kosten strompreis dayahead",
-        "preis price tarif",
+        "price tariff preis prix tarif prijs tarief spot epex cost kosten strompreis dayahead "
+        "prezzo precio tariffa tarifa",
+        "preis price tarif prezzo precio tariff",
     ),
     "other": (
         "co2 voc tvoc pm ppm window fenster fenetre raam door tur tuer porte deur motion presence occupancy occ "
@@ -157,9 +181,11 @@ _WORDS: dict[str, tuple[str, str]] = {
         "efficiency filter serial seq sequence line year month day hour minute weekday holiday lat lon "
         "signalstrength staubsauger drucker phone motionsensor bewegungsmelder people persons personen starts "
         "hours betriebsstunden days license quality flags flag rev kitchenlights plug socket steckdose "
-        "stopcontact prise",
+        "stopcontact prise "
+        "finestra ventana porta puerta luce luz vento viento pioggia lluvia pressione presion batteria bateria",
         "fenster bewegung batter humidex pressure steckdose kuehlschr kuhlschr gefrier luftdruck taupunkt "
-        "dewpoint illumin linkqual windspeed betriebsstund durchfluss volumenstr occupan",
+        "dewpoint illumin linkqual windspeed betriebsstund durchfluss volumenstr occupan "
+        "finestra ventana",
     ),
 }
 _WHOLE = {tag: frozenset(whole.split()) for tag, (whole, _) in _WORDS.items()}
@@ -171,6 +197,8 @@ _PAIRS = {
     "outsideair": "outdoor", "outdoorair": "outdoor", "supplyair": "supply", "returnair": "return",
     "linkquality": "other", "dewpoint": "other", "spacetemp": "room", "feedin": "pv", "warmtepomp": "heating machine",
 }  # fmt: skip
+# The heat in the name of a machine is no heat that is measured.
+_HEAT_PUMP = re.compile(r"(?<![a-z])(pomp[ae]|bomba)[ _-]*(a|di|de)[ _-]*(chaleur|calore?)(?![a-z])")
 # Words that say nothing of where a signal is.
 _GENERAL = frozenset(
     (
@@ -207,7 +235,7 @@ def words_of(name: str) -> tuple[str, ...]:
     plain = re.sub(r"deg ?([CFK])(?![a-z])|[\b_]([CFK])$", " ", plain)
     plain = re.sub(r"(?<=[a-zà-ÿ])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})", " ", plain)
     folded = "".join(c for c in unicodedata.normalize("NFKD", plain.lower()) if not unicodedata.combining(c))
-    folded = folded.replace("ß", "ss")
+    folded = _HEAT_PUMP.sub(" heatpump ", folded.replace("ß", "ss"))
     return tuple(re.findall(r"co2|[a-z]+|\d+", folded))
 
 

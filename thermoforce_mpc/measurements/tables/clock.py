@@ -17,10 +17,10 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.tables.forms import TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import ISO, OFFSET, RawTable, full_offsets, with_offset
 
-# Months by how their names begin, in English, German, French and Dutch, without accents.
+# Months by how their names begin, in English, German, French, Dutch, Italian and Spanish, without accents.
 _MONTHS = (
-    "jan", "feb|fev", "mar|maa|mrt|mae", "apr|avr", "may|mai|mei", "jun|juin", "jul|juil", "aug|aou", "sep", "oct|okt",
-    "nov", "dec|dez",
+    "jan|gen|ene", "feb|fev", "mar|maa|mrt|mae", "apr|avr|abr", "may|mai|mei|mag", "jun|juin|giu", "jul|juil|lug",
+    "aug|aou|ago", "sep|set", "oct|okt|ott", "nov", "dec|dez|dic",
 )  # fmt: skip
 _ENGLISH = (
     "January", "February", "March", "April", "May", "June", "July", "August", "September", "October", "November",
@@ -189,7 +189,7 @@ def _in_digits(word: str, form: str | None) -> str | None:
     """What `strptime` knows for the name of a month or a clock, None for other words."""
     if word.upper() in _CLOCKS and word.isupper():
         return f" {_CLOCKS[word]:+03d}00"
-    if word.lower() in ("uhr", "heure", "uur"):
+    if word.lower() in ("uhr", "heure", "uur", "ore", "horas"):
         return ""
     bare = word.lower().translate(str.maketrans("äéèûôç", "aeeuoc"))
     for month, begins in zip(_ENGLISH, _MONTHS, strict=True):

@@ -250,6 +250,7 @@ def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
     with reading(path, " as CSV"):
         df, _ = next(part.frames(None, rows))
     df = df.iloc[:rows]
+    df = df[df.iloc[:, 0].astype(str) != str(df.columns[0])] if len(df.columns) else df  # the header again
     return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
 
 
@@ -510,8 +511,9 @@ def _without_end(df: pd.DataFrame, lines: Any) -> tuple[pd.DataFrame, Lines]:
 def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], first: int) -> list[Any]:
     """Names, places of lines and most cells of each part of a CSV file, whose rows begin at line `first` (from 0).
 
-    Left out are empty lines, those of comment, and headers that come again behind these. Another header there begins
-    another part. Refuses rows with more or fewer cells than their header, whose values would land in wrong columns.
+    Left out are empty lines, those of comment, and the header where it comes again, as in exports joined end to end.
+    Another header behind what is left out begins another part. Refuses rows with more or fewer cells than their header,
+    whose values would land in wrong columns.
     """
     parts: list[tuple[list[str], list[Any]]] = [(names, [])]
     most = len(names)
@@ -522,7 +524,8 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
             kept[: max(0, first - begun)] = False
             n = np.array([line.count(separator) for line in block])
             special = np.array([line[:1] in "\r\n" or line.startswith(form.comment or "\n") for line in block])
-            begins = np.array([line.startswith(_start(parts[-1][0], separator)) for line in block])
+            again = _starts(parts[-1][0], separator)
+            begins = np.array([line.startswith(again) for line in block])
             after = np.append(may_begin, special[:-1])
             may_begin = bool(special[-1])
             kept &= ~special
@@ -531,7 +534,8 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
                 cells = next(csv.reader([block[k].rstrip("\r\n")], delimiter=separator, skipinitialspace=True), [])
                 told = [cell.strip() for cell in cells]
                 current = parts[-1][0]
-                if told in (current, names) and after[k]:  # of a table of its own, as InfluxDB writes them
+                n[k] = max(len(cells), 1) - 1  # separators in quotes part no cells
+                if told in (current, names):
                     kept[k] = False
                     continue
                 if (
@@ -563,9 +567,9 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
     ]
 
 
-def _start(names: Sequence[str], separator: str) -> str:
-    """How a header that comes again begins."""
-    return separator.join(names[:2])
+def _starts(names: Sequence[str], separator: str) -> tuple[str, str]:
+    """How a header that comes again begins, without quotes and with."""
+    return separator.join(names[:2]), separator.join(f'"{name}"' for name in names[:2])
 
 
 def header_of(path: Path, form: CsvFormat) -> tuple[str, list[str], int]:

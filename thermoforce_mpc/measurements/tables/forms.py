@@ -24,8 +24,7 @@ class TimeStampRules(StrictModel):
     format: str | None = Field(
         None,
         description="strptime format, such as %d.%m.%Y %H:%M; default: ISO 8601. Names of months in English, "
-        "German, French "
-        "or Dutch are %b or %B; CET, CEST and the like are %z",
+        "German, French, Dutch, Italian or Spanish are %b or %B; CET, CEST and the like are %z",
     )
     zone: str | None = Field(
         None,

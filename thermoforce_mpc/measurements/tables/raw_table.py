@@ -229,15 +229,19 @@ def _day(column: pd.Series) -> pd.Series:
     return column.astype(str).str.strip().str.removesuffix(" 00:00:00")
 
 
+class NoColumn(DataError):
+    """A table lacks a column that the map names."""
+
+
 def known_column(key: str, columns: pd.Index, name: str) -> str:
-    """`key` if it is among `columns` of the table `name`; else raises `DataError`."""
+    """`key` if it is among `columns` of the table `name`; else raises `NoColumn`."""
     names = [str(column) for column in columns]
     if key not in names:
         first = "; if that is not the line of column names, set csv.skip_lines or csv.separator of the map"
         hint = first if len(names) == 1 else ""
         if key == "FILL IN":
-            raise DataError(f"{name}: the map still says FILL IN; name a column there, one of {', '.join(names)}")
-        raise DataError(f"{name}: no column '{key}'{suggestion(key, names)}; there are {', '.join(names)}{hint}")
+            raise NoColumn(f"{name}: the map still says FILL IN; name a column there, one of {', '.join(names)}")
+        raise NoColumn(f"{name}: no column '{key}'{suggestion(key, names)}; there are {', '.join(names)}{hint}")
     return key
 
 
@@ -284,7 +288,9 @@ def _refuse(column: pd.Series, rows: Sequence[int], key: str, table: RawTable, d
     more = f" ({len(rows)} such cells)" if len(rows) > 1 else ""
     first = str(column.iloc[rows[0]])
     advice = "if it stands for an empty cell, name it in csv.missing of the map"
-    if decimal == "." and re.fullmatch(r"\s*-?\d+,\d+\s*", first):
+    if decimal == "." and re.fullmatch(r"\s*-?[1-9]\d{0,2},\d{3}\s*", first):
+        advice = "write numbers without marks between thousands, or, if it is a decimal comma, set csv: {decimal: ','}"
+    elif decimal == "." and re.fullmatch(r"\s*-?\d+,\d+\s*", first):
         advice = "a decimal comma: set csv: {decimal: ','} in the map"
     elif re.fullmatch(r"\s*-?\d+([.,' ]\d+)+\s*", first):
         advice = f"write numbers without marks between thousands, with '{decimal}' as decimal mark (csv.decimal)"

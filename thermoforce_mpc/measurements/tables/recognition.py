@@ -27,18 +27,19 @@ _TIME = re.compile(
     "?stamp|timestamp|_time|start|end|from|to|ts|at|when|hour|datum|zeit|"
     r"uhrzeit|zeitpunkt|zeitstempel|datum[ /]*zeit|datum[ "
     "/]*uhrzeit|heure|horodatage|horodate|moment|tijd|tijdstip|datumtijd|"
-    r"last_(changed|updated)(_ts)?|time ?utc|utc|local ?time|recorded.*|logged.*|beginn|von|start_ts|created.*)\b"
+    r"last_(changed|updated)(_ts)?|time ?utc|utc|local ?time|recorded.*|logged.*|beginn|von|start_ts|created.*|"
+    r"fecha|hora|ora|orario|marca ?de ?tiempo)\b"
 )
-_DAY = re.compile(r"(?i)^(<>)?(date|datum|day|tag|dag|jour)\b")
-_OF_DAY = re.compile(r"(?i)^(time|uhrzeit|zeit|heure|tijd|uur|hour|time of day|clock)\b")
+_DAY = re.compile(r"(?i)^(<>)?(date|datum|day|tag|dag|jour|fecha|dia|data|giorno)\b")
+_OF_DAY = re.compile(r"(?i)^(time|uhrzeit|zeit|heure|tijd|uur|hour|time of day|clock|hora|ora|orario)\b")
 _POINT = re.compile(
     r"(?i)^(entity_?id|statistic_?id|metadata_?id|point|point.?(name|id)|name|sensor|sensor.?(name|id)|tag|tag.?name|device.*|"
     r"topic|signal|variable|metric|parameter|channel|object.?name|object|item|id|series|datapoint|data.?point|measurement|"
     r"register|messstelle|datenpunkt|kanal|bezeichnung|messpunkt|capteur|grandeur|mesure|punt|meetpunt|naam|nom|room|_field|"
-    r"_measurement|field|trend|trendlog|quantity|key|path|name.path.reference|address|source|ort|raum|type|kind)$"
+    r"_measurement|field|nombre|nome|punto|trend|trendlog|quantity|key|path|name.path.reference|address|source|ort|raum|type|kind)$"
 )
 _VALUE = re.compile(
-    r"(?i)^(value|state|_value|mean|wert|messwert|valeur|waarde|meetwaarde|reading|val|present.?value|object.?value|data|sum|"
+    r"(?i)^(value|state|_value|mean|wert|messwert|valeur|valore|valor|waarde|meetwaarde|reading|val|present.?value|object.?value|data|sum|"
     r"avg|average|numeric_value|float_value|result|actual.?value|istwert|v|y)([ _]*[\[(].*)?$"
 )
 _STATUS = re.compile(r"(?i)^(status|quality|trend ?flags|reliability|qualit.*|flag|flags|statut)$")
@@ -53,7 +54,7 @@ _DAYS = (
     "%Y.%m.%d",
     "%Y%m%d", "%d-%b-%y", "%d-%b-%Y", "%d %b %Y", "%d. %b %Y", "%d %b. %Y", "%d.%b.%Y", "%d.%b %Y", "%d/%b/%Y",
     "%d %b %y", "%b %d, %Y", "%b %d %Y",
-    "%a %d %b %Y", "%a, %d %b %Y", "%d-%m-%y", "%Y-%m-%d",
+    "%a %d %b %Y", "%a, %d %b %Y", "%d-%m-%y", "%Y-%m-%d", "%m-%d-%y", "%y/%m/%d", "%y-%m-%d", "%y.%m.%d",
 )  # fmt: skip
 _CLOCKS = (
     "%H:%M", "%H:%M:%S", "%H:%M:%S.%f", "%I:%M %p", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M%p", "%I:%M:%S%p", "%H.%M",
@@ -67,6 +68,8 @@ _CALLED = (
     ("C[SD]T", "America/Chicago"), ("M[SD]T", "America/Denver"), ("P[SD]T", "America/Los_Angeles"),
 )  # fmt: skip
 _BETWEEN = (" ", ", ", "T", " - ", ":")
+# A reading of day and month under which a record is so many times as long as under another one is wrong.
+_SURELY_LONGER = 5.0
 
 
 @dataclass(frozen=True)
@@ -293,9 +296,12 @@ def _stamp_format(text: pd.Series) -> tuple[str | None, str]:
                         fitting.append(form)
     if not fitting:
         return "FILL IN", f"? stamps such as {text.iloc[0]}: %d day, %m month, %Y year, %H:%M"
-    day = fitting[0].split(" %H")[0].split(" %I")[0]
-    others = [form for form in fitting[1:] if not form.startswith(day)]
-    return fitting[0], f"or '{others[0]}': both fit" if others else ""
+    # Days taken for months make years of days: of the forms that fit, the one under which the record is shortest.
+    lasts = {form: _span(sample_of, form) for form in fitting}
+    best = min(fitting, key=lasts.__getitem__)
+    day = best.split(" %H")[0].split(" %I")[0]
+    others = [form for form in fitting if not form.startswith(day) and lasts[form] <= _SURELY_LONGER * lasts[best]]
+    return best, f"or '{others[0]}': both fit" if others else ""
 
 
 def _fits(text: str, form: str) -> bool:
@@ -312,6 +318,11 @@ def _fits_all(text: pd.Series, form: str) -> bool:
         return False
     back = times.diff() < pd.Timedelta(0)
     return bool(back.sum() <= 1) or bool((times.max() - times.min()) < pd.Timedelta("400D") and back.mean() < 0.2)
+
+
+def _span(text: pd.Series, form: str) -> pd.Timedelta:
+    times = pd.to_datetime(text, format=form, errors="coerce", utc="%z" in form)
+    return pd.Timedelta(times.max() - times.min())
 
 
 def _zone(stamps: pd.Series, as_written: str = "") -> str | None:
