@@ -69,3 +69,4 @@ for entity, told in states.items():
 export = pd.concat(rows)
 export.to_csv(folder / "history.csv", index=False)
 print(f"{folder / 'history.csv'}: {len(export)} rows of {len(states)} entities, 30 days from {minutes[0]:%Y-%m-%d} on")
+print("next: tf-mpc data map history.csv > map.yaml")

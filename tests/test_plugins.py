@@ -212,8 +212,7 @@ done = tf.run("north_house", controller="night_setback", baselines=["native"], p
               progress=False)
 from contextlib import closing
 from thermoforce_mpc.model.free_response.registry import build_free_response
-from thermoforce_mpc.plants.registry import build_plant
-with closing(build_plant(done.scenario.plant, checked, 1)) as plant:
+with closing(checked.plant.build()) as plant:
     plant.reset(86400.0 * 30, 86400.0 * 3)
     past, ahead = plant.past(3600.0), plant.forecast(86400.0, 3600.0)
     forecast = build_free_response("yesterday", spread_K=2.0).forecast(past.T_zone_C[0], past, ahead)

@@ -72,7 +72,7 @@ def test_a_case_runs_each_free_response_on_the_same_days_and_says_where_there_is
     assert first["cost"] != known["cost"]
     assert first["people"] is True
 
-    def refuse(scenario, testcase, plant):
+    def refuse(task, plant):
         raise DataError("too little")
 
     monkeypatch.setattr(worth, "model_for", refuse)

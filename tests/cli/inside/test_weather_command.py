@@ -65,7 +65,7 @@ def test_another_file_of_that_name_in_the_cache_is_refused(tmp_path):
     ("T", "message"),
     [
         ([5.0] * 4000, "4000 hourly rows, a year has 8760; the file is truncated"),
-        ([5.0] * 100 + ["nan"] + [5.0] * 8659, "T_dry_C is nan at day 5, hour 4"),
+        ([5.0] * 100 + ["nan"] + [5.0] * 8659, "hourly row 101: a cell is not a number ('nan' is not a number)"),
         ([5.0] * 100 + ["warm"] + [5.0] * 8659, "a cell is not a number"),
     ],
     ids=["truncated", "NaN", "text"],

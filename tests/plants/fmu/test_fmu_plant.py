@@ -238,7 +238,10 @@ def test_a_description_that_does_not_fit(file, tmp_path, describe, message):
         ({"resources/emissions.csv": "time," * 5000 + "\n0,0.1\n900,0.1\n"}, "line 1 has more than 20,000 bytes"),
         ({"resources/config.json": json.dumps(CONFIG | {"area": 48.0})}, "another building"),
         ({"resources/emissions.csv": None}, "forecast.emission: the FMU .* has no point"),
-        ({"resources/emissions.csv": "time,EmissionsElectricPower\n0,0.1\n900,\n"}, r"data row 2: 'nan' is no number"),
+        (
+            {"resources/emissions.csv": "time,EmissionsElectricPower,Other\n0,0.1,1\n900,,1\n"},
+            r"data row 2: 'nan' is no number",
+        ),
         ({"resources/emissions.csv": "time,EmissionsElectricPower\n900,0.1\n0,0.1\n"}, "'time' must rise"),
         ({"resources/again.csv": "time,TDryBul\n0,280\n900,280\n"}, "already in"),
     ],
