@@ -12,7 +12,7 @@ from thermoforce_mpc.boundary.tariffs import price_doubt, tariff_from_file
 from thermoforce_mpc.data import YEAR_S, Array
 from thermoforce_mpc.data.dataframes import new_year, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.measurements.readings import SignalReadings, durations_s, ends_s, held, longest_s, means
+from thermoforce_mpc.measurements.readings import SignalReadings, durations_s, ends_s, held, held_means, longest_s
 from thermoforce_mpc.measurements.tables.clock import timed
 from thermoforce_mpc.measurements.tables.files import head_of, read_tables
 from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules
@@ -63,11 +63,10 @@ def prices_over_steps(
     time_s = seconds_since(origin, rows.index[known], str(path))
     ends = ends_s(time_s, longest_s(time_s, step_s, None), np.empty(0))
     readings = SignalReadings(time_s, values[known] / factor, ends)
-    price = held(readings, grid_s)
     if time_s.size > 1:
-        lasts = durations_s(readings, "start")
-        over_step = means(time_s, lasts, readings.values, np.append(grid_s, grid_s[-1] + step_s), _SHARE)
-        price = np.where(np.isfinite(over_step), over_step, price)
+        price = held_means(readings, durations_s(readings, "start"), grid_s, step_s, _SHARE)
+    else:
+        price = held(readings, grid_s)
     return price, f"{path}: column {unit}, per kWh"
 
 

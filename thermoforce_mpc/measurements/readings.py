@@ -357,3 +357,12 @@ def held(readings: SignalReadings, at_s: Array) -> Array:
     last = np.searchsorted(readings.time_s, at_s, side="right") - 1
     fresh = (last >= 0) & (at_s <= readings.ends_s[np.maximum(last, 0)])
     return np.where(fresh, readings.values[np.maximum(last, 0)], np.nan)
+
+
+def held_means(readings: SignalReadings, lasts_s: Array, grid_s: Array, step_s: float, coverage: float) -> Array:
+    """What holds over the steps of `step_s` that begin at `grid_s` (n,): its mean, or where little is known, `held`.
+
+    `lasts_s`: how long each reading holds, see `durations_s`; `coverage`: see `means`.
+    """
+    over_step = means(readings.time_s, lasts_s, readings.values, np.append(grid_s, grid_s[-1] + step_s), coverage)
+    return np.where(np.isfinite(over_step), over_step, held(readings, grid_s))

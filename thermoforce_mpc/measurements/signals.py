@@ -25,6 +25,7 @@ from thermoforce_mpc.measurements.readings import (
     durations_s,
     ends_s,
     held,
+    held_means,
     longest_s,
     looks_like_setpoints,
     means,
@@ -87,11 +88,11 @@ class SignalReader:
         if not isinstance(source, Signal):
             return self.scheduled(key, source, PRICE)
         readings, unit, flags = self._readings(key, source, PRICE)
-        values = held(readings, self.grid_s)
         if readings.values.size > 1 and self.grid_s.size > 1:
-            edges = np.append(self.grid_s, self.grid_s[-1] + self._step_s)
-            over_step = means(readings.time_s, self._lasts_s(readings, "start"), readings.values, edges, self._coverage)
-            values = np.where(np.isfinite(over_step), over_step, values)
+            lasts = self._lasts_s(readings, "start")
+            values = held_means(readings, lasts, self.grid_s, self._step_s, self._coverage)
+        else:
+            values = held(readings, self.grid_s)
         return self._summarised(key, source, unit, readings, values, flags)
 
     def _lasts_s(self, readings: SignalReadings, marks: str) -> Array:

@@ -235,9 +235,8 @@ def _without_missing(path: Path, columns: dict[str, Array], height_m: float) -> 
     """Columns (8760,) in the units of files, without the codes for missing values; `DoubtfulInput` says what was done.
 
     Short gaps are bridged on a straight line. A dew point comes from the humidity, a pressure from the height, an
-    opaque
-    cover from the total one or the infrared irradiance. Raises `WeatherError` for longer gaps of what cannot be made
-    up.
+    opaque cover from the total one or the infrared irradiance. Raises `WeatherError` for longer gaps of what cannot be
+    made up.
     """
     gaps = {key: np.isclose(columns[key], code) for key, code in _MISSING.items()}
     gaps = {key: gap for key, gap in gaps.items() if gap.any()}
@@ -309,8 +308,10 @@ def _made_up(
 
 
 def _cover(columns: dict[str, Array]) -> Array:
-    """Opaque cover (8760,), tenths, with which a sky has the infrared irradiance of `columns`; see "
-    "`black_body_sky_C`."""
+    """Opaque cover (8760,), tenths, with which a sky has the infrared irradiance of `columns`.
+
+    See `black_body_sky_C`.
+    """
     tenths: Array = np.linspace(0.0, 10.0, 101)
     T, dew = columns["T_dry_C"], columns["T_dew_C"]
     clear = black_body_sky_C(T, dew, np.zeros(T.size)) + ZERO_C_K
