@@ -36,7 +36,7 @@ def private(text: str) -> list[str]:
 
 
 def test_the_documentation_is_short():
-    assert sum(words(page.read_text(encoding="utf-8")) for page in DOCS.rglob("*.md")) <= 33_500
+    assert sum(words(page.read_text(encoding="utf-8")) for page in DOCS.rglob("*.md")) <= 37_000
 
 
 @pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.stem)
@@ -46,7 +46,7 @@ def test_a_guide_is_short(page):
 
 def test_the_first_page_and_the_changelog_are_short():
     assert words((ROOT / "README.md").read_text(encoding="utf-8")) <= 1_000
-    assert words((ROOT / "CHANGELOG.md").read_text(encoding="utf-8")) <= 2_800
+    assert words((ROOT / "CHANGELOG.md").read_text(encoding="utf-8")) <= 3_000
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
