@@ -135,7 +135,11 @@ def formatted(rows: Sequence[Row], form: str, title: str, currency: str) -> str:
 def _latex(columns: Sequence[str], texts: Sequence[Sequence[str]], names: int) -> str:
     """A table in LaTeX (booktabs), its first `names` columns to the left."""
     layout = "l" * names + "r" * (len(columns) - names)
-    latex = str(pd.DataFrame(texts, columns=columns).to_latex(index=False, escape=True, column_format=layout))
+    latex = str(
+        pd.DataFrame([list(row) for row in texts], columns=list(columns)).to_latex(
+            index=False, escape=True, column_format=layout
+        )
+    )
     for character, command in (("₂", "$_2$"), ("²", "$^2$"), ("·", "$\\cdot$"), ("–", "--"), ("−", "$-$")):
         latex = latex.replace(character, command)
     return latex
