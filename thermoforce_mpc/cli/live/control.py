@@ -80,9 +80,10 @@ def control(
     from thermoforce_mpc.connections.registry import build_connection
     from thermoforce_mpc.connections.sole import set_by
     from thermoforce_mpc.files import storage_errors
-    from thermoforce_mpc.live import KeptState, LiveBuilding, control
+    from thermoforce_mpc.live import KeptState, LiveBuilding, control, real_run
     from thermoforce_mpc.measurements.map.mapping import load_map
     from thermoforce_mpc.model.thermal_model import load_model
+    from thermoforce_mpc.records.live_journal import LiveJournal
     from thermoforce_mpc.records.run_folder import sole_use
     from thermoforce_mpc.records.run_log import logging_to
     from thermoforce_mpc.report.display import RunDisplay
@@ -107,6 +108,7 @@ def control(
         key = controller_key(thermal, mpc.config, {name: learned.command for name, learned in commands.items()})
         say(f"Control of {', '.join(thermal.names.actuators)} by connection {connection}; log: {out}/log.jsonl")
         say(f"Actuation: {mpc.actuation_in_words}")
+        journal = None if dry_run else LiveJournal(out, real_run(out, model, map_file, rules, options, connection))
         control(
             LiveBuilding(building, rules, mpc.step_s, prices),
             mpc,
@@ -114,6 +116,7 @@ def control(
             delay_s=0.0 if dry_run else delay_s,
             dry=dry_run,
             kept=None if dry_run else KeptState(out / "state.npz", key),
+            journal=journal,
             told=_told(say, commands),
             sets=set_by(building, connection, chosen.get("connection", {})),
         )
