@@ -334,7 +334,7 @@ def told_building(head: Mapping[str, Any]) -> ToldBuilding:
 
 @dataclass(frozen=True)
 class ToldRun:
-    """A run: its scenario, building, command and version, what the plant said of itself, its models' records, and its loops.
+    """A run: its scenario, building, command and version, what the plant said of itself, models, and its loops.
 
     A loop that was cut off has no KPIs but those of its `time_rat`.
     """

@@ -94,8 +94,8 @@ def _cut_off(folder: Path, run: ToldRun) -> list[str]:
         end_s, days = last_sample.start_s + last_sample.duration_s, result.period.scored_s / DAY_S
         days_done = (end_s - result.period.start_s) / DAY_S
         notes.append(
-            f"{name} was cut off after {days_done:.3g} of {days:g} days, at {run.building.in_words(end_s)}. Its figures "
-            "are those until then, from metered power and the temperatures at the ends of blocks."
+            f"{name} was cut off after {days_done:.3g} of {days:g} days, at {run.building.in_words(end_s)}. Its "
+            "figures are those until then, from metered power and the temperatures at the ends of blocks."
         )
         b = result.steps[0].boundary
         if (b.heating_price_per_kWh != b.price_per_kWh).any():
