@@ -163,7 +163,8 @@ class Plan:
     at one of them. `why` is one sentence for people; `news` (part of it) what was learned in this step of sensors,
     meters or the model; `solver_status` is the solver's, `export_calls` how often it called the exported operator,
     `own` the values of your own variables by name (`controller.options.terms`). `state` goes to the controller's next
-    plan of this run and is opaque to others.
+    plan of this run and is opaque to others. `ends`: why the run ends with this plan, of which nothing is applied; ''
+    where it goes on.
     """
 
     blocks: tuple[Block, ...]
@@ -193,6 +194,7 @@ class Plan:
     settings: tuple[tuple[HeldCommand, ...], ...] = ()
     saving: PlannedSaving | None = None
     state: object = field(default=None, repr=False)
+    ends: str = ""
 
     def __post_init__(self) -> None:
         if not self.acting:

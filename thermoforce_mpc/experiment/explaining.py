@@ -200,6 +200,7 @@ def alternatives_of(folder: Path, decision: ExplainedStep) -> Alternatives | str
 
         options = scenario.controller.options
         config = contestant.chosen.config if contestant else validate(MPCConfig, options, f"{folder / NAME}")
+        assert isinstance(config, MPCConfig)
         config = config.model_copy(update={"free_response": FreeResponseConfig(**_FREE_RESPONSE)})
         try:
             model = load_model(kept_model(folder, entry["folder"]))

@@ -19,6 +19,8 @@ from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.errors import InputError, StorageError
 from thermoforce_mpc.experiment.run_models import origin
 from thermoforce_mpc.files import file_sha256
+from thermoforce_mpc.identification.probing.excitation import RoomsState
+from thermoforce_mpc.identification.probing.probe import LevelsState, ProbingState
 from thermoforce_mpc.live.building import Applied
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.model.saved import JSON_NAME
@@ -52,7 +54,7 @@ class Kept:
         return self.before if instant == pd.Timestamp(self.instant) else self.after
 
 
-_FORMAT = StateFormat((*STATE_CLASSES, Kept, Applied))
+_FORMAT = StateFormat((*STATE_CLASSES, ProbingState, LevelsState, RoomsState, Kept, Applied))
 
 
 class KeptState:

@@ -190,7 +190,7 @@ class LiveJournal:
                 head = {"format": FORMAT, "version": VERSION, "command": list(self._run.command), "building": building}
                 journal.write("run", head | {"scenario": self._run.scenario.model_dump(mode="json")})
                 details = {"connection": self._run.connection}
-                info = {"kind": "real", "testcase": self._run.name, "version": VERSION, "weather": "measured"}
+                info: Json = {"kind": "real", "testcase": self._run.name, "version": VERSION, "weather": "measured"}
                 info |= {"description": f"by the connection {self._run.connection}", "details": details}
                 journal.write("plant", {"info": info})
             begun = {"at": _now(), "version": VERSION, "command": list(self._run.command)}
@@ -213,16 +213,19 @@ class LiveJournal:
             text = read_run(self._path)
         except DamagedJournal as damage:
             if not damage.good.entries:
-                return self._moved_aside(str(damage))
+                self._move_aside(str(damage))
+                return None
             text = damage.good
             lost = set_aside(self._path, text)
             _LOG.warning("%s. It goes on from there; the rest is in %s", str(damage).split(";")[0], lost)
         except JournalError as error:
-            return self._moved_aside(str(error))
+            self._move_aside(str(error))
+            return None
         with making_sense(self._path):
             there = text.entries[0].content.get("building")
             if there != building:
-                return self._moved_aside(f"{self._path}: is of another building, or of a simulated one")
+                self._move_aside(f"{self._path}: is of another building, or of a simulated one")
+                return None
             for entry in text.entries:
                 if entry.kind == "loop":
                     self._loop = str(entry.content["controller"])
@@ -240,7 +243,7 @@ class LiveJournal:
                 self._applied = []
         return text
 
-    def _moved_aside(self, why: str) -> None:
+    def _move_aside(self, why: str) -> None:
         """Move the journal to a name of its own: what is there is not lost."""
         n = next(n for n in range(1, 10_000) if not self._path.with_name(f"{NAME}.{n}").exists())
         aside = self._path.with_name(f"{NAME}.{n}")
