@@ -17,6 +17,7 @@ from typing import Protocol
 import pandas as pd
 
 from thermoforce_mpc.connections.sole import set_by, sole_control
+from thermoforce_mpc.connections.watchdog import Watchdog
 from thermoforce_mpc.data import Block, Boundary, CommandValue, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ControllerRaised, NoForecast, PlantError, ThermoForceError
@@ -90,11 +91,14 @@ def control(
     journal: LiveJournal | None = None,
     told: Callable[[Decision], None] = lambda decision: None,
     sets: Path | str | None = None,
-) -> None:
+    acts: bool = True,
+    watchdog: Watchdog | None = None,
+) -> object:
     """Control a building, of the step of `controller`, until interrupted, or for `steps` decisions.
 
     Whatever fails after the first decision, readings, forecast or plan, gives the building back to its own control for
-    a step; the reason is in the log. What fails in the first one raises: nothing was set then.
+    a step; the reason is in the log. What fails in the first one raises: nothing was set then. Returns the controller's
+    last state.
 
     Args:
         clock: the time; by default this machine's.
@@ -104,6 +108,8 @@ def control(
         kept: where the controller's state is kept from step to step; None: a restart begins anew.
         journal: where steps are recorded for explain, watch and report.
         told: called with every decision, before it acts.
+        acts: set what is decided; otherwise it is recorded beside what the building does by itself.
+        watchdog: gives the building back where this process does not.
         sets: what is set, which no other controller may set meanwhile; by default what the connection says, if it does.
 
     Raises:
@@ -112,9 +118,11 @@ def control(
         PlantError: the building did not take its levels back at the end.
     """
     sets = set_by(building.connection) if sets is None else sets
-    driver = _Building(building, controller, clock or WallClock(), steps, delay_s, dry, kept, journal, told)
-    with sole_control(sets) if sets and not dry else nullcontext():
-        Loop(driver, controller, outage_h).run()
+    driver = _Building(
+        building, controller, clock or WallClock(), steps, delay_s, dry, kept, journal, told, acts, watchdog
+    )
+    with sole_control(sets) if sets and acts and not dry else nullcontext():
+        return Loop(driver, controller, outage_h).run()
 
 
 class _Building:
@@ -131,12 +139,15 @@ class _Building:
         kept_state: KeptState | None,
         journal: LiveJournal | None,
         on_decision: Callable[[Decision], None],
+        acts: bool,
+        watchdog: Watchdog | None,
     ) -> None:
         self._building, self._controller, self._clock = building, controller, clock
         self._step, self._delay = pd.Timedelta(seconds=controller.step_s), pd.Timedelta(seconds=delay_s)
         self._left, self._dry = steps, dry
         self._on_decision, self._kept_state, self._journal = on_decision, kept_state, journal
         self._given = Given(None, None)
+        self._acts, self._watchdog = acts, watchdog
         self._allowed = limits_of(controller)
         self._instant: pd.Timestamp | None = None
         self._applied: list[Applied] = []
@@ -273,7 +284,13 @@ class _Building:
         end = begin + self._step
         beyond_s = min(_NEXT_DECISION_S, self._step.total_seconds())
         self._keep(self._at, decided.before, state)
-        for block in decided.blocks:
+        # What is not set did not act: as if nothing had been planned.
+        blocks = decided.blocks if self._acts else ()
+        if not self._acts:
+            self._record(Block.native(len(self._building.names), self._step.total_seconds()), begin)
+            state = decided.before
+            self._keep(self._at, state, state)
+        for block in blocks:
             until = min(begin + pd.Timedelta(seconds=block.duration_s), end)
             # No longer than a step, where the clock was set back; a machine that slept may wake after the block's end.
             self._clock.wait_until(min(begin, self._clock.now() + self._step))
@@ -311,12 +328,20 @@ class _Building:
         names = self._building.names
         levels = {name: value if isinstance(value, float) else None for name, value in zip(names, told, strict=True)}
         # Before the call: one that fails, or is interrupted, may have set them.
-        self._set = self._set or any(value is not None for value in levels.values())
+        anything = any(value is not None for value in levels.values())
+        self._set = self._set or anything
+        if self._watchdog is not None and anything:
+            self._watchdog.sets(names, seconds)
         try:
             self._building.write(levels, seconds)
         except Exception as error:  # somebody's connection may raise anything
             _LOG.warning("the levels %s were not taken (%s: %s)", levels, type(error).__name__, error)
             return False
+        if self._watchdog is not None:
+            if anything:
+                self._watchdog.set(names, seconds)
+            else:
+                self._watchdog.released()
         return True
 
     def _release(self) -> None:

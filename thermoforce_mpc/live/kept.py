@@ -11,6 +11,7 @@ import logging
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -97,12 +98,33 @@ class KeptState:
 
 
 def real_run(
-    out: Path, model: Path, map_file: Path, rules: MeasurementMap, options: MPCConfig, connection: str
+    out: Path,
+    model: Path | None,
+    map_file: Path,
+    rules: MeasurementMap,
+    options: MPCConfig,
+    connection: str,
+    controller: str = "thermoforce_mpc",
 ) -> RealRun:
-    """The run of the MPC with the model in the folder `model`, of which a copy is kept in the folder `out`.
+    """The run of a controller with the model in the folder `model`, if any, of which a copy is kept in `out`.
 
     Raises `ArtifactError` where the model is damaged.
     """
+    spec = ControllerSpec(name=controller, options=options.model_dump(mode="json", exclude_unset=True))
+    models = {} if model is None else {spec.name: _kept_model(out, model)}
+    return RealRun(
+        name=map_file.stem,
+        zone=rules.time.zone or "UTC",
+        currency="currency",  # a map has prices, and does not say in what
+        scenario=Scenario(testcase=map_file.stem, controller=spec, baselines=()),
+        command=("tf-mpc", *sys.argv[1:]),
+        connection=connection,
+        models=models,
+    )
+
+
+def _kept_model(out: Path, model: Path) -> dict[str, Any]:
+    """What the journal says of a model, of which a copy is kept in the folder `out` under a name of its own."""
     thermal, sha256 = load_model(model), file_sha256(model / JSON_NAME)
     name = f"model-{sha256[:8]}"
     refused = ""
@@ -111,14 +133,5 @@ def real_run(
             thermal.save(out / name)
         except StorageError as error:
             refused = str(error)
-    spec = ControllerSpec(options=options.model_dump(mode="json", exclude_unset=True))
     of = {"sha256": sha256, "refused": refused, "origin": plain_json(origin(thermal))}
-    return RealRun(
-        name=map_file.stem,
-        zone=rules.time.zone or "UTC",
-        currency="currency",  # a map has prices, and does not say in what
-        scenario=Scenario(testcase=map_file.stem, controller=spec, baselines=()),
-        command=("tf-mpc", *sys.argv[1:]),
-        connection=connection,
-        models={spec.name: {"folder": None if refused else name, **of}},
-    )
+    return {"folder": None if refused else name, **of}

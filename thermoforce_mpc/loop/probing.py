@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -241,7 +241,7 @@ class Probing:
         self._past = self.record
         if any(lowest >= 0.0 for lowest in self._layout.lowest):
             past = plant.past(c.step_s)
-            sampled = {name: np.copy(getattr(past, name)) for name in SAMPLED}
+            sampled: dict[str, Any] = {name: np.copy(getattr(past, name)) for name in SAMPLED}
             for name in SAMPLED:
                 sampled[name][..., -1] = getattr(now, name)
             self._past = replace(past, **sampled)
@@ -357,7 +357,7 @@ def probe(
 class UntilKnown:
     """The end rule of a probing: after `days` as soon as a model of it may act, or before them, or later, by the day.
 
-    `why` and `look` are those of the end.
+    `why`, `look` and `record` are those of the end.
     """
 
     def __init__(
@@ -379,6 +379,7 @@ class UntilKnown:
         self.planned_days = days
         self.why = ""
         self.look: Look | None = None
+        self.record: Record | None = None
 
     def __call__(self, record: Record, planned: int) -> tuple[int, str]:
         """See `EndRule`."""
@@ -386,7 +387,8 @@ class UntilKnown:
         planned = planned or self._first
         if done < planned and not (planned == self._first and self._end_early and self._is_enough(record)):
             return self._as_planned(planned), ""
-        self.look = look = self._identifying.look(record, self._plant)
+        self.look, self.record = self._identifying.look(record, self._plant), record
+        look = self.look
         if look.lacks and done * self._step_s / DAY_S + 1.0 <= self._latest + 1e-9:
             return self._as_planned(done + self._day), ""
         self.why = "enough is known"

@@ -181,8 +181,8 @@ class ProbingController:
         if before is not None:
             asked[:, : before.asked.shape[1]] = before.asked[:, : done + 1]
         if why:
-            of = tuple(one.state() for one in excites)
-            ended = ProbingState(begin_s, done, planned, asked[:, :done], of)
+            states = tuple(one.state() for one in excites)
+            ended = ProbingState(begin_s, done, planned, asked[:, :done], states)
             return Plan((), PlanStatus.RULE, f"probing ended: {why}", names=names, ends=why, state=ended)
         block = self._next(record, excites, observation.boundary, block_ends, done, planned)
         asked[:, done] = block.as_array()
