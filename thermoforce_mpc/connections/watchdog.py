@@ -3,7 +3,7 @@
 What holds a building is a deadline, which each action that was taken moves. It passes where the controller hangs, is
 stopped or killed, or sets nothing any more; the watchdog then writes that everything is the building's own again, until
 that was taken. It ends with the controller, or once that was done after it died; where another controller took over in
-between (it holds the lock of `sole_control`), it leaves the building to that one.
+between (the lock of `sole_control` tells), it leaves the building to that one.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from thermoforce_mpc.connections.registry import build_connection
-from thermoforce_mpc.connections.sole import sole_control
+from thermoforce_mpc.connections.sole import last_to_set, sole_control
 from thermoforce_mpc.errors import ConfigError
 
 _LOG = logging.getLogger(__name__)
@@ -39,10 +39,22 @@ class Watchdog:
     ) -> None:
         """`grace_s`: how long after the end of what was set the building is given back, s; `log`: file it writes to."""
         of = {"path": str(sets.resolve())} if isinstance(sets, Path) else {"text": sets}
-        self._told = {"connection": connection, "options": dict(options), "sets": of, "grace_s": grace_s}
+        self._told = {
+            "connection": connection,
+            "options": dict(options),
+            "sets": of,
+            "grace_s": grace_s,
+            "controller": os.getpid(),
+        }
         self._log = log
         self._process: subprocess.Popen[str] | None = None
         self._start()
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        assert self._process is not None
+        return self._process.pid
 
     def sets(self, names: Sequence[str], seconds: float) -> None:
         """Something is about to be set: should it fail, or this process end in it, it may have been."""
@@ -89,6 +101,7 @@ class Watchdog:
                 _LOG.warning("the watchdog cannot be started: what is set ends at its time, by the connection alone")
                 return
             _LOG.warning("the watchdog ended, and is started again")
+            self.close()
             self._start()
             self._tell(what, again=False)
 
@@ -98,42 +111,56 @@ def _now_s() -> float:
     return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
-def watch(told: TextIO) -> None:
-    """Read from `told` what is watched, and then what is set, a line of JSON each, until it ends."""
-    head = json.loads(told.readline())
-    sets = Path(head["sets"]["path"]) if "path" in head["sets"] else str(head["sets"]["text"])
+def watch(told: int) -> None:
+    """Read from the descriptor `told` what is watched, and then what is set, a line of JSON each, until it ends."""
+    head: dict[str, Any] = {}
     names: list[str] = []
     deadline_s: float | None = None
-    alive, rest = True, ""
-    os.set_blocking(told.fileno(), False)
+    alive, rest = True, b""
     with selectors.DefaultSelector() as waiting:
         waiting.register(told, selectors.EVENT_READ)
         while alive or deadline_s is not None:
             if not alive:
                 time.sleep(_LOOK_S)
+                if not _is_ours(head):
+                    return
             elif waiting.select(_LOOK_S):
-                part = os.read(told.fileno(), 65536)
+                part = os.read(told, 65536)  # not by lines: what a buffer holds back is not seen by `select`
                 alive = bool(part)
-                *lines, rest = (rest + part.decode()).split("\n")
+                *lines, rest = (rest + part).split(b"\n")
                 for line in lines:
                     beat = json.loads(line)
+                    if not head:
+                        head = beat
+                        continue
                     names = beat["names"] or names
                     if "attempt" in beat:
                         deadline_s = deadline_s or _now_s() + beat["attempt"] + head["grace_s"]
                     else:
                         deadline_s = None if beat["seconds"] is None else _now_s() + beat["seconds"] + head["grace_s"]
             if deadline_s is not None and _now_s() >= deadline_s:
-                done = _given_back(head, sets, names, alive)
+                done = _given_back(head, names, alive)
                 deadline_s = None if done else _now_s() + _AGAIN_S
 
 
-def _given_back(head: Mapping[str, Any], sets: Path | str, names: Sequence[str], alive: bool) -> bool:
+def _what(head: Mapping[str, Any]) -> Path | str:
+    return Path(head["sets"]["path"]) if "path" in head["sets"] else str(head["sets"]["text"])
+
+
+def _is_ours(head: Mapping[str, Any]) -> bool:
+    """Whether nobody set the building after our controller, which has died."""
+    with suppress(ConfigError, OSError):
+        return last_to_set(_what(head)).startswith(f"process {head['controller']} ")
+    return True
+
+
+def _given_back(head: Mapping[str, Any], names: Sequence[str], alive: bool) -> bool:
     """Give everything back; whether that is done, or another controller's. `alive`: our controller holds the lock."""
     try:
         if alive:
             _give_back(head, names)
         else:
-            with sole_control(sets):
+            with sole_control(_what(head)):
                 _give_back(head, names)
     except ConfigError as error:
         _say(f"not given back: {error}")
@@ -157,4 +184,4 @@ def _say(text: str) -> None:
 
 if __name__ == "__main__":
     with suppress(KeyboardInterrupt):
-        watch(sys.stdin)
+        watch(sys.stdin.fileno())

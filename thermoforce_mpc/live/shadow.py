@@ -41,9 +41,10 @@ _LATE_S = HOUR_S
 
 @dataclass(frozen=True)
 class ShadowDay:
-    """A day as it was and as it was planned at its begin: energy by the model's power, kWh, with the 90 % band of the
-    plan's; cost at the prices in force, and its band; K·h outside the bounds, mean over zones; change of the rooms'
-    mean temperature at its end, K, where the levels could not make up for all of it.
+    """A day as it was and as it was planned at its begin: energy as metered (where it is not, by the model), kWh, and
+    the plan's by the model, with its 90 % band, in which is also by what share the model misses what was metered on
+    that very day; cost at the prices in force, and its band; K·h outside the bounds, mean over zones; change of the
+    rooms' mean temperature at its end, K, where the levels could not make up for all of it.
     """
 
     day: str
@@ -145,11 +146,15 @@ def judged_day(folder: Path, model: ThermalModel, begin: pd.Timestamp) -> Shadow
     other = _ending_as_it_did(model, record, planned["u"][:, :n], steps[at].time_s)
     price = boundary.price_per_kWh[:, :n]
     kWh = record.step_s / J_PER_KWH
-    costs = [float(np.nansum(power * price) * kWh) for power in (other.power_W, other.power_other_W)]
-    energy, planned_kWh, low_kWh, high_kWh = (
-        float(np.nansum(each))
-        for each in (other.energy_kWh, other.energy_other_kWh, other.energy_low_kWh, other.energy_high_kWh)
+    metered_W = record.power_W[:, first : first + n]
+    was_W = np.where(np.isfinite(metered_W), metered_W, other.power_W)
+    costs = [float(np.nansum(power * price) * kWh) for power in (was_W, other.power_other_W)]
+    energy, by_model = (float(np.nansum(power) * kWh) for power in (was_W, other.power_W))
+    planned_kWh, low_kWh, high_kWh = (
+        float(np.nansum(each)) for each in (other.energy_other_kWh, other.energy_low_kWh, other.energy_high_kWh)
     )
+    off_kWh = abs(by_model - energy) * planned_kWh / max(by_model, 1e-9)
+    low_kWh, high_kWh = max(low_kWh - off_kWh, 0.0), high_kWh + off_kWh
     lower_C, upper_C = boundary.lower_C[:, 1 : n + 1], boundary.upper_C[:, 1 : n + 1]
 
     def outside_Kh(T_C: Array) -> float:
