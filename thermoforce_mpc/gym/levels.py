@@ -127,7 +127,5 @@ class LevelsView(View):
     def _forecast(self, horizon_s: float) -> Array:
         """Forecast from now at every step (signals, n); NaN at instants that the plant leaves out."""
         steps = max(int(horizon_s / self._step_s + 1e-9), 1)
-        boundary: Boundary = self.plant.forecast(steps * self._step_s, self._step_s)
-        rows = np.vstack([np.atleast_2d(getattr(boundary, name)) for name in FORECAST])
-        missing = steps + 1 - rows.shape[1]
-        return np.pad(rows, ((0, 0), (0, max(missing, 0))), constant_values=np.nan)
+        boundary = lengthened(self.plant.forecast(steps * self._step_s, self._step_s), steps, self._step_s)
+        return np.vstack([np.atleast_2d(getattr(boundary, name)) for name in FORECAST])
