@@ -10,9 +10,10 @@ import numpy as np
 from gymnasium import spaces
 
 from controllers.policy.seen import FORECAST, PolicySpec
-from thermoforce_mpc.data import Array, Boundary
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.gym.view import ObservationBox, View
+from thermoforce_mpc.model.forecast_gaps import lengthened
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.actuator import RoomSetpoints
 from thermoforce_mpc.scenario.settings import validate
