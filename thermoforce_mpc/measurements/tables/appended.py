@@ -18,7 +18,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.errors import DataError, counted
-from thermoforce_mpc.measurements.tables.clock import parsed_or_nat
+from thermoforce_mpc.measurements.tables.clock import newest_first, parsed_or_nat
 from thermoforce_mpc.measurements.tables.files import columns_of, header_of, is_text, opened, read_tables, reading
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import (
@@ -261,7 +261,10 @@ def _with_stamps(
         left.add("no time stamp", int(lines[row]), str(text.iloc[row]) if isinstance(text.iloc[row], str) else "")
     rows = np.flatnonzero(keep)
     at_s = np.asarray((at[keep] - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=np.float64)
-    far = _far(at_s) if in_order else np.abs(at_s - np.median(at_s)) > _FAR_FROM_MOST_S
+    if in_order and newest_first(at_s):
+        far = _far(at_s[::-1])[::-1]
+    else:
+        far = _far(at_s) if in_order else np.abs(at_s - np.median(at_s)) > _FAR_FROM_MOST_S
     late = at_s > latest.timestamp()
     if late.any() and late.sum() <= max(1, _FEW * late.size):
         far |= late
