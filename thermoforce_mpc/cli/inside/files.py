@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.scenario.scenario import Scenario
 
 _SCHEMAS = "schema"
+_DEFAULT = "bestest_hydronic_heat_pump"
 # Widest comment of a scenario.
 _WIDTH = 110
 # A key that only files of this kind have; any other file is a scenario.
@@ -32,10 +33,13 @@ _KIND_OF = {
 
 @click.command()
 @click.argument("folder", metavar="[DIR]", default=".", type=PATH)
-@click.option("--testcase", default="bestest_hydronic_heat_pump", help="Building of the scenario.")
+@click.option(
+    "--testcase", help="Building of the scenario; of a service, a name there.  [default: bestest_hydronic_heat_pump]"
+)
 @click.option("--copy-testcase", is_flag=True, help="Copy that test case to testcase.yaml, to make it yours.")
 @click.option("--data", metavar="FILE", help="Write map.yaml too, guessed from this table of measurements.")
-def init(folder: Path, testcase: str, copy_testcase: bool, data: str | None) -> None:
+@click.option("--from-url", metavar="URL", help="Write testcase.yaml, proposed from the points of a BOPTEST service.")
+def init(folder: Path, testcase: str | None, copy_testcase: bool, data: str | None, from_url: str | None) -> None:
     """Write a commented scenario to DIR, with every key, its meaning and its default, ready to run.
 
     Nothing is overwritten. The schemas of the files are written beside them, so that editors complete keys.
@@ -45,12 +49,18 @@ def init(folder: Path, testcase: str, copy_testcase: bool, data: str | None) -> 
       tf-mpc init my_study
       tf-mpc init my_house --testcase bestest_hydronic --copy-testcase
       tf-mpc init my_house --data house.csv
+      tf-mpc init my_study --testcase my_office --from-url http://127.0.0.1:8000
     """
-    from thermoforce_mpc.cli.inside.schemas import schema_text
     from thermoforce_mpc.measurements.map.starting_map import starting_map
     from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
     from thermoforce_mpc.scenario.settings import find_config, is_config
 
+    if from_url is not None:
+        if copy_testcase or data is not None:
+            raise ConfigError("--from-url: writes a test case itself; leave --copy-testcase and --data out")
+        _init_of_service(folder, testcase or _DEFAULT, from_url)
+        return
+    testcase = testcase or _DEFAULT
     building = load_testcase(testcase)
     implemented = building.embedded or building.energyplus or building.plant
     reference = str(Path(testcase).absolute()) if Path(testcase).suffix in (".yaml", ".yml") else testcase
@@ -66,6 +76,38 @@ def init(folder: Path, testcase: str, copy_testcase: bool, data: str | None) -> 
         texts["testcase"] = _headed("testcase", path.read_text(encoding="utf-8"))
     if data is not None:
         texts["map"] = _headed("map", starting_map(data))
+    enter = _written(folder, texts)
+    what = " (the simulated test case, not your measurements)" if data is not None else ""
+    click.echo(f"Run it:   {enter}tf-mpc run --config scenario.yaml{what}")
+    if not implemented:
+        click.echo("The plant is a BOPTEST service: set plant.url, or plant.kind: fmu and plant.path.")
+    if data is not None:
+        table = shlex.quote(str(Path(data).absolute()))
+        click.echo(f"Check it: {enter}tf-mpc data check {table} --map map.yaml")
+
+
+def _init_of_service(folder: Path, testcase: str, url: str) -> None:
+    """Write a test case proposed from the points of a service, and a scenario that runs it there."""
+    from thermoforce_mpc.plants.boptest.proposal import points_of_service, proposed_testcase
+    from thermoforce_mpc.plants.testcases import load_scenario
+    from thermoforce_mpc.scenario.settings import validate
+    from thermoforce_mpc.scenario.testcase import TestCase
+    from thermoforce_mpc.scenario.yaml_file import parse_yaml
+
+    proposed = proposed_testcase(testcase, points_of_service(url, testcase))
+    validate(TestCase, parse_yaml(proposed.encode(), folder / "testcase.yaml"), "proposed test case")
+    overrides = {"testcase": "testcase.yaml", "plant": {"kind": "boptest", "url": url}}
+    scenario = load_scenario(None, overrides)
+    texts = {"scenario": _headed("scenario", scenario_text(scenario)), "testcase": _headed("testcase", proposed)}
+    enter = _written(folder, texts)
+    click.echo(f"Look at the {proposed.count('CHECK') - 1} lines with CHECK in testcase.yaml, then")
+    click.echo(f"Run it:   {enter}tf-mpc run --config scenario.yaml")
+
+
+def _written(folder: Path, texts: Mapping[str, str]) -> str:
+    """Write files of these kinds and their schemas to a folder, say so, and return the words that enter it."""
+    from thermoforce_mpc.cli.inside.schemas import schema_text
+
     files = {folder / f"{kind}.yaml": text for kind, text in texts.items()}
     existing = [str(path) for path in files if path.exists()]
     if existing:
@@ -77,14 +119,7 @@ def init(folder: Path, testcase: str, copy_testcase: bool, data: str | None) -> 
         write_whole(path, text)
     for kind in texts:
         click.echo(f"Wrote {folder / kind}.yaml")
-    enter = "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
-    what = " (the simulated test case, not your measurements)" if data is not None else ""
-    click.echo(f"Run it:   {enter}tf-mpc run --config scenario.yaml{what}")
-    if not implemented:
-        click.echo("The plant is a BOPTEST service: set plant.url, or plant.kind: fmu and plant.path.")
-    if data is not None:
-        table = shlex.quote(str(Path(data).absolute()))
-        click.echo(f"Check it: {enter}tf-mpc data check {table} --map map.yaml")
+    return "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
 
 
 def _headed(kind: str, text: str) -> str:
