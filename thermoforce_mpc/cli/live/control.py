@@ -34,7 +34,7 @@ _SAID_AGAIN = timedelta(days=1)
 @model_option
 @map_option
 @own_prices_option
-@click.option("--connection", default="files", metavar="NAME", help="See `tf-mpc connections`.")
+@click.option("--connection", default="files", metavar="NAME|FILE", help="See `tf-mpc connections`.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="connection.KEY or controller.KEY.")
 @click.option("--dry-run", is_flag=True, help="Decide once, set nothing.")
 @click.option("--steps", type=click.IntRange(min=1), help="End after so many control steps.  [default: never]")
@@ -64,6 +64,8 @@ def control(
     goes on from what was measured, and from what it knew, which is kept in state.npz in --out for a day (faults
     noticed, highest power, levels set).
 
+    --connection is a name, or a YAML file with `name` and `options`, as `tf-mpc init --for` writes one.
+
     One controller at a time: a second one of what the connection sets is refused, whatever its --out.
 
     Exit code 3 where the building cannot be reached at the start, or does not take its levels back at the end.
@@ -77,7 +79,7 @@ def control(
     from controllers.mpc.controller import ThermoForceMPC
     from controllers.state_classes import controller_key
     from thermoforce_mpc.cli import hangup_ends
-    from thermoforce_mpc.connections.registry import build_connection
+    from thermoforce_mpc.connections.registry import build_connection, connection_settings
     from thermoforce_mpc.connections.sole import set_by
     from thermoforce_mpc.files import storage_errors
     from thermoforce_mpc.live import KeptState, LiveBuilding, control
@@ -92,6 +94,7 @@ def control(
     if unknown := [key for key in chosen if key not in ("connection", "controller")]:
         raise ConfigError(f"--set {unknown[0]}: write connection.KEY=VALUE or controller.KEY=VALUE")
     thermal, rules = load_model(model), load_map(map_file)
+    connection, settings = connection_settings(connection, chosen.get("connection", {}))
     options = validate(MPCConfig, chosen.get("controller", {}), "--set controller")
     say = _until_lost(RunDisplay().say)
     with storage_errors(out):
@@ -99,7 +102,7 @@ def control(
     with (
         hangup_ends(),
         sole_use(out),
-        closing(build_connection(connection, chosen.get("connection", {}))) as building,
+        closing(build_connection(connection, settings)) as building,
         logging_to(out, say),
     ):
         commands = commands_of(building, rules, options.step_s or thermal.operator.step_s)
@@ -115,7 +118,7 @@ def control(
             dry=dry_run,
             kept=None if dry_run else KeptState(out / "state.npz", key),
             told=_told(say, commands),
-            sets=set_by(building, connection, chosen.get("connection", {})),
+            sets=set_by(building, connection, settings),
         )
 
 
