@@ -17,7 +17,12 @@ actuators:
   heat_pump:
     level: {level}
     command:
-      {{kind: setpoint, column: {setpoint}, resolution: 0.5, minimum: 17, maximum: 24, hold_min: 30}}
+      kind: setpoint
+      column: {setpoint}
+      resolution: 0.5
+      minimum: 17
+      maximum: 24
+      hold_min: 30
 machines:
   heat_pump: {{power: {power}}}      # W; unit: kW, or Wh counter, …
 # Columns of the forecast that connection.yaml asks for:
