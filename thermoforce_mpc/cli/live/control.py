@@ -45,7 +45,7 @@ _SAID_AGAIN = timedelta(days=1)
 @click.option("--model", type=PATH, help="Model folder of `tf-mpc identify`; not with --mode probe.")
 @map_option
 @own_prices_option
-@click.option("--connection", default="files", metavar="NAME", help="See `tf-mpc connections`.")
+@click.option("--connection", default="files", metavar="NAME|FILE", help="See `tf-mpc connections`.")
 @click.option(
     "--set",
     "assignments",
@@ -91,6 +91,8 @@ def control(
     again after a power failure: it goes on from what was measured, and from what it knew, which is kept in state.npz
     for a day (faults noticed, highest power, minimum times, levels set, a probing under way).
 
+    --connection is a name, or a YAML file with `name` and `options`, as `tf-mpc init --for` writes one.
+
     One controller at a time: a second one of what the connection sets is refused, whatever its --out.
 
     Exit code 3 where the building cannot be reached at the start, or does not take its levels back at the end.
@@ -107,7 +109,7 @@ def control(
     from controllers.mpc.controller import ThermoForceMPC
     from controllers.state_classes import controller_key
     from thermoforce_mpc.cli import hangup_ends
-    from thermoforce_mpc.connections.registry import build_connection
+    from thermoforce_mpc.connections.registry import build_connection, connection_settings
     from thermoforce_mpc.connections.sole import set_by
     from thermoforce_mpc.connections.watchdog import Watchdog
     from thermoforce_mpc.files import storage_errors
@@ -135,6 +137,7 @@ def control(
         )
     if "identification" in chosen and mode != "probe":
         raise ConfigError("--set identification: is for --mode probe")
+    connection, settings = connection_settings(connection, chosen.get("connection", {}))
     rules, options = load_map(map_file), validate(MPCConfig, chosen.get("controller", {}), "--set controller")
     plan = None
     if mode == "probe":
@@ -149,12 +152,11 @@ def control(
     with ExitStack() as held:
         held.enter_context(hangup_ends())
         held.enter_context(sole_use(out))
-        building = held.enter_context(closing(build_connection(connection, chosen.get("connection", {}))))
+        building = held.enter_context(closing(build_connection(connection, settings)))
         held.enter_context(logging_to(out, say))
-        sets, acts = set_by(building, connection, chosen.get("connection", {})), mode in ("control", "probe")
+        sets, acts = set_by(building, connection, settings), mode in ("control", "probe")
         watchdog = None
         if acts and not dry_run:
-            settings = chosen.get("connection", {})
             watchdog = held.enter_context(
                 closing(Watchdog(connection, settings, sets, grace_s, out / "watchdog.jsonl"))
             )
