@@ -49,7 +49,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "watch": ("live.watch:watch", "Watch a running controller, here or as a page."),
     },
     "Look inside": {
-        "inspect": ("inside.inspect:inspect", "Show a saved model: parameters, certificate, data."),
+        "inspect": ("inside.inspect:inspect", "Show a model, or a run's: parameters, certificate."),
         "testcases": ("inside.listing:testcases", "List test cases, scenarios, comparisons and fleets."),
         "controllers": ("inside.listing:controllers", "List controllers and their options."),
         "plants": ("inside.listing:plants", "List plants and their options."),
@@ -65,6 +65,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "bench": ("benchmarks.cli.bench:command", "Run benchmarks; compare the results with targets."),
         "paper": ("benchmarks.cli.paper:command", "Measure the paper's tables here, beside its figures."),
         "chaos": ("benchmarks.cli.chaos:command", "Run controllers with everything around them failing."),
+        "cite": ("inside.cite:cite", "Print how to cite this software and the paper."),
     },
 }
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
