@@ -14,6 +14,7 @@ import time
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -592,6 +593,16 @@ def test_a_signal_to_end_gives_the_building_back(files, sent, code):
 CONTROL = [sys.executable, "-m", "thermoforce_mpc", "control", "--model", "model", "--map", "map.yaml", *OPTIONS]
 
 
+def watchdogs(folder):
+    """Numbers of the watchdogs that were started in a folder."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if b"connections.watchdog" in (place / "cmdline").read_bytes() and (place / "cwd").readlink() == folder:
+                found.append(int(place.name))
+    return found
+
+
 @pytest.mark.slow
 def test_two_controllers_do_not_set_one_building(files):
     """With folders of their own; the second is refused, and the first goes on. One that is killed is no hindrance."""
@@ -610,13 +621,16 @@ def test_two_controllers_do_not_set_one_building(files):
             assert (files / "levels.json").read_bytes() == before
             looked = subprocess.run([*CONTROL, "--out", "other", "--dry-run"], env=env, timeout=LONG_S)
             assert looked.returncode == 0, "it sets nothing"
+            assert len(watchdogs(files)) == 1
         finally:
             first.kill()
     with subprocess.Popen([*second, "--delay", "0"], env=env, stdout=subprocess.DEVNULL) as again:
         try:
             wait_for("the second sets its level", lambda: (files / "levels.json").read_bytes() != before)
+            wait_for("that of the first leaves the building to it", lambda: len(watchdogs(files)) == 1)
         finally:
             again.terminate()
+    wait_for("no watchdog is left", lambda: not watchdogs(files))
     assert json.loads((files / "levels.json").read_text())["levels"] == {"actuator": None}
 
 
