@@ -13,7 +13,7 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import replace
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -521,6 +521,23 @@ def test_a_run_that_was_killed_goes_on_as_if_it_had_not_been(tmp_path, at_h, aga
     for one, other in zip(again, whole[then:], strict=False):
         assert one.plan.status == other.plan.status
         np.testing.assert_allclose(one.plan.u, other.plan.u, atol=1e-5)
+
+
+def runs_of(decisions):
+    """How long each stretch of on and of off is, min, of decisions in order."""
+    blocks = [(block.u[0] > 0.0, block.duration_s / 60.0) for one in decisions for block in one.blocks]
+    return [(on, sum(length for _, length in each)) for on, each in groupby(blocks, key=lambda block: block[0])]
+
+
+@pytest.mark.parametrize(("at_h", "again_h"), [(5.1, 5.1), (5.999, 6.0)])
+def test_minimum_times_hold_over_a_kill(tmp_path, at_h, again_h):
+    """Two and a half hours on and off at the least, in steps of one: a restart falls into each."""
+    keeps = {"actuation": {"mode": "duty", "min_on_s": 9000.0, "min_off_s": 9000.0, "block_s": 900.0}}
+    first, again = killed_and_run_again(tmp_path, at_h, again_h, **keeps)
+    before = [one for one in first if one.instant < again[0].instant]
+    inner = runs_of([*before, *again])[1:-1]
+    assert inner, "it is switched"
+    assert min(minutes for _, minutes in inner) >= 150.0
 
 
 def test_the_state_of_another_model_is_not_gone_on_from(tmp_path, caplog):
