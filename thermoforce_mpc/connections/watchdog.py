@@ -56,7 +56,7 @@ class Watchdog:
         assert self._process is not None
         return self._process.pid
 
-    def sets(self, names: Sequence[str], seconds: float) -> None:
+    def about_to_set(self, names: Sequence[str], seconds: float) -> None:
         """Something is about to be set: should it fail, or this process end in it, it may have been."""
         self._tell({"names": list(names), "attempt": float(seconds)})
 
