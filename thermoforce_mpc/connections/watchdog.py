@@ -94,7 +94,7 @@ class Watchdog:
         assert self._process is not None
         assert self._process.stdin is not None
         try:
-            self._process.stdin.write(json.dumps(what) + "\n")
+            self._process.stdin.write(json.dumps(what, default=str) + "\n")
             self._process.stdin.flush()
         except OSError:
             if not again:

@@ -49,7 +49,7 @@ _SAID_AGAIN = timedelta(days=1)
 @click.option("--model", type=PATH, help="Model folder of `tf-mpc identify`; not with --mode probe.")
 @map_option
 @own_prices_option
-@click.option("--connection", default="files", metavar="NAME", help="See `tf-mpc connections`.")
+@click.option("--connection", default="files", metavar="NAME|FILE", help="See `tf-mpc connections`.")
 @click.option(
     "--set",
     "assignments",
@@ -95,6 +95,8 @@ def control(
     again after a power failure: it goes on from what was measured, and from what it knew, which is kept in state.npz
     for a day (faults noticed, highest power, minimum times, levels set, a probing under way).
 
+    --connection is a name, or a YAML file with `name` and `options`, as `tf-mpc init --for` writes one.
+
     One controller at a time: a second one of what the connection sets is refused, whatever its --out.
 
     Exit code 3 where the building cannot be reached at the start, or does not take its levels back at the end.
@@ -107,7 +109,7 @@ def control(
     """
     from controllers.mpc.config import MPCConfig
     from thermoforce_mpc.cli import hangup_ends
-    from thermoforce_mpc.connections.registry import build_connection
+    from thermoforce_mpc.connections.registry import build_connection, connection_settings
     from thermoforce_mpc.connections.sole import set_by
     from thermoforce_mpc.connections.watchdog import Watchdog
     from thermoforce_mpc.files import storage_errors
@@ -123,7 +125,7 @@ def control(
     chosen: Mapping[str, Any] = parse_overrides(assignments)
     mode = "probe" if probe else mode
     _check_words(mode, model, chosen, dry_run)
-    settings = chosen.get("connection", {})
+    connection, settings = connection_settings(connection, chosen.get("connection", {}))
     rules, options = load_map(map_file), validate(MPCConfig, chosen.get("controller", {}), "--set controller")
     plan = None
     if mode == "probe":
