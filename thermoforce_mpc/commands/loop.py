@@ -102,6 +102,7 @@ class LearnedCommand:
 
     `last`: the command (NaN: not known) at `last_s`, s, held for `held_s`; `usual` (n,): what it is when left alone, at
     the times of a week, in equal parts, from `origin` on. Seconds count from there; None: from where a plan's do.
+    `machine`: name of the machine of whose actuators all are set by this one command; '': the actuator's own.
     """
 
     command: Command
@@ -111,6 +112,7 @@ class LearnedCommand:
     usual: Array
     last_s: float
     origin: pd.Timestamp | None = None
+    machine: str = ""
 
     @property
     def in_words(self) -> str:

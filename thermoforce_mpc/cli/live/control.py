@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, model_option, own_prices_option
+from thermoforce_mpc.cli.options import PATH, FiniteRange, billed_objective, map_option, model_option, own_prices_option
 from thermoforce_mpc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -86,13 +86,14 @@ def control(
     from thermoforce_mpc.records.run_folder import sole_use
     from thermoforce_mpc.records.run_log import logging_to
     from thermoforce_mpc.report.display import RunDisplay
-    from thermoforce_mpc.scenario.settings import parse_overrides, validate
+    from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 
     chosen: Mapping[str, Any] = parse_overrides(assignments)
     if unknown := [key for key in chosen if key not in ("connection", "controller")]:
         raise ConfigError(f"--set {unknown[0]}: write connection.KEY=VALUE or controller.KEY=VALUE")
     thermal, rules = load_model(model), load_map(map_file)
-    options = validate(MPCConfig, chosen.get("controller", {}), "--set controller")
+    billed = {"objective": billed_objective(prices, rules)}
+    options = validate(MPCConfig, merge(billed, chosen.get("controller", {})), "--set controller")
     say = _until_lost(RunDisplay().say)
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)

@@ -100,6 +100,8 @@ class ForecastMap(StrictModel):
     outdoor: OfTemperature | None = None
     sun: OfSun | None = None
     price: OfPrice | None = Field(None, description="price of all machines")
+    load: OfPower | None = Field(None, description="power of all that is not planned behind the same meter")
+    generation: OfPower | None = Field(None, description="power of photovoltaics behind the same meter, above 0")
     lower: Bound | None = Field(None, description="lower comfort bound of all zones")
     upper: Bound | None = Field(None, description="upper comfort bound of all zones")
 
