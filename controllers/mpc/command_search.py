@@ -20,7 +20,7 @@ from thermoforce_mpc.data import Array
 
 # Windows drawn in a round, rounds, those in a row without a better plan that end it, and windows taken together. Of
 # six houses of `bench commands` (2026-11-28) twice of each saved no more.
-_DRAWN, _ROUNDS, _PATIENCE, _TOGETHER = 192, 14, 3, 8
+_DRAWN, _ROUNDS, _PATIENCE, _TOGETHER = 128, 16, 3, 8
 _WINDOW_H = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
 _SEED = 64
 
@@ -67,6 +67,16 @@ class Knob:
         low, high = np.repeat(self.low, self.parts), np.repeat(self.high, self.parts)
         return int(((row < low - SAME) | (row > high + SAME)).sum())
 
+    def ends(self) -> tuple[float, float] | None:
+        """Least and largest command of the first step; None while what is set must be held."""
+        if self.state.held_s < 60.0 * self.command.hold_min - SAME:
+            return None
+        near = self.command.values(float(self.low[0]), float(self.high[0]))
+        near = near[np.abs(near - self.state.value) <= self.command.most_change(self.state.held_s) + SAME]
+        long_enough = [self.command.longest_s(float(value)) >= self.parts * self.part_s for value in near]
+        near = near[np.array(long_enough, dtype=bool)]
+        return (float(near[0]), float(near[-1])) if near.size else None
+
     def after(self, row: Array) -> CommandState:
         """What is set after the first step of commands (P,)."""
         value, held_s = self.state.value, self.state.held_s
@@ -99,12 +109,12 @@ def better_commands(
     costs = cost(np.stack(starts))
     rows, least, waited = starts[int(np.argmin(costs))], float(costs.min()), 0
     for _ in range(_ROUNDS):
-        windows = _drawn(rng, knobs, rows)
-        if not windows:
+        moves = _moves(rng, knobs, rows)
+        if not moves:
             break
-        costs = cost(np.stack([window.in_place(rows) for window in windows]))
-        order = [int(i) for i in np.argsort(costs, kind="stable")[: _TOGETHER * 4] if costs[i] < least]
-        joined = _joined(knobs, rows, [windows[i] for i in order])
+        costs = cost(np.stack([found for found, _ in moves]))
+        order = [int(i) for i in np.argsort(costs, kind="stable")[: 4 * _TOGETHER] if costs[i] < least]
+        joined = _joined(knobs, rows, [moves[i][1] for i in order])
         found = cost(np.stack(joined)) if joined else np.array([np.inf])
         best = int(np.argmin(found))
         if found[best] < least - 1e-9 * abs(least):
@@ -112,6 +122,18 @@ def better_commands(
         elif (waited := waited + 1) >= _PATIENCE:
             break
     return rows, least
+
+
+def _moves(rng: np.random.Generator, knobs: Sequence[Knob], rows: Array) -> list[tuple[Array, tuple[_Window, ...]]]:
+    """Commands (K, P) that differ from `rows` in a window, or in two, as heat is given earlier instead of later."""
+    windows = _drawn(rng, knobs, rows)
+    moves = [(window.in_place(rows), (window,)) for window in windows]
+    for _ in range(len(windows)):
+        pair = tuple(windows[int(i)] for i in rng.integers(len(windows), size=2))
+        both = pair[1].in_place(pair[0].in_place(rows))
+        if pair[0].knob != pair[1].knob or knobs[pair[0].knob].keeps(both[pair[0].knob]):
+            moves.append((both, pair))
+    return moves
 
 
 def _drawn(rng: np.random.Generator, knobs: Sequence[Knob], rows: Array) -> list[_Window]:
@@ -137,12 +159,14 @@ def _drawn(rng: np.random.Generator, knobs: Sequence[Knob], rows: Array) -> list
     return list(out)
 
 
-def _joined(knobs: Sequence[Knob], rows: Array, windows: Sequence[_Window]) -> list[Array]:
-    """Commands with the first window, the first two, and so on, of those that may stand together."""
+def _joined(knobs: Sequence[Knob], rows: Array, moves: Sequence[tuple[_Window, ...]]) -> list[Array]:
+    """Commands with the first move, the first two, and so on, of those that may stand together."""
     out: list[Array] = []
-    for window in windows:
-        together = window.in_place(out[-1] if out else rows)
-        if knobs[window.knob].keeps(together[window.knob]):
+    for windows in moves:
+        together = out[-1] if out else rows
+        for window in windows:
+            together = window.in_place(together)
+        if all(knobs[window.knob].keeps(together[window.knob]) for window in windows):
             out.append(together)
         if len(out) == _TOGETHER:
             break

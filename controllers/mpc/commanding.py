@@ -26,7 +26,7 @@ from controllers.optimisation.plan_model import Evaluator
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand
-from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving
+from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving, PlanStatus
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -50,7 +50,8 @@ class Commanded:
     """A plan in commands: levels `u` (A, N) that the loops answer with, and the command of each part of each step.
 
     `values[a]` (N, n) is None where an actuator has no command, or is in `left_alone`; `part_s`: length of its parts,
-    s; `states` (A,): what is set after the first step.
+    s; `states` (A,): what is set after the first step; `most`: least and largest command of the first step of those
+    that have one of their own and may change it now.
     """
 
     u: Array
@@ -58,6 +59,12 @@ class Commanded:
     part_s: Mapping[int, float]
     states: tuple[CommandState | None, ...]
     left_alone: frozenset[int]
+    most: Mapping[int, tuple[float, float]]
+
+    def guard(self, step_s: float) -> dict[int, tuple[tuple[Block, ...], tuple[Block, ...]]]:
+        """The first step with the least and with the most that each actuator may be commanded, by its number."""
+        ends = {a: both for a, both in self.most.items() if self.values[a] is not None}
+        return {a: ((Block(0.0, step_s, (low,)),), (Block(1.0, step_s, (high,)),)) for a, (low, high) in ends.items()}
 
     def blocks(self, a: int) -> tuple[Block, ...]:
         """The first step of actuator `a`."""
@@ -185,6 +192,7 @@ class CommandedPlan:
             {a: loop.step_s / loop.parts for a, loop in self.loops.items()},
             tuple(after.get(a) for a in range(len(u))),
             self.left_alone & set(self.loops),
+            {members[0]: ends for members, knob in knobs if len(members) == 1 and (ends := knob.ends()) is not None},
         )
 
     def _knobs(self, states: Sequence[ActuationState]) -> list[tuple[tuple[int, ...], Knob]]:
@@ -364,11 +372,13 @@ def with_command_states(plan: Plan, commanded: Commanded) -> Plan:
     """The plan, its state with what is set after its first step."""
     assert isinstance(plan.state, MPCState)
     states = tuple(
-        state
-        if told is None or state.native
-        else replace(state, command=told.value, held_s=told.held_s, owed_s=told.owed)
+        state if told is None or state.native else replace(state, command=told.value, held_s=told.held_s, owed_s=0.0)
         for state, told in zip(plan.state.actuation, commanded.states, strict=True)
     )
+    for a, status in enumerate(plan.acting):
+        if status is PlanStatus.GUARD and a in commanded.most and plan.blocks:
+            held = CommandState(float(plan.blocks[-1].command[a]), sum(block.duration_s for block in plan.blocks))
+            states = (*states[:a], replace(states[a], command=held.value, held_s=held.held_s), *states[a + 1 :])
     return replace(plan, state=replace(plan.state, actuation=states))
 
 

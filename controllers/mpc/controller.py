@@ -398,7 +398,8 @@ class ThermoForceMPC(ActuatedController):
             return self._realisation.fall_back(result, overrides, doubtful, readings.doubts, situation)
         plan, limit, commanded = result
         demands = first_demands(self.config, self._actuators, self.step_s, plan, readings, commanded)
-        realised = self._realisation.realise(plan, demands, overrides, situation, limit)
+        by_command = commanded.guard(self.step_s) if commanded is not None else None
+        realised = self._realisation.realise(plan, demands, overrides, situation, limit, by_command)
         return realised if commanded is None else with_command_states(realised, commanded)
 
     def _power_spread(self, history: Record) -> float:

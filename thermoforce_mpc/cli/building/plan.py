@@ -210,11 +210,16 @@ def command_rows(plan: Plan, commands: Mapping[str, LearnedCommand]) -> list[dic
     """The commands of a plan in the order of actuators and time, JSON types; `value` None: leave it to itself."""
     from thermoforce_mpc.data.dataframes import stamps
 
-    rows = []
-    for name, settings in zip(plan.names.actuators, plan.settings, strict=bool(plan.settings)):
+    rows, said = [], set()
+    for of_actuator, settings in zip(plan.names.actuators, plan.settings, strict=bool(plan.settings)):
+        machine = commands[of_actuator].machine if of_actuator in commands else ""
+        name = machine or of_actuator
+        if machine in said:  # one command for all that it feeds
+            continue
+        said |= {machine} - {""}
         for one in settings:
             begin, end = stamps(np.array([one.start_s, one.end_s]), plan.origin)
-            command = commands[name].command
+            command = commands[of_actuator].command
             text = "its own control" if one.value is None else command.in_words(one.value)
             row = {"actuator": name, "kind": command.kind, "from": begin.isoformat(), "until": end.isoformat()}
             rows.append(row | {"value": one.value, "unit": command.unit, "text": text})

@@ -141,7 +141,7 @@ def commands_of(building: Connection, rules: MeasurementMap, step_s: float) -> d
     """
     from thermoforce_mpc.live import LiveBuilding
 
-    if not any(actuator.command for actuator in rules.actuators.values()):
+    if not any(rules.command_of(name) for name in rules.actuators):
         return {}
     return LiveBuilding(building, rules, step_s).commands()
 
