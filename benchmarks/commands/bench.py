@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -170,7 +170,7 @@ def priced(ahead: Boundary) -> Boundary:
     hour = ahead.time_s / HOUR_S % 24.0
     peaks = 0.14 * np.exp(-(((hour - 8.0) / 2.0) ** 2)) + 0.18 * np.exp(-(((hour - 18.5) / 2.2) ** 2))
     price = 0.18 + peaks - 0.06 * np.exp(-(((hour - 13.0) / 2.0) ** 2))
-    return replace(ahead, price_per_kWh=np.atleast_2d(price))
+    return ahead.at_prices(np.atleast_2d(price))
 
 
 def targets(rows: list[Row]) -> list[Target]:

@@ -20,7 +20,7 @@ from thermoforce_mpc.data import Array
 
 # Windows drawn in a round, rounds, those in a row without a better plan that end it, and windows taken together. Of
 # six houses of `bench commands` (2026-11-28) twice of each saved no more.
-_DRAWN, _ROUNDS, _PATIENCE, _TOGETHER = 128, 16, 3, 8
+_DRAWN, _ROUNDS, _PATIENCE, _TOGETHER = 96, 14, 3, 8
 _WINDOW_H = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
 _SEED = 64
 

@@ -156,7 +156,7 @@ def test_the_guard_commands_the_most_where_a_room_is_far_too_cold(home):
     T_zone_C[0, -3:] = [19.5, 18.5, 17.5]
     record = replace(measured.record, T_zone_C=T_zone_C)
     ahead = read_forecast(home.forecast(), measured)
-    dear = replace(ahead, price_per_kWh=1e3 * ahead.price_per_kWh, heating_price_per_kWh=np.empty(0))
+    dear = ahead.at_prices(1e3 * ahead.price_per_kWh)
     plan = controller(measured, guard={"enabled": True}).plan(Observation(record, dear))
     assert {block.command for block in plan.blocks} == {(24.0,)}
     plan = controller(measured, guard={"enabled": False}).plan(Observation(record, dear))

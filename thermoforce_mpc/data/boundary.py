@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -218,6 +218,10 @@ class Boundary:
                 name: values[row[AXIS[name]]][None] if name in AXIS else values for name, values in self.guessed.items()
             },
         )
+
+    def at_prices(self, price_per_kWh: Array) -> Boundary:
+        """The same at other prices (M, N + 1), of heating too."""
+        return replace(self, price_per_kWh=price_per_kWh, heating_price_per_kWh=np.empty(0))
 
     def head(self, n_steps: int) -> Boundary:
         """The first `n_steps` steps."""
