@@ -6,12 +6,14 @@ import copy
 
 import numpy as np
 import pytest
-from home_by_curve import ROOMS, RULES, SETPOINT_C, HomeByCurve, curve_model
+from home_by_curve import EMITTER_W_K, ROOMS, RULES, SETPOINT_C, HomeByCurve, cop, curve_model
 
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.identification import IdentificationConfig
+from thermoforce_mpc.identification.effects.meters import power_of_machine
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import learned_commands, read_measurements
@@ -81,3 +83,27 @@ def test_a_room_with_a_command_of_its_own_is_refused_beside_that_of_its_machine(
     rules["actuators"]["living"]["command"] = {"kind": "setpoint", "column": "set"}
     with pytest.raises(ConfigError, match="living, which it feeds, has a command of its own"):
         validate(MeasurementMap, rules, "map.yaml")
+
+
+def test_power_knows_what_a_kelvin_of_flow_costs(home, measured):
+    """Half of Carnot: heat of both rooms, valves as usual, from water of 36 and of 40 °C."""
+    valve = {name: float(np.mean([row[f"valve_{name}"] for row in home.rows])) for name in ROOMS}
+    config = IdentificationConfig(power_curve=True)
+    power = power_of_machine([measured.record], config, measured.layout, 0)
+    full_K = {
+        name: float(note.split(" 1 at ")[1].split(" K")[0])
+        for name in ROOMS
+        for note in measured.understood.assumed
+        if f"level of {name}" in note
+    }
+
+    def by_law_and_truth_W(flow_C):
+        over_K = {name: valve[name] * (flow_C - SETPOINT_C[name]) for name in ROOMS}
+        u = np.array([[over_K[name] / full_K[name]] for name in ROOMS])
+        heat_W = sum(0.8 * EMITTER_W_K[name] * over_K[name] for name in ROOMS)
+        law_W = power.of_actuators(u, measured.layout.weights, np.array([2.0]))
+        return float(law_W.item()), heat_W / cop(flow_C, 2.0)
+
+    (cool, cool_true), (warm, warm_true) = by_law_and_truth_W(36.0), by_law_and_truth_W(40.0)
+    assert cool == pytest.approx(cool_true, rel=0.1)
+    assert (warm - cool) == pytest.approx(warm_true - cool_true, rel=0.2)

@@ -39,7 +39,8 @@ RULES = {
         for name in ROOMS
     },
     "actuators": {
-        name: {"zone": name, "machine": "heat_pump", "level": f"valve_{name}", "flow": "flow"} for name in ROOMS
+        name: {"zone": name, "machine": "heat_pump", "level": f"valve_{name}", "flow": "flow", "share": share}
+        for name, share in (("living", 0.62), ("bedroom", 0.38))
     },
     "machines": {
         "heat_pump": {
