@@ -74,7 +74,7 @@ def serve(testcase: str, host: str, weather: str, prices: Path | None, token: st
         raise ConfigError(
             f"serving needs {error.name}, which is not installed: pip install 'thermoforce-mpc[serve]'"
         ) from error
-        from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
+    from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
     from thermoforce_mpc.plants.embedded.cases import CASES
     from thermoforce_mpc.plants.registry import tariff_of
 
