@@ -37,7 +37,7 @@ _BEYOND, MOST_SOLVES = 0.05, 3
 NOT_BETTER = "commands that were found are not better than leaving the building alone: its own control acts"
 """What a plan says that is not carried out."""
 # Rounds in which level and temperature of a step are made to agree.
-_ROUNDS = 8
+_ROUNDS, _CLOSE = 8, 2e-3
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
 # Error of a change of power, as a share, from which its law may be as wrong as the demand of the rooms says.
 _UNKNOWN = 0.3
@@ -445,7 +445,7 @@ def _followed(
                 home = operator.home[a]
                 answer = loop.answer(values[a], k, T[:, home], T_end[:, home], before[:, a], z)
                 moved[:, a] = 0.5 * (level[:, a] + answer)
-            if np.abs(moved - level).max(initial=0.0) < 1e-4:
+            if np.abs(moved - level).max(initial=0.0) < _CLOSE:
                 break
             level = moved
         drive = modulation * _heat(operator, problem, level, k) * gain

@@ -93,7 +93,10 @@ def billed_over_steps(
 
     energy = price if bill.energy is None else np.tile(of(bill.energy), (len(price), 1))
     earns = np.zeros(grid_s.size) if bill.export_per_kWh is None else of(bill.export_per_kWh)
-    return np.stack([billed(bill, row, grid_s, origin, step_s) for row in energy]), earns, "; ".join(words)
+    billed_at = np.stack([billed(bill, row, grid_s, origin, step_s) for row in energy])
+    if doubt := price_doubt(billed_at):
+        raise DataError(f"{path}: with fees and tax {doubt}")
+    return billed_at, earns, "; ".join(words)
 
 
 def billed(bill: Bill, energy: Array, time_s: Array, origin: pd.Timestamp, step_s: float) -> Array:

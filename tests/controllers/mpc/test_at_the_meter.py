@@ -17,6 +17,7 @@ from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Observation
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import read_measurements
 
@@ -124,3 +125,25 @@ def test_peaks_are_those_of_this_month_and_three_of_distinct_days(home):
     later = replace(record, power_W=power_W, time_s=record.time_s + 4 * 86400.0)  # 2 February
     ahead = replace(observation.boundary, time_s=observation.boundary.time_s + 4 * 86400.0)
     assert state.peak_after(Observation(later, ahead), "month") == 500.0
+
+
+def test_a_bill_without_energy_adds_its_fees_to_the_prices_of_the_map(home, tmp_path):
+    path = tmp_path / "bill.yaml"
+    windows = [{"hours": "17:00-19:30", "per_kWh": 0.10}]
+    bill = {"source": "a contract", "grid": {"per_kWh": 0.02, "windows": windows}, "vat": 0.5}
+    path.write_text(yaml.safe_dump(bill))
+    measured = read_measurements(home.measurements(), PLAIN, step_s=3600.0).served()
+    ahead = read_forecast(forecast(home), measured, prices=path)
+    price = dict(zip(ahead.time_s[:24] % 86400.0 / 3600.0, ahead.price_per_kWh[0, :24], strict=True))
+    assert price[2.0] == pytest.approx(1.5 * 0.22)
+    assert price[17.0] == pytest.approx(1.5 * 0.50)
+    assert price[19.0] == pytest.approx(1.5 * (0.40 + 0.06))  # the window ends within the step
+    assert ahead.heating_price_per_kWh[0, 17] == pytest.approx(1.5 * 0.50)
+
+
+def test_a_bill_in_cents_is_refused(home, tmp_path):
+    path = tmp_path / "bill.yaml"
+    path.write_text(yaml.safe_dump({"source": "a contract", "energy": 30.0}))
+    measured = read_measurements(home.measurements(), PLAIN, step_s=3600.0).served()
+    with pytest.raises(DataError, match=r"bill\.yaml: with fees and tax .* in cents"):
+        read_forecast(forecast(home), measured, prices=path)
