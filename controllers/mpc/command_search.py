@@ -130,7 +130,7 @@ def better_commands(
 def _moves(rng: np.random.Generator, knobs: Sequence[Knob], rows: Array) -> list[tuple[Array, tuple[_Window, ...]]]:
     """Commands (K, P) that differ from `rows` in a window, or in two, as heat is given earlier instead of later."""
     windows = _drawn(rng, knobs, rows)
-    moves = [(window.in_place(rows), (window,)) for window in windows]
+    moves: list[tuple[Array, tuple[_Window, ...]]] = [(window.in_place(rows), (window,)) for window in windows]
     for _ in range(len(windows)):
         pair = tuple(windows[int(i)] for i in rng.integers(len(windows), size=2))
         both = pair[1].in_place(pair[0].in_place(rows))
