@@ -286,7 +286,8 @@ class CommandedPlan:
         ask for, the figure in the middle; the better it tells it, the nearer to the law.
         """
         usual = {a: self._usual_row(a)[None] for a in self.loops}
-        own = {a: usual[a] if plan.values[a] is None else plan.values[a].reshape(1, -1) for a in self.loops}
+        planned = {a: row.reshape(1, -1) for a, row in enumerate(plan.values) if row is not None}
+        own = usual | planned
         problem, A = self.problem, len(self.spread)
         rng = np.random.default_rng(_SEED)
         z = np.vstack([np.zeros(A + 2), rng.standard_normal((_DRAWS, A + 2))])
@@ -381,8 +382,9 @@ def with_command_states(plan: Plan, commanded: Commanded) -> Plan:
         for state, told in zip(plan.state.actuation, commanded.states, strict=True)
     )
     for a, status in enumerate(plan.acting):
-        if status is PlanStatus.GUARD and a in commanded.most and plan.blocks:
-            held = CommandState(float(plan.blocks[-1].command[a]), sum(block.duration_s for block in plan.blocks))
+        told = plan.blocks[-1].command[a] if plan.blocks else None
+        if status is PlanStatus.GUARD and a in commanded.most and isinstance(told, float):
+            held = CommandState(told, sum(block.duration_s for block in plan.blocks))
             states = (*states[:a], replace(states[a], command=held.value, held_s=held.held_s), *states[a + 1 :])
     return replace(plan, state=replace(plan.state, actuation=states))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pandas as pd
 
 from controllers.actuation.actuator import ActuationState
 from controllers.monitoring.meters import MeterState
@@ -91,7 +92,7 @@ def _peak_of_month(history: Record, power_W: Array, *, three_days: bool) -> floa
     if history.origin is None:  # days of simulated years count from 0
         of_day, month = np.floor(history.time_s / DAY_S), month_of(history.time_s)
     else:
-        at = stamps(history.time_s, history.origin)
+        at = pd.DatetimeIndex(stamps(history.time_s, history.origin))
         of_day, month = np.asarray(at.day_of_year), np.asarray(at.month)
     day, today = of_day[:-1], of_day[-1]
     counts = np.isfinite(power_W) & (month[:-1] == month[-1])
