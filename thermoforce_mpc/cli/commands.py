@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from thermoforce_mpc.cli.completion import completing
 from thermoforce_mpc.errors import InputError, suggestion
 from thermoforce_mpc.files import odd_number
 
@@ -85,7 +86,7 @@ EXIT_CODES = """\
 143  ended by SIGTERM
 """
 COMPLETION = """\
-Completion of commands, options and files, for this shell session:
+Completion of commands, options, names, run folders and files, for this shell session:
 
   bash:  eval "$(_TF_MPC_COMPLETE=bash_source tf-mpc)"
   zsh:   eval "$(_TF_MPC_COMPLETE=zsh_source tf-mpc)"
@@ -111,6 +112,15 @@ def _plainly(kind: click.ParamType) -> click.ParamType:
     return kind
 
 
+def _completed(command: str, option: click.Parameter, kind: click.ParamType) -> click.ParamType:
+    """`kind`, whose values TAB completes, see `completing`."""
+    complete = completing(command, option)
+    if complete is not None:
+        kind = copy.copy(kind)
+        kind.shell_complete = complete  # type: ignore[method-assign]
+    return kind
+
+
 class CommandGroups(click.Group):
     """Click group that shows its commands in groups and imports only the one that is called."""
 
@@ -131,7 +141,7 @@ class CommandGroups(click.Group):
         else:
             command = getattr(importlib.import_module(f"thermoforce_mpc.cli.{module}"), function)
         for option in command.params:
-            option.type = _plainly(option.type)
+            option.type = _completed(cmd_name, option, _plainly(option.type))
         command.name = cmd_name  # functions have other names; the command line reference shows this one
         return command
 
