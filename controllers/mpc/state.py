@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import pandas as pd
 
 from controllers.actuation.actuator import ActuationState
 from controllers.monitoring.meters import MeterState
@@ -15,7 +14,6 @@ from controllers.monitoring.zone_sensor_state import SensorState
 from controllers.mpc.margins import Margins
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import DAY_S, Array, Boundary, Names, Observation, Record, month_of
-from thermoforce_mpc.data.dataframes import stamps
 from thermoforce_mpc.model.predictor import PredictorState
 
 
@@ -92,6 +90,10 @@ def _peak_of_month(history: Record, power_W: Array, *, three_days: bool) -> floa
     if history.origin is None:  # days of simulated years count from 0
         of_day, month = np.floor(history.time_s / DAY_S), month_of(history.time_s)
     else:
+        import pandas as pd  # only here
+
+        from thermoforce_mpc.data.dataframes import stamps
+
         at = pd.DatetimeIndex(stamps(history.time_s, history.origin))
         of_day, month = np.asarray(at.day_of_year), np.asarray(at.month)
     day, today = of_day[:-1], of_day[-1]
