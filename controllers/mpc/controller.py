@@ -366,7 +366,7 @@ class ThermoForceMPC(ActuatedController):
             plan = replace(plan, settings=own.settings(commanded, plan.time_s), saving=saving)
             if saving is not None and not saving.gain > 0.0:
                 plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
-        return Solved(plan, limit, commanded, instance.problem.most_u)
+        return Solved(plan, instance.problem, limit, commanded)
 
     @property
     def _in_runs(self) -> list[int]:
@@ -396,10 +396,13 @@ class ThermoForceMPC(ActuatedController):
         if isinstance(result, Failure):
             doubtful = [self._watched.doubtful(result.state, a) for a in range(len(self._fallbacks))]
             return self._realisation.fall_back(result, overrides, doubtful, readings.doubts, situation)
-        plan, limit, commanded, most_u = result
-        demands = first_demands(self.config, self._actuators, self.step_s, plan, readings, commanded, most_u)
+        plan, problem, limit, commanded = result
+        demands = first_demands(
+            self.config, self._actuators, self.step_s, plan, readings, commanded, most_u=problem.most_u
+        )
+        capacity = None if problem.capacity is None else problem.capacity[:, 0]
         by_command = commanded.guard(self.step_s) if commanded is not None else None
-        realised = self._realisation.realise(plan, demands, overrides, situation, limit, by_command)
+        realised = self._realisation.realise(plan, demands, overrides, situation, limit, capacity, by_command)
         return realised if commanded is None else with_command_states(realised, commanded)
 
     def _power_spread(self, history: Record) -> float:
