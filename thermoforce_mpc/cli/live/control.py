@@ -64,6 +64,9 @@ def control(
     goes on from what was measured, and from what it knew, which is kept in state.npz in --out for a day (faults
     noticed, highest power, levels set).
 
+    What people ask (`tf-mpc ask`, or over MQTT) counts from the next step on. A set-point that somebody changed at the
+    device is left alone for 4 h, and a note says so.
+
     --connection is a name, or a YAML file with `name` and `options`, as `tf-mpc init --for` writes one.
 
     One controller at a time: a second one of what the connection sets is refused, whatever its --out.
@@ -82,7 +85,8 @@ def control(
     from thermoforce_mpc.connections.registry import build_connection, connection_settings
     from thermoforce_mpc.connections.sole import set_by
     from thermoforce_mpc.files import storage_errors
-    from thermoforce_mpc.live import KeptState, LiveBuilding, control
+    from thermoforce_mpc.live import KeptState, LiveBuilding, People, control
+    from thermoforce_mpc.live.people import shared_with
     from thermoforce_mpc.measurements.map.mapping import load_map
     from thermoforce_mpc.model.thermal_model import load_model
     from thermoforce_mpc.records.run_folder import sole_use
@@ -109,15 +113,16 @@ def control(
         mpc = ThermoForceMPC(thermal, options, commands=commands)
         key = controller_key(thermal, mpc.config, {name: learned.command for name, learned in commands.items()})
         say(f"Control of {', '.join(thermal.names.actuators)} by connection {connection}; log: {out}/log.jsonl")
+        people = People(out / "people.json", rules.time.zone)
         say(f"Actuation: {mpc.actuation_in_words}")
         control(
-            LiveBuilding(building, rules, mpc.step_s, prices),
+            LiveBuilding(building, rules, mpc.step_s, prices, people),
             mpc,
             steps=steps,
             delay_s=0.0 if dry_run else delay_s,
             dry=dry_run,
             kept=None if dry_run else KeptState(out / "state.npz", key),
-            told=_told(say, commands),
+            told=shared_with(building, people, _told(say, commands), lambda decision: in_words(decision, commands)),
             sets=set_by(building, connection, settings),
         )
 
