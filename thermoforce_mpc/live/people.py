@@ -87,14 +87,15 @@ class People:
             if off:
                 wishes = replace(wishes, lower_C=None, upper_C=None, comfort_until=None)
             else:
-                bound = _checked(_number(key, word))
-                if _passed(wishes.comfort_until, now):
-                    wishes = replace(wishes, lower_C=None, upper_C=None)
-                wishes = replace(wishes, **{f"{key}_C": bound}, comfort_until=comfort.isoformat())
-                low, high = wishes.lower_C, wishes.upper_C
-                if low is not None and high is not None and low > high - _BAND_K:  # the other one makes way
-                    other = {"upper_C": low + _BAND_K} if key == "lower" else {"lower_C": high - _BAND_K}
-                    wishes = replace(wishes, **other)
+                bound = _number(key, word)
+                _checked(bound)
+                fresh = _passed(wishes.comfort_until, now)
+                low, high = (None, None) if fresh else (wishes.lower_C, wishes.upper_C)
+                if key == "lower":  # the other one makes way
+                    low, high = bound, None if high is None else max(high, bound + _BAND_K)
+                else:
+                    low, high = None if low is None else min(low, bound - _BAND_K), bound
+                wishes = replace(wishes, lower_C=low, upper_C=high, comfort_until=comfort.isoformat())
         elif key == "away":
             until = None if off or word.lower() == "false" else self._time(word, now)
             wishes = replace(wishes, away_until=until)
@@ -159,8 +160,8 @@ class People:
         """What is asked, for displays: bounds, whether away, minutes of boost left."""
         wishes = self.wishes()
         comfort = not _passed(wishes.comfort_until, now)
-        boost = wishes.boost_until
-        left_min = 0.0 if _passed(boost, now) else (pd.Timestamp(boost) - now).total_seconds() / 60.0
+        boost = now if wishes.boost_until is None else pd.Timestamp(wishes.boost_until)
+        left_min = max((boost - now).total_seconds() / 60.0, 0.0)
         return {
             "lower_C": wishes.lower_C if comfort else None,
             "upper_C": wishes.upper_C if comfort else None,
@@ -242,10 +243,9 @@ def _number(key: str, word: str) -> float:
         raise ConfigError(f"{key} {word!r}: no number") from error
 
 
-def _checked(bound: float | None) -> float | None:
+def _checked(bound: float | None) -> None:
     if bound is not None and not _RANGE_C[0] <= bound <= _RANGE_C[1]:
         raise ConfigError(f"{bound:g}: bounds are °C, from {_RANGE_C[0]:g} to {_RANGE_C[1]:g}")
-    return bound
 
 
 def _passed(until: str | None, now: pd.Timestamp) -> bool:
