@@ -167,3 +167,13 @@ def test_what_is_decided_is_shown_and_what_is_heard_is_asked(people):
     with pytest.raises(ConfigError):
         shows.asks["lower"]("hot")
     assert json.loads(json.dumps(shows.said))["notes"] == ["a note"]
+
+
+def test_what_cannot_be_shown_ends_no_control(people):
+    def fails(said):
+        raise RuntimeError("broker")
+
+    shows = Shows()
+    shows.tell = fails
+    plan = Plan((Block(0.5, 3600.0),), PlanStatus.SOLVED, "cheap hours")
+    shared_with(shows, people, lambda decision: None, lambda decision: "")(Decision(NOW, plan, plan.blocks))

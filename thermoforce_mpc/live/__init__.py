@@ -2,7 +2,7 @@
 
 from thermoforce_mpc.live.building import LiveBuilding
 from thermoforce_mpc.live.control import Clock, Decision, WallClock, control
-from thermoforce_mpc.live.kept import KeptState
+from thermoforce_mpc.live.kept import KeptState, real_run
 from thermoforce_mpc.live.people import People
 
-__all__ = ["Clock", "Decision", "KeptState", "LiveBuilding", "People", "WallClock", "control"]
+__all__ = ["Clock", "Decision", "KeptState", "LiveBuilding", "People", "WallClock", "control", "real_run"]

@@ -194,9 +194,13 @@ def shared_with(
     """
     tell, listen = getattr(connection, "tell", None), getattr(connection, "listen", None)
 
-    def show() -> None:
-        if tell is not None:
-            tell({"people": shown | people.shown(pd.Timestamp.now("UTC"))})
+    def show(said: dict[str, Any]) -> None:
+        if tell is None:
+            return
+        try:
+            tell(said | {"people": shown | people.shown(pd.Timestamp.now("UTC"))})
+        except Exception as error:  # somebody's connection may raise anything, and showing ends no control
+            _LOG.warning("what was decided is not shown (%s: %s)", type(error).__name__, error)
 
     def asked(key: str) -> Callable[[str], None]:
         def ask(text: str) -> None:
@@ -204,7 +208,7 @@ def shared_with(
                 people.ask(key, text, pd.Timestamp.now("UTC"))
                 _LOG.info("asked: %s %s", key, text[:50])
             finally:  # what was refused is shown as it is
-                show()
+                show({})
 
         return ask
 
@@ -214,8 +218,6 @@ def shared_with(
 
     def decided(decision: Decision) -> None:
         told(decision)
-        if tell is None:
-            return
         plan, words = decision.plan, in_words(decision)
         if plan.lower_C.size:
             shown.update(planned_lower_C=float(plan.lower_C[0, 0]), planned_upper_C=float(plan.upper_C[0, 0]))
@@ -224,14 +226,13 @@ def shared_with(
             for k, at in enumerate(plan.time_s)
         ]
         set_now = words.partition(": ")[0].partition("  ")[2]  # without the time and the reason
-        tell(
+        show(
             {
                 "status": plan.status.value, "why": decision.refused or plan.why, "level": set_now,
                 "notes": list(decision.notes),
                 "plan": {"from": decision.instant.isoformat(), "next": words[:250], "steps": steps},
             }
         )  # fmt: skip
-        show()
 
     return decided
 
