@@ -45,6 +45,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "Live": {
         "control": ("live.control:control", "Control a real building through a connection."),
+        "ask": ("live.ask:ask", "Ask a controller for warmer, cooler, away or boost."),
         "record": ("live.record:record", "Write a building's history, or record it."),
         "watch": ("live.watch:watch", "Watch a running controller, here or as a page."),
     },
