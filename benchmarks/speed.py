@@ -69,10 +69,11 @@ class Row:
     environment: Mapping[str, str] = field(default_factory=dict)
 
 
+_AS_A_SHELL = "import sys\nfrom thermoforce_mpc.cli import main\nsys.argv = ['tf-mpc']\nmain()"
 _TAB = {"_TF_MPC_COMPLETE": "bash_complete", "COMP_WORDS": "tf-mpc run --testcase b", "COMP_CWORD": "3"}
 ROWS = (
     Row("help: tf-mpc --help", (*_TF_MPC, "--help")),
-    Row("tab: a value by TAB", _TF_MPC, environment=_TAB),
+    Row("tab: a value by TAB", (sys.executable, "-c", _AS_A_SHELL), environment=_TAB),
     Row("names: import of all public names", (sys.executable, "-c", _NAMES)),
     Row("identify: three days of one room", (sys.executable, "-c", _IDENTIFY), 0.3),
     Row("day: main job with one day of control", (*_RUN, "--days", "1", "--baselines", "")),
