@@ -212,9 +212,9 @@ def searched(room: RoomNetwork, runs: Sequence[RoomRun], start: Array, spread: A
 
     By Newton's steps within a trusted distance (Conn, Gould and Toint 2000): curvatures differ by a factor of 10⁴ from
     one direction to the next, in which a search by slopes alone ends far from where they vanish. A curvature costs as
-    much as p slopes: on the way it is learned from these, it is computed where that misleads, and before the end. Near
-    another largest posterior, of covariance `spread` (p, p), the curvature is that one's to begin with, and learned from the slopes
-    (BFGS), in a twentieth of the time.
+    much as p slopes: it is computed at the start and where the search would end, and corrected by the slopes on the
+    way. Near another largest posterior, of covariance `spread` (p, p), the curvature is that one's to begin with, and
+    learned from the slopes (BFGS).
     """
     if spread is not None:
         options = {"hess_inv0": spread, "gtol": _FLAT, "maxiter": _MOST_STEPS}
