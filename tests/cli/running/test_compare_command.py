@@ -58,6 +58,7 @@ def test_cells_run_once_failed_ones_again_and_the_rest_goes_on(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_controllers_are_compared_on_a_service(tmp_path):
     words = ("--controllers", "thermostat", "--windows", "44", "--days", "0.25", "--jobs", "1", "--out", str(tmp_path))
     with running_emulator_service() as url:
