@@ -18,13 +18,13 @@ from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.data.series import WEATHER, bridged, interpolated
 from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.modes import BAND, STEP_RESPONSE_H
 from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.free_response.checks import LEVELS
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.whatif.identified import BAND, step_response_of
+from thermoforce_mpc.whatif.identified import step_response_of
 
 # Error of a change of power, as a share, up to which its law alone counts.
 _EXACT = 0.1

@@ -67,7 +67,7 @@ def test_every_zone_keeps_its_order_and_area():
         for poles in ([0.9], [0.3, 0.98])
     ]
     layout = replace(LAYOUT, floor_area_m2=(100.0, 60.0))
-    building = assembled(layout, zones, [[], []], [None, None], IdentificationConfig())
+    building = assembled(layout, zones, [[], []], [None, None], IdentificationConfig(), [0.0, 0.0], [np.nan, np.nan])
     assert building.floor_area_m2 == (100.0, 60.0)
     assert [pair.order for *_, pair in building.operator.each()] == [1, 2]
     assert building.operator.shape == (2, 2, 2)
