@@ -231,12 +231,18 @@ def _identified_sd(model: ThermalModel, change: Array, step_s: float) -> Array:
 
 
 def _energy_kWh(model: ThermalModel, u: Array, stretch: Record) -> Array:
-    energy_kWh = np.full(len(model.machines), np.nan)
-    for m, power in enumerate(model.power):
-        fed = [a for a, machine in enumerate(model.machine_of) if machine == m]
-        if power is None or (len(fed) > 1 and power.cooling is not None):
-            continue
-        T_out_C, weights = stretch.T_out_C[:-1], model.layout.weights[fed]
-        watts = power(u[fed[0]], T_out_C) if len(fed) == 1 else power.of_actuators(u[fed], weights, T_out_C)
-        energy_kWh[m] = float(watts.sum()) * stretch.step_s / J_PER_KWH
-    return energy_kWh
+    watts = [machine_W(model, m, u, stretch.T_out_C[:-1]) for m in range(len(model.machines))]
+    return np.array([float(of_one.sum()) * stretch.step_s / J_PER_KWH for of_one in watts])
+
+
+def machine_W(model: ThermalModel, m: int, u: Array, T_out_C: Array) -> Array:
+    """Power of machine `m` under levels `u` (A, N) at `T_out_C` (N,) °C by the model, W (N,).
+
+    NaN where it has none, or heats and cools and feeds several actuators.
+    """
+    power, fed = model.power[m], [a for a, machine in enumerate(model.machine_of) if machine == m]
+    if power is None or (len(fed) > 1 and power.cooling is not None):
+        return np.full(T_out_C.shape, np.nan)
+    if len(fed) == 1:
+        return np.asarray(power(u[fed[0]], T_out_C))
+    return np.asarray(power.of_actuators(u[fed], model.layout.weights[fed], T_out_C))
