@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from click.testing import CliRunner
 from simple_house import GAIN_K, POLE, outdoor_C, simple_model
 
+from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Block, Boundary, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.experiment.worth import worth
@@ -164,3 +168,49 @@ def test_what_cannot_be_said_is_refused(change: dict[str, object], message: str)
     asked = {"start_s": _FIRST * HOUR_S, "days": 2.0} | {k: v for k, v in change.items() if k in ("start_s", "days")}
     with pytest.raises(DataError, match=message):
         worth(model, record, conditions, _Nightly(), draws=2, **asked)
+
+
+@pytest.mark.slow
+def test_worth_command(tmp_path: Path) -> None:
+    record, model = _run(_levels(4)), _model(0.1)
+    model.save(tmp_path / "model")
+    stamps = [at.isoformat() for at in record.stamps()]
+    table = {"at": stamps, "room": record.T_zone_C[0], "out": record.T_out_C}
+    table |= {name: np.append(getattr(record, name)[0], np.nan) for name in ("u", "power_W")}
+    pd.DataFrame(table).to_csv(tmp_path / "data.csv", index=False)
+    price = _conditions(record).price_per_kWh[0]
+    pd.DataFrame({"time": stamps, "price": price}).to_csv(tmp_path / "prices.csv", index=False)
+    low = float(np.min(record.T_zone_C[0, -24:]))
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: at}\noutdoor: out\nstep: 60min\n"
+        f"zones: {{zone: {{temperature: room, lower: {max(low, 5.0):.1f}, upper: 40}}}}\n"
+        "actuators: {actuator: {zone: zone, level: u}}\nmachines: {machine: {power: power_W}}\n"
+    )
+
+    def said(*words: str) -> tuple[int, str]:
+        given = [f"--{name}={tmp_path / file}" for name, file in (("data", "data.csv"), ("map", "map.yaml"))]
+        done = CliRunner().invoke(cli, ["worth", f"--model={tmp_path / 'model'}", *given, *words])
+        return (
+            (done.exit_code, done.output)
+            if isinstance(done.exception, SystemExit | None)
+            else (-1, str(done.exception))
+        )
+
+    prices, out = f"--prices={tmp_path / 'prices.csv'}", tmp_path / "worth.json"
+    ask = (prices, "--days=1", "--houses=2", "--hours=6", "--set=gate.enabled=false")
+    code, text = said(*ask, f"--out={out}", f"--plot={tmp_path / 'worth.png'}")
+    assert code == 0, text
+    assert "90 % band" in text
+    assert "It rests on effects of full level known to ± 10 %" in text
+    content = json.loads(out.read_text())
+    found = content["worth"]
+    assert found["low"] < found["saved"] < found["high"]
+    assert len(content["rows"]) == 24
+    bought = sum(row["power_W_was"] / 1000.0 * row["price_per_kWh"] for row in content["rows"])
+    assert found["cost_was"] == pytest.approx(bought, rel=1e-3)
+    assert (tmp_path / "worth.png").stat().st_size > 10_000
+    code, text = said(*ask, "--commands")
+    assert code == -1
+    assert "names no command" in text
+    code, text = said("--days=1", "--houses=2")
+    assert "price_per_kWh is not known" in text
