@@ -15,7 +15,7 @@ from controllers.monitoring.watch_state import Issued, ScaledModel, Track, Watch
 from controllers.monitoring.zone_sensor_state import Anchor, SensorState
 from controllers.mpc.acting import NoModelState
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.margin_rules import LearnedMargin
+from controllers.mpc.margin_rules import Innovations, LearnedMargin
 from controllers.mpc.margins import Margins
 from controllers.mpc.state import MPCState
 from controllers.rules.pi import PIState
@@ -51,6 +51,7 @@ STATE_CLASSES: tuple[type[Any], ...] = (
     GoodPlan,
     Margins,
     LearnedMargin,
+    Innovations,
     MeterState,
     SensorState,
     Anchor,

@@ -16,12 +16,12 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
-from thermoforce_mpc.errors import ArtifactError, InputError, StorageError
+from thermoforce_mpc.errors import ArtifactError, ConfigError, InputError, StorageError
 
 
 def check_replaceable(folder: Path, mark: str, what: str, *, overwrite: bool) -> None:
@@ -95,6 +95,7 @@ def write_folder(folder: Path, files: Mapping[str, bytes], *, keep: bool = False
             shutil.rmtree(aside, ignore_errors=True)
 
 
+_MOST_SECRET = 8192
 _PART = re.compile(r"\.([0-9]+)-[a-z0-9_]{8}\.part(\..*)?")
 # A process of another machine, whose number says nothing here, is done with a file by then, s.
 _LEFT_OVER_S = 600.0
@@ -258,3 +259,28 @@ def file_sha256(path: Path) -> str:
         raise OSError(errno.EINVAL, "not a file", str(path))
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def secret_from(file: Path | None, variables: Sequence[str], key: str) -> str:
+    """A password or token: what stands in `file`, which nobody else may read, else in the first of `variables` set.
+
+    Raises `ConfigError`, naming the `key` that gives the file; no message holds the secret.
+    """
+    if file is None:
+        for name in variables:
+            if found := os.environ.get(name, "").strip():
+                return found
+        raise ConfigError(
+            f"{key}: no secret is given: set the environment variable {variables[0]}, or {key} to a file of mode 600 "
+            "that holds it"
+        )
+    try:
+        mode = stat.S_IMODE(file.stat().st_mode)
+        if mode & 0o077:
+            raise ConfigError(f"{key}: {file} may be read by others (mode {mode:o}): chmod 600 {file}")
+        text = read_bounded(file, _MOST_SECRET, ConfigError).decode("utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{key}: {file} cannot be read ({type(error).__name__})") from error
+    if not text or any(mark.isspace() for mark in text):
+        raise ConfigError(f"{key}: {file} holds no secret: one line, without spaces")
+    return text

@@ -1,4 +1,5 @@
-"""Structural protocols between packages: `Plant`, `FreeResponse` and its kinds, `Controller` and `Connection`.
+"""Structural protocols between packages: `Plant`, `FreeResponse` and its kinds, `Controller`, `Connection` and
+`Provider`.
 
 Each free response, controller and connection is one file, listed in one registry.
 """
@@ -6,6 +7,7 @@ Each free response, controller and connection is one file, listed in one registr
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from thermoforce_mpc.data import (
@@ -24,6 +26,7 @@ from thermoforce_mpc.data import (
 from thermoforce_mpc.execution.cooperative import Computation
 
 if TYPE_CHECKING:
+    from datetime import datetime
     from pathlib import Path
 
     import pandas as pd
@@ -180,7 +183,8 @@ class Connection(Protocol):
     """A real building, as `tf-mpc control` sees it; any exception means that it cannot be reached at present.
 
     It may also say what it sets, `sets() -> Path | str`, such as the file, or host and topic: no two controllers set it
-    at a time. Without that, those with the same options are taken to set the same.
+    at a time. Without that, those with the same options are taken to set the same. One that must ask for each column
+    has `reads(columns)`, which gets those of the map before the first call.
     """
 
     def measurements(self) -> pd.DataFrame | str | Path:
@@ -201,3 +205,27 @@ class Connection(Protocol):
 
     def close(self) -> None:
         """Release what was opened; safe to call twice. The actuators were given back before."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a provider knows: `table`, a row per instant (index in UTC), until when it is `fresh`, if it says that.
+
+    A price holds for `holds_s` s from its row on; weather is that of the instant. `unchanged`: as asked before.
+    """
+
+    table: pd.DataFrame
+    holds_s: float = 0.0
+    fresh: datetime | None = None
+    state: Mapping[str, str] = field(default_factory=dict)
+    unchanged: bool = False
+
+
+class Provider(Protocol):
+    """Weather, or prices, of the next days from a service; any exception means that it gave none at present.
+
+    It is asked no more than once in 5 min, and what it answered is kept, with its age, for when it does not.
+    """
+
+    def answer(self, now: pd.Timestamp, state: dict[str, str]) -> Answer:
+        """What is known at `now`, from then or before; `state`: that of its last answer, such as Last-Modified."""

@@ -43,12 +43,6 @@ class MeterConfig(StrictModel):
         gt=0,
         description="shortest time after which a reading that repeats itself may be stuck, h",
     )
-    moved: float | None = Field(
-        None,
-        gt=0,
-        description="how far what the reading follows must have moved meanwhile: its forecast (null: 2 K, 100 W/m²), "
-        "for power and heat the level (null: 0.25 of full)",
-    )
 
 
 @dataclass(frozen=True)
@@ -168,7 +162,7 @@ class Meters:
         if not values.size or not math.isfinite(state.value):
             return state
         hours, moved = (float(at_s[-1]) - state.since_s) / HOUR_S, state.high - state.low
-        least = config.moved or RULES[name].moved
+        least = RULES[name].moved
         if not state.stuck:
             if hours < config.frozen_h - 1e-6 or not moved >= least:
                 return state

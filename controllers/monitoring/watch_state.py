@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -68,24 +68,19 @@ class WatchConfig(StrictModel):
         True,
         description="hand control back while predictions are worse than promised or actuator or machine do not follow",
     )
-    false_alarm: float = Field(
-        0.05, gt=0, lt=1, description="largest probability of an alarm in 30 days while errors are as promised"
-    )
+    # Largest probability of an alarm in 30 days while errors are as promised.
+    false_alarm: ClassVar[float] = 0.05
     blocked_hours: bool = Field(
         True, description="plan without hours of the day in which nothing comes, whatever is asked for"
     )
-    least_K: float = Field(
-        0.1, gt=0, description="promises of errors below this at 1 h, and 2.4 times this at 6 h, are not held to, K"
-    )
-    widest: float = Field(
-        1.25, ge=1, description="a band counts with at most this many times the median band of the last week"
-    )
-    machine_factor: float = Field(
-        1.35, gt=1, description="heat or power this many times more or less than modelled and than before is a fault"
-    )
-    return_h: float = Field(
-        12.0, ge=3, le=168, description="control returns after predictions were as promised for this long, h"
-    )
+    # Promises of errors below this at 1 h, and √6 times this at 6 h, are not held to, K: the resolution of sensors.
+    least_K: ClassVar[float] = 0.1
+    # A band counts with at most this many times the median band of the last week: calibration widens it after errors.
+    widest: ClassVar[float] = 1.25
+    # Heat or power this many times more or less than modelled and than before is a fault.
+    machine_factor: ClassVar[float] = 1.35
+    # Control returns after predictions were as promised for this long, h: two forecasts of 6 h.
+    return_h: ClassVar[float] = 12.0
 
 
 @dataclass(frozen=True)

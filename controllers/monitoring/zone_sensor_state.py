@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from pydantic import Field, model_validator
 
@@ -20,23 +21,18 @@ class SensorConfig(StrictModel):
     enabled: bool = Field(True, description="judge the readings of zone sensors by the model")
     lowest_C: float = Field(_RULE.range[0], description="readings below are not believed, °C")
     highest_C: float = Field(_RULE.range[1], description="readings above are not believed, °C")
-    jump_K: float = Field(
-        _RULE.expected,
-        gt=0,
-        description="distance from the prediction within which a reading is always believed, K; more where the record "
-        "changes by more than half of it within a step",
-    )
+    # Distance from the prediction within which a reading is always believed, K; more where the record changes by more
+    # than half of it within a step.
+    jump_K: ClassVar[float] = _RULE.expected
     frozen_h: float = Field(
         _RULE.frozen_h,
         gt=0,
         description="shortest time after which a reading that repeats itself may be a stuck sensor, h",
     )
-    bridge_h: float = Field(
-        6.0, ge=0, description="time for which the model stands in for readings that are not believed, h"
-    )
-    return_h: float = Field(
-        24.0, gt=0, description="time after which steady readings are believed again, wherever they are, h"
-    )
+    # Time for which the model stands in for readings that are not believed, h.
+    bridge_h: ClassVar[float] = 6.0
+    # Time after which steady readings are believed again, wherever they are, h.
+    return_h: ClassVar[float] = 24.0
 
     @model_validator(mode="after")
     def _in_order(self) -> SensorConfig:

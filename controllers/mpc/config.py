@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -89,7 +89,8 @@ class ObjectiveConfig(StrictModel):
         le=1,
         description="value of heat stored at the end of the horizon, as a share of its cost in the last step",
     )
-    curvature: float = Field(1e-6, ge=0, description="weight on u² per step, currency; makes the optimum unique")
+    # Weight on u² per step, currency: makes the optimum unique.
+    curvature: ClassVar[float] = 1e-6
 
     def comfort_weights(self, floor_area_m2: Sequence[float]) -> Array:
         """Penalty on comfort violation in zones of `floor_area_m2` (Z,), NaN where not known, currency/(K·h) (Z,)."""
@@ -102,7 +103,8 @@ class DeadlineConfig(StrictModel):
 
     forecast_s: float = Field(60.0, gt=0, description="free forecasts of all zones of a step, s")
     solve_s: float = Field(60.0, gt=0, description="solve of a step, s; solvers have limits of their own as well")
-    look_s: float = Field(60.0, gt=0, description="look for sun on the zone sensors, at night, s")
+    # Look for sun on the zone sensors, at night, s.
+    look_s: ClassVar[float] = 60.0
 
 
 class MoveBlockingConfig(StrictModel):
@@ -145,7 +147,8 @@ class MPCConfig(StrictModel):
         description="in a fast zone, keep a reserve inside the bound that actuation protects, for what happens within "
         "a step: swing of on/off blocks and model error (at most 0.3 K); of a coarse sensor at least half a step",
     )
-    backoff_max_K: float = Field(0.6, ge=0, description="largest back-off from a comfort bound, K")
+    # Largest back-off from a comfort bound, K.
+    backoff_max_K: ClassVar[float] = 0.6
     offset_h: float | None = Field(
         6.0, gt=0, description="time over which the mean error of one-step predictions is added to them, h; null: never"
     )
@@ -192,10 +195,10 @@ class MPCConfig(StrictModel):
     gate: GateConfig = GateConfig()
     guard: GuardConfig = GuardConfig()
     watch: WatchConfig = WatchConfig()
-    qp: QPConfig = QPConfig()
     milp: MilpConfig = MilpConfig()
-    ipopt: IpoptConfig = IpoptConfig()
-    sqp: SQPConfig = SQPConfig()
+    qp: ClassVar[QPConfig] = QPConfig()
+    ipopt: ClassVar[IpoptConfig] = IpoptConfig()
+    sqp: ClassVar[SQPConfig] = SQPConfig()
 
     def actuation_of(self, actuator: str) -> ActuationConfig:
         """Actuation of an actuator."""

@@ -364,7 +364,7 @@ class ThermoForceMPC(ActuatedController):
             plan = replace(plan, settings=own.settings(commanded, plan.time_s), saving=saving)
             if saving is not None and not saving.gain > 0.0:
                 plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
-        return Solved(plan, limit, commanded)
+        return Solved(plan, limit, commanded, instance.problem.most_u)
 
     @property
     def _in_runs(self) -> list[int]:
@@ -394,8 +394,8 @@ class ThermoForceMPC(ActuatedController):
         if isinstance(result, Failure):
             doubtful = [self._watched.doubtful(result.state, a) for a in range(len(self._fallbacks))]
             return self._realisation.fall_back(result, overrides, doubtful, readings.doubts, situation)
-        plan, limit, commanded = result
-        demands = first_demands(self.config, self._actuators, self.step_s, plan, readings, commanded)
+        plan, limit, commanded, most_u = result
+        demands = first_demands(self.config, self._actuators, self.step_s, plan, readings, commanded, most_u)
         realised = self._realisation.realise(plan, demands, overrides, situation, limit)
         return realised if commanded is None else with_command_states(realised, commanded)
 

@@ -139,7 +139,7 @@ class Formulation:
         problem = MPCProblem(
             forced_state_K=context.forced_K,
             features=context.features,
-            T_free_C=context.free.median_C + margins.offset_K[:, None],
+            T_free_C=context.free.median_C + margins.moved_K[:, None],
             lower_C=bounds.lower_C,
             upper_C=bounds.upper_C,
             price_per_kWh=price,
@@ -156,6 +156,7 @@ class Formulation:
             capacity=self.margins.capacity(operator, T_out, margins.unused),
             last_u=self._last_u(history),
             available=self._available(boundary, blocked, context.free.median_C),
+            most_u=self.margins.most_u(operator, margins.unused, boundary.n_steps),
         )
         return Instance(problem, bounds, float(left_W[0]), news)
 

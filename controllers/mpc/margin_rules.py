@@ -272,6 +272,66 @@ def learned_K(before_K: Array, beyond_K: Array, spare: NDArray[np.bool_], step_s
     return np.asarray(np.clip(before_K + np.where(learned, change_K, 0.0), least_K, learning.most_K))
 
 
+# Time over which errors are remembered, h; the least standard deviation that they have, K; and how many say something.
+_REMEMBERED_H, _LEAST_ERROR_K, _LEAST_ERRORS = 72.0, 0.02, 8.0
+# Change of level from which steps count the same, K: large ones are starts, which machines at a limit make slowly.
+_SMALL_K = 0.2
+# Prior standard deviation of what a first step gives beyond the model, relative; standard deviations from which it is
+# believed; and the share of what it explains of an error that does not last. A model with two thirds of the first step
+# does not swing with 0.3 to 0.7 of it (a plant with the responses of `bestest_hydronic`, 2026-11-28).
+_FIRST_STEP_SD, _BELIEVED, _PASSES = 0.5, 3.0, 0.7
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """What plans missed one step ahead, and what of it lasts; of each zone (Z,).
+
+    A forecast begins at the reading: all that the last plan missed is taken to last. Where a change of level gives more
+    in its first step than the model says, that is not so: the next plan takes back too much, and levels and zone swing
+    from step to step. The innovations of a right model are white (Mehra 1970); here they go with the change of level.
+
+    `moments` (3, Z): means of x², x e and e², forgotten over 72 h: e is the error, x what the change of level from the
+    step before does in its first step by the model, both over the size of x. `count`: of how many steps. `passing_K`:
+    what of the last error does not last, K.
+    """
+
+    moments: Array
+    count: Array
+    passing_K: Array
+
+    @classmethod
+    def nothing(cls, zones: int) -> Innovations:
+        """At the begin of a run."""
+        return cls(np.zeros((3, zones)), np.zeros(zones), np.zeros(zones))
+
+    def at_rest(self) -> Innovations:
+        """After a step that no plan decided."""
+        return replace(self, passing_K=np.zeros_like(self.passing_K))
+
+    def after(self, error_K: Array, change_K: Array, step_s: float) -> Innovations:
+        """With the errors e (Z,) of a step, K, and the changes x (Z,), K, NaN where the levels were not the plan's."""
+        told = np.isfinite(error_K) & np.isfinite(change_K)
+        e, x = np.where(told, error_K, 0.0), np.where(told, change_K, 0.0)
+        count = np.minimum(self.count + told, _REMEMBERED_H * HOUR_S / step_s)
+        products = np.stack([x**2, x * e, e**2]) / (x**2 + _SMALL_K**2)
+        moments = self.moments + told / np.maximum(count, 1.0) * (products - self.moments)
+        after = replace(self, moments=moments, count=count)
+        more, sd = after.first_step
+        believed = (count >= _LEAST_ERRORS) & (more > _BELIEVED * sd)
+        passing_K = np.where(believed, _PASSES * more * x, 0.0)
+        return replace(after, passing_K=np.clip(passing_K, np.minimum(e, 0.0), np.maximum(e, 0.0)))
+
+    @property
+    def first_step(self) -> tuple[Array, Array]:
+        """How much more a change of level does in its first step than the model says, as a share of that (Z,), with its
+        standard deviation.
+        """
+        x2, xe, e2 = self.moments
+        noise = np.maximum(e2 - xe**2 / np.maximum(x2, 1e-12), (_LEAST_ERROR_K / _SMALL_K) ** 2)
+        precision = self.count * x2 / noise + _FIRST_STEP_SD**-2
+        return self.count * xe / noise / precision, precision**-0.5
+
+
 # Heat below this share of what the level stands for is lacking.
 _LACKING = 0.8
 # Plans ask for all that they may from this share of it; a machine is at its limit from this share of its capacity:
@@ -297,3 +357,25 @@ def learned_share(
     at_limit = np.abs(heat_W.sum()) >= _AT_LIMIT * most_W
     rate = _GROWTH_1_H if at_limit and lacking.any() else -_FADING_1_H
     return float(np.clip(before + rate * step_s / HOUR_S, 0.0, _MOST))
+
+
+# Power below this share of that of the level, and a zone that stays behind the plan by this, K, together say that the
+# machine is at a limit below the level; half of a step's finding is taken over, and no more than this share kept.
+_LESS_POWER, _BEHIND_K, _TAKEN_OVER, _MOST_BEYOND = 0.9, 0.1, 0.5, 0.4
+
+
+def share_beyond_limit(
+    before: float, u: float, power_W: float, expected_W: float, behind_K: float, step_s: float
+) -> float:
+    """The share of the highest level beyond a machine's limit after a step, where heat is not metered.
+
+    A machine that has to warm its water first, or whose burner ends below the highest set-point, gives at high levels
+    what it gives at a lower one. `u`: the level as a share of the highest, `power_W` measured and `expected_W` by the
+    law at that level, `behind_K`: how far the zone stayed behind the plan.
+    """
+    if not (np.isfinite([u, power_W, expected_W]).all() and u >= _ALL_ASKED and expected_W > 0.0):
+        return before
+    reached = u * power_W / expected_W
+    if reached < _LESS_POWER * u and behind_K > _BEHIND_K:
+        return float(np.clip(before + _TAKEN_OVER * (1.0 - reached - before), before, _MOST_BEYOND))
+    return max(before - (_FADING_1_H * step_s / HOUR_S if reached >= _LESS_POWER * u else 0.0), 0.0)

@@ -9,9 +9,11 @@
 | recovery | each bound, where it begins after a setback | how far the zone has to come times the uncertainty of the effect | card of the model |
 | | | more: the zone was not there in time | this run |
 | offset | the prediction | `offset_h` | errors of the last plans, one step ahead |
+| passing | the prediction | a first step does more than the model says | these errors, beside the changes of levels |
 | unused capacity | the capacity of a machine | several metered actuators share it | heat that they lacked in this run |
+| | the highest level | heat is not metered, any level is held | power and heat that were missing at it in this run |
 
-`MarginRules.learn` moves the last four after each step, `MarginRules.bounds` adds the first five; their sum is never
+`MarginRules.learn` moves the last five after each step, `MarginRules.bounds` adds the first five; their sum is never
 below 0, nor, where actuation protects the bound, below half a step of the sensor. With room set-points what is learned
 counts only where a bound is set back, and is never less than 0.
 """  # noqa: E501
@@ -28,6 +30,7 @@ from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.margin_rules import (
     OF_LOOPS,
+    Innovations,
     LearnedMargin,
     backoff_K,
     is_fast,
@@ -35,6 +38,7 @@ from controllers.mpc.margin_rules import (
     learned_share,
     of_plans,
     reserve_K,
+    share_beyond_limit,
     steps_soon,
     with_recourse_K,
 )
@@ -50,6 +54,8 @@ _FULLY_USED = 0.95
 _OTHER_LEVELS = (0.05, 0.3)
 # Hours before a bound begins in which a recovery could have begun: those of a setback.
 _BEFORE_H = 12.0
+# Levels that differ by less are the same.
+_SAME_LEVEL = 0.02
 # Largest offset added to a prediction, K: beyond, the model is wrong rather than off.
 _OFFSET_K = 0.3
 
@@ -59,17 +65,24 @@ class Margins:
     """What a run has learned.
 
     `offset_K` (Z,): recent mean error of the zone temperatures planned for the end of a step. `learned`: reserve inside
-    the bounds. `unused` (M,): share of each machine's capacity that plans leave unused.
+    the bounds. `unused` (M,): share of each machine's capacity that plans leave unused. `innovations`: what of such an
+    error does not last.
     """
 
     offset_K: Array = field(default_factory=lambda: np.zeros(1))
     learned: LearnedMargin = field(default_factory=lambda: LearnedMargin.nothing(1))
     unused: Array = field(default_factory=lambda: np.zeros(1))
+    innovations: Innovations = field(default_factory=lambda: Innovations.nothing(1))
 
     @classmethod
     def nothing(cls, zones: int, machines: int) -> Margins:
         """At the begin of a run."""
-        return cls(np.zeros(zones), LearnedMargin.nothing(zones), np.zeros(machines))
+        return cls(np.zeros(zones), LearnedMargin.nothing(zones), np.zeros(machines), Innovations.nothing(zones))
+
+    @property
+    def moved_K(self) -> Array:
+        """What is added to the free response of each zone (Z,), K."""
+        return self.offset_K - self.innovations.passing_K
 
 
 @dataclass(frozen=True)
@@ -92,6 +105,7 @@ class MarginRules:
     def __init__(self, config: MPCConfig, model: ThermalModel, actuators: Actuators) -> None:
         self._config, self._actuators, self._layout = config, actuators, model.layout
         self._cards, self._step_s, self._shares = model.cards, model.operator.step_s, np.array(model.layout.shares)
+        self._powers = model.power
         # Half a step of each zone's sensor (Z,), K, and the relative standard deviation of the effect of what protects
         # its lower and its upper bound (2, Z).
         self._half_K, self._unsure = np.zeros(len(model.names.zones)), np.zeros((2, len(model.names.zones)))
@@ -116,7 +130,8 @@ class MarginRules:
         the bounds.
         """
         if good is None or good.age(observation.time_s, self._step_s) != 1:  # no plan decided the last step
-            return replace(before, learned=before.learned.meeting(forecast.lower_C, forecast.upper_C))
+            learned = before.learned.meeting(forecast.lower_C, forecast.upper_C)
+            return replace(before, learned=learned, innovations=before.innovations.at_rest())
         planned_C, T_C = good.T_zone_C[:, 0], observation.T_zone_C
         # A sensor that reads in steps says in which step the zone is, and the plan where in it.
         inside_C = np.clip(planned_C, T_C - self._half_K, T_C + self._half_K)
@@ -127,7 +142,8 @@ class MarginRules:
         return Margins(
             self._learned_offset_K(before.offset_K, seen_C - planned_C),
             self._learned_margin(learned, good.margin_K, seen_C, observation, forecast),
-            self._learned_unused(operator, before.unused, observation.history),
+            self._learned_unused(operator, before.unused, observation.history, seen_C - planned_C),
+            before.innovations.after(seen_C - planned_C, self._change_K(operator, good, observation), self._step_s),
         )
 
     def bounds(
@@ -231,6 +247,22 @@ class MarginRules:
             most[m] *= shares.sum() / (shares @ full)
         return None if (most == 1.0).all() else most
 
+    def _change_K(self, operator: BuildingOperator, good: GoodPlan, observation: Observation) -> Array:
+        """What the change of levels from the step before the last did in the last step by the model (Z,), K.
+
+        NaN where the last levels were not the planned ones: what is missed then is of the levels too.
+        """
+        u, change_K = observation.history.u[:, -2:], np.full(len(operator.zones), np.nan)
+        if u.shape[1] < 2:
+            return change_K
+        for z in range(change_K.size):
+            own = self._layout.actuators_of(z)
+            first_K = np.array([float(operator.of_actuator(a).impulse(1)[0]) for a in own])
+            same = np.abs(u[own, 1] - good.u[own, 0]) <= _SAME_LEVEL
+            if own and same.all():
+                change_K[z] = first_K @ (u[own, 1] - u[own, 0])
+        return change_K
+
     def _learned_offset_K(self, before_K: Array, error_K: Array) -> Array:
         """Mean of the errors of planned zone temperatures one step ahead (Z,), K, forgotten over `offset_h`.
 
@@ -265,7 +297,7 @@ class MarginRules:
         left_K = np.maximum(planned_K - self._half_K, 0.0)
         return after if by_loops else after.after_reading(-beyond_K, spare, planned_K, left_K, observation.time_s)
 
-    def _learned_unused(self, operator: BuildingOperator, before: Array, history: Record) -> Array:
+    def _learned_unused(self, operator: BuildingOperator, before: Array, history: Record, error_K: Array) -> Array:
         unused = before.copy()
         if not self._config.unused_capacity:
             return unused
@@ -275,7 +307,38 @@ class MarginRules:
             most_W = float(np.mean(reference_W / share))
             load = float((share * u * full[:, 0]).sum())
             unused[m] = learned_share(float(before[m]), load, most_W, heat_W, u * full_W, u, self._step_s)
+        for m, a in self._by_levels(operator):
+            u, last = history.u[a, -1:] / self._actuators.each[a].highest, slice(-2, -1)
+            power = self._powers[m]
+            assert power is not None
+            expected_W = power.metered(
+                history.u[a, -1:], history.time_s[last], history.T_out_C[last], history.T_return_C[m, -1:]
+            )
+            behind_K = -self._layout.signs[a] * float(error_K[self._layout.home[a]])
+            measured_W = float(history.power_W[m, -1])
+            unused[m] = share_beyond_limit(
+                float(before[m]), float(u[0]), measured_W, float(expected_W[0]), behind_K, self._step_s
+            )
         return unused
+
+    def most_u(self, operator: BuildingOperator, unused: Array, n_steps: int) -> Array | None:
+        """The highest levels that plans count with (A, n_steps) where machines end below them; None: all."""
+        limited = [(m, a) for m, a in self._by_levels(operator) if unused[m] > 0.0]
+        if not limited:
+            return None
+        most = np.array([actuation.highest for actuation in self._actuators.each])
+        for m, a in limited:
+            most[a] *= 1.0 - unused[m]
+        return np.repeat(most[:, None], n_steps, axis=1)
+
+    def _by_levels(self, operator: BuildingOperator) -> Iterator[tuple[int, int]]:
+        """Machines with one actuator whose heat is not metered and whose levels are held, and that actuator."""
+        for m, power in enumerate(self._powers):
+            fed = self._layout.fed_by(m)
+            if power is None or len(fed) != 1 or self._layout.lowest[fed[0]] < 0.0:
+                continue
+            if self._actuators.each[fed[0]].modulates and operator.of_actuator(fed[0]).heat_input.law is None:
+                yield m, fed[0]
 
     def _reserve_K(self, operator: BuildingOperator, z: int, sign: int) -> float:
         """Reserve inside the bound that the actuators of one sign protect in zone `z`, K."""

@@ -57,6 +57,7 @@ def plan_shape(
         chosen_steps=config.milp.chosen_steps(step_s),
         curved=curved,
         terms=terms,
+        stored=config.objective.terminal_value > 0,
     )
 
 

@@ -41,11 +41,14 @@ _BOUGHT = 0.5
 
 
 class Solved(NamedTuple):
-    """A plan without blocks, the limit of power that they are to keep, and its commands; None where there is none."""
+    """A plan without blocks, the limit of power that they are to keep, its commands, and the highest levels that it
+    counts with; None where there is none.
+    """
 
     plan: Plan
     limit: PowerLimit | None
     commanded: Commanded | None = None
+    most_u: Array | None = None
 
 
 def power_limit(instance: Instance, solution: Solution, brought: Evaluation, evaluator: Evaluator) -> PowerLimit | None:
@@ -123,10 +126,11 @@ def solved_plan(
         origin=readings.history.origin,
         solver_status=solution.status,
         iterations=solution.iterations,
-        export_calls=solution.export_calls,
+        variables=solution.variables,
+        parameters=solution.parameters,
         own=solution.own,
         seconds={name: round(s, 6) for name, s in seconds.items()},
-        margins={**instance.bounds.first_step, "offset": learned.offset_K, "unused_capacity": learned.unused},
+        margins={**instance.bounds.first_step, "offset": learned.moved_K, "unused_capacity": learned.unused},
         names=names,
         state=replace(
             forecast.state, good=_good_plan(readings.time_s, u, T_zone_C, forecast, instance.bounds.whole_K), failures=0
@@ -151,8 +155,12 @@ def first_demands(
     plan: Plan,
     readings: Readings,
     commanded: Commanded | None = None,
+    most_u: Array | None = None,
 ) -> list[Demand]:
-    """What a plan asks of each actuator (A,) in its first step of `step_s` seconds: a level, or commands."""
+    """What a plan asks of each actuator (A,) in its first step of `step_s` seconds: a level, or commands.
+
+    `most_u` (A, N): the highest levels that it counts with; None: all that there are.
+    """
     assert isinstance(plan.state, MPCState)
     learned, demands = plan.state.margins.learned, list[Demand]()
     for a, (actuation, z) in enumerate(zip(actuators.each, actuators.layout.home, strict=True)):
@@ -164,7 +172,9 @@ def first_demands(
             demands.append(None)
             continue
         if not actuation.by_rooms:
-            demands.append(u)
+            # A plan that takes all that it counts with wants all that there is.
+            most = 1.0 if most_u is None else float(most_u[a, 0])
+            demands.append(actuation.highest if (1.0 - _NEARLY) * most <= u < most + _NEARLY < actuation.highest else u)
             continue
         lower_C, upper_C = boundary.lower_C[z, :1], boundary.upper_C[z, :1]
         inside_K = config.comfort_margin_K + learned.inside_K(z, lower_C, upper_C, by_loops=True)[:, 0]

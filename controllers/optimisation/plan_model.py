@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -73,7 +74,7 @@ class Evaluator:
         return tuple(name.removeprefix("own ") for name in self._checks.own)
 
     def numbers(self, problem: MPCProblem) -> Array:
-        """The parameters of an instance."""
+        """The parameters of an instance: those of the structure, then those of gains that these do not hold."""
         return self._numbers.of(problem)
 
     def brings(self, problem: MPCProblem, u: Array, own: Array | None = None) -> Evaluation:
@@ -84,7 +85,7 @@ class Evaluator:
         """Evaluate levels `u` (A, N), with `own` variables of the user, at parameters `p`."""
         given = np.zeros(sum(self._checks.own.values())) if own is None else own
         moves = np.asarray(u, dtype=np.float64)[:, self.shape.first_steps].ravel(order="F")
-        out = self._check(moves, given, p)
+        out = self._check(moves, given, p[: self._numbers.n_own])
         s = self.structure
         energy, power, forced, slack, running, required = (
             value.reshape(rows, -1, order="F").copy()
@@ -133,20 +134,36 @@ class PlanModel(Evaluator):
         self.own_at = np.concatenate([np.zeros(0), *(at[name] for name in self._checks.own)]).astype(np.intp)
         self.choices = at.get("b", np.zeros(0, dtype=np.intp))
 
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters of the operator that a programme depends on."""
+        return self.operator.n_used
+
+    def ipopt(self, options: Mapping[str, Any]) -> ca.Function:
+        """Ipopt on the statement as a nonlinear programme, the exported gains in it (`Functions.ipopt`)."""
+        return self.functions.ipopt(options, self._numbers.hidden)
+
+    def ipopt_parameters(self, p: Array) -> Array:
+        """The parameters of `ipopt` of those of an instance."""
+        n_gain = self.functions.n_gain if self._numbers.hidden else 0
+        n = self._numbers.n_own
+        return np.concatenate([p[: n - n_gain], p[n:]])
+
     def cold(self) -> Array:
         """Levels (A, N) from which a solve without a guess starts."""
         return np.repeat(_START * self.shape.machinery.u_max[:, None], self.shape.n_steps, axis=1)
 
     def bounds(self, p: Array) -> tuple[Array, Array]:
         """Least and largest values of the variables."""
-        low, high = self._bounds(p)
+        low, high = self._bounds(p[: self._numbers.n_own])
         return low.copy(), high.copy()
 
     def local(self, p: Array, x: Array | None = None, multipliers: Array | None = None) -> QPData:
         """The quadratic programme of the step from `x`, by default from 0: for a convex instance, the instance."""
         x = np.zeros(self.n_variables) if x is None else x
         n_rows = self.functions.local.size1_in(2)
-        f, gradient, H, equal, A, above, G = self._local(x, p, np.zeros(n_rows) if multipliers is None else multipliers)
+        y, own = np.zeros(n_rows) if multipliers is None else multipliers, p[: self._numbers.n_own]
+        f, gradient, H, equal, A, above, G = self._local(x, own, y)
         # Scaled by the largest slope, so that tolerances do not depend on the currency.
         unit, (low, high) = float(np.abs(gradient).max()) or 1.0, self.bounds(p)
         quadratic, A_, G_ = (pattern.copy() for pattern in self._patterns)

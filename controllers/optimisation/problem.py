@@ -42,7 +42,7 @@ class ProblemShape:
     `chosen_steps`: number of first steps in which it is decided which of actuators that exclude one another acts
     (rounded up to whole moves); later they share steps in time. None: all steps.
     `curved`: power has a part in u², which a price of peak power and a cap must see. `terms`: further terms of the
-    user, see `controllers.optimisation.statement.terms`.
+    user, see `controllers.optimisation.statement.terms`. `stored`: heat that is stored at the end may have a price.
     """
 
     move_of_step: NDArray[np.intp]
@@ -52,6 +52,7 @@ class ProblemShape:
     chosen_steps: int | None = None
     curved: bool = False
     terms: tuple[Callable[..., None], ...] = ()
+    stored: bool = True
 
     @property
     def n_steps(self) -> int:

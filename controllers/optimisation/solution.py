@@ -14,7 +14,6 @@ from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.programme import QPData
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.operator.casadi_export import export_calls
 
 # Two costs are the same within this share of what they consist of: of all but discomfort, of energy at full level, and
 # of discomfort, beside which even at extreme weights prices are to be seen.
@@ -46,12 +45,8 @@ class Solve:
     guess: Array | None
 
     def __call__(self) -> Solution:
-        """Solve it, and count the calls of the exported operator."""
-        before = export_calls()
-        solution = self.solver.solve(self.problem, self.guess)
-        if not isinstance(solution, Solution):  # whoever asked refuses it
-            return solution
-        return replace(solution, export_calls=export_calls() - before)
+        """Solve it."""
+        return self.solver.solve(self.problem, self.guess)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +56,9 @@ class Solution:
     `optimal` is False for levels that passed them without being shown to be the optimum; `problem` says why. `u`
     (A, N): levels, empty when not ok; `status`: solver and its own status; `problem`: reason of a failure; `gap`: how
     much of its cost the solution may at most be above the optimum for its choices, relative; 0 where it has none.
-    `evaluation`: what the levels bring, as they are held; None when not ok. `export_calls`: calls of the exported
-    operator that it took. `own`: the user's own variables (n,), by name.
+    `evaluation`: what the levels bring, as they are held; None when not ok. `variables` of
+    the programme that was solved, and `parameters` of the operator in it: how many. `own`: the user's own variables
+    (n,), by name.
     """
 
     ok: bool
@@ -73,7 +69,8 @@ class Solution:
     gap: float = 0.0
     optimal: bool = True
     evaluation: Evaluation | None = None
-    export_calls: int = 0
+    variables: int = 0
+    parameters: int = 0
     own: Mapping[str, Array] = field(default_factory=dict)
 
     @property
@@ -212,6 +209,8 @@ def checked(
         gap=answer.gap,
         optimal=not why,
         evaluation=found,
+        variables=model.n_variables,
+        parameters=model.n_parameters,
         own=model.by_name(own),
     )
 

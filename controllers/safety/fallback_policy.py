@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -26,26 +26,21 @@ class FallbackConfig(StrictModel):
         description="who acts while the model is not competent or does not hold: the plant's own control, or the on/off"
         " rule",
     )
-    follow_steps: int = Field(3, ge=0, description="largest number of steps for which the previous plan is followed")
-    trust_K: float = Field(
-        1.0,
-        gt=0,
-        description="the previous plan is dropped when its predicted zone temperature is off by more, K, or by three"
-        " times the half-width of its own 80 % band",
-    )
-    setpoint_above_bound_K: float = Field(
-        0.3, description="on/off rule: set-point above the lower bound (cooling: below the upper), K"
-    )
-    look_ahead_h: float = Field(
-        3.0, ge=0, description="on/off rule: window ahead over which the tightest bound is taken, h"
-    )
+    # Steps for which the previous plan is followed.
+    follow_steps: ClassVar[int] = 3
+    # The previous plan is dropped when its predicted zone temperature is off by more, K (as the guard's margin), or by
+    # three times the half-width of its own 80 % band.
+    trust_K: ClassVar[float] = 1.0
+    # On/off rule: set-point above the lower bound (cooling: below the upper), K.
+    setpoint_above_bound_K: ClassVar[float] = 0.3
+    # On/off rule: window ahead over which the tightest bound is taken, h.
+    look_ahead_h: ClassVar[float] = 3.0
     safe_C: tuple[float, float] = Field(
         (20.0, 25.0),
         description="on/off rule: set-points of heating and of cooling where comfort bounds are missing, °C",
     )
-    cold_after: int = Field(
-        3, ge=1, description="consecutive failures after which forecasts and solves begin anew, without what they kept"
-    )
+    # Consecutive failures after which forecasts and solves begin anew, without what they kept.
+    cold_after: ClassVar[int] = 3
 
     @model_validator(mode="after")
     def _check_safe(self) -> FallbackConfig:

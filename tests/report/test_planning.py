@@ -1,4 +1,4 @@
-"""The record of a run says who planned how often, whether over the exported operator, and with how many parameters."""
+"""The record of a run says who planned how often, what was solved, and how many of the operator's parameters it had."""
 
 from __future__ import annotations
 
@@ -45,21 +45,26 @@ def closed_loop(model, build=None, **options) -> RunResult:
 
 
 @pytest.mark.parametrize(
-    ("solver", "word", "feedback"),
-    [("auto", "Ipopt", False), ("qp", "PIQP", False), ("sqp", "SQP", True)],
+    ("solver", "words", "feedback"),
+    [
+        ("auto", "nonlinear programmes by Ipopt", False),
+        ("qp", "quadratic programmes by PIQP", False),
+        ("sqp", "nonlinear programmes by SQP", True),
+    ],
 )
-def test_every_plan_counts_once_and_calls_the_export_once(solver, word, feedback):
+def test_every_plan_counts_once_and_says_what_was_solved(solver, words, feedback):
     model = networked(feedback=feedback)
     counts = planning_of(closed_loop(model, solver=solver), model)
     assert counts.in_words().startswith(
-        f"planned 12 times by {word} over the exported operator: 195 trained parameters, 195 used"
+        f"solved 12 {words}, {counts.variables} variables, 195 parameters of the operator in each"
     )
-    assert (counts.steps, counts.export_calls, counts.failed) == (12, 12, 0)
+    assert (counts.steps, counts.failed) == (12, 0)
+    assert counts.variables >= 4 * 12, "level, response, below and above of each step"
 
 
 def test_a_network_that_was_not_kept_is_not_said_to_be_used():
     model = simple_model()
-    assert planning_of(closed_loop(model), model).in_words().endswith(" 2 used")
+    assert planning_of(closed_loop(model), model).in_words().endswith("2 parameters of the operator in each")
 
 
 def test_solvers_that_took_turns_and_solves_that_failed_are_told_apart():
@@ -82,8 +87,8 @@ def test_solvers_that_took_turns_and_solves_that_failed_are_told_apart():
     counts = planning_of(closed_loop(model, Turns), model)
     assert counts.plans == {"piqp": 7, "ipopt": 4}
     assert counts.in_words() == (
-        "planned 7 times by PIQP and 4 times by Ipopt over the exported operator: 195 trained parameters, 195 used; "
-        "1 solve without a plan"
+        f"solved 7 quadratic programmes by PIQP and 4 nonlinear programmes by Ipopt, {counts.variables} variables, 195 "
+        "parameters of the operator in each; 1 solve without a plan"
     )
 
 
@@ -133,7 +138,7 @@ def test_steps_without_a_decision_are_told_in_capitals(monkeypatch):
     counts = planning_of(closed_loop(model), model)
     assert (counts.undecided, counts.plans, counts.failed) == (3, {"ipopt": 9}, 0)
     assert counts.in_words().startswith(
-        "NO DECISION WAS MADE IN 3 OF 12 STEPS, NATIVE CONTROL ACTED INSTEAD (ZeroDivisionError: a defect); planned 9 "
+        "NO DECISION WAS MADE IN 3 OF 12 STEPS, NATIVE CONTROL ACTED INSTEAD (ZeroDivisionError: a defect); solved 9 "
     )
     assert "DECISION" not in replace(counts, undecided=2).in_words()
 
@@ -142,4 +147,4 @@ def test_rules_plan_nothing():
     house = SimpleHouse()
     counts = planning_of(run_closed_loop(house, Thermostat(), house.period("x")), None)
     assert counts.in_words() == "nothing was planned"
-    assert counts.to_json()["export_calls"] == 0
+    assert counts.to_json()["variables"] == 0

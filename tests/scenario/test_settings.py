@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from controllers import MPCConfig
 from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
@@ -143,3 +144,11 @@ def test_the_level_of_forecast_errors_is_an_option_of_a_run():
     assert scenario_from({**named, "uncertainty": "medium"}).plant.forecast_uncertainty == "medium"
     with pytest.raises(ConfigError, match="forecast_uncertainty"):
         scenario_from({**named, "uncertainty": "huge"})
+
+
+def test_a_constant_is_no_option_but_files_that_name_it_with_its_value_are_read():
+    assert MPCConfig.model_validate({"watch": {"return_h": 12.0}, "ipopt": {"tolerance": 1e-8}}) == MPCConfig()
+    with pytest.raises(ConfigError, match=r"watch: return_h is no option any more: it stays 12.0; leave the key out"):
+        validate(MPCConfig, {"watch": {"return_h": 6.0}}, "given.yaml")
+    with pytest.raises(ConfigError, match=r"ipopt is no option any more"):
+        validate(MPCConfig, {"ipopt": {"tolerance": 1e-3}}, "given.yaml")

@@ -7,33 +7,39 @@ from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import pandas as pd
+
 from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
 
 
 class FilesConnection:
     """Tables of measurements and forecast in CSV or Parquet files, levels in a JSON file"""
 
     def __init__(
-        self, measurements: str = "house.csv", forecast: str = "tomorrow.csv", levels: Path = Path("levels.json")
+        self,
+        measurements: str = "house.csv",
+        forecast: str | OutlookConfig = "tomorrow.csv",
+        levels: Path = Path("levels.json"),
     ) -> None:
         """Keep the names of the files.
 
         Args:
             measurements: recent measurements, which something appends to; or a pattern, such as `data/*.csv`.
-            forecast: weather, prices and bounds.
+            forecast: a file of weather, prices and bounds, or services, see docs/how-to/forecasts.md.
             levels: what is to be set, `{"levels": {"heat_pump": 1.0}, "from": …, "until": …}`, times in UTC; never
                 half-written. Of an actuator with a command in the map that command, in its unit. A level null, or an
                 `until` that has passed: the building's own control.
         """
-        self._measurements, self._forecast, self._levels = measurements, forecast, levels
+        self._measurements, self._outlook, self._levels = measurements, Outlook(forecast), levels
 
     def measurements(self) -> str:
         """See `Connection.measurements`."""
         return self._measurements
 
-    def forecast(self) -> str:
+    def forecast(self) -> pd.DataFrame | str:
         """See `Connection.forecast`."""
-        return self._forecast
+        return self._outlook.now()
 
     def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
         """See `Connection.write`; raises `StorageError`."""

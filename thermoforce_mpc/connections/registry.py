@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from thermoforce_mpc.connections.files import FilesConnection
+from thermoforce_mpc.connections.home_assistant import HomeAssistantConnection
+from thermoforce_mpc.connections.mqtt import MqttConnection
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.protocols import Connection
 from thermoforce_mpc.registry import Registry
@@ -18,7 +20,11 @@ from thermoforce_mpc.scenario.own_code import called, options_model, unfit
 from thermoforce_mpc.scenario.settings import validate
 
 REGISTRY: Registry[Callable[..., Connection]] = Registry(
-    "connection", "connections", {"files": FilesConnection}, ConfigError, lambda entry: unfit(entry, ())
+    "connection",
+    "connections",
+    {"files": FilesConnection, "home-assistant": HomeAssistantConnection, "mqtt": MqttConnection},
+    ConfigError,
+    lambda entry: unfit(entry, ()),
 )
 
 

@@ -161,9 +161,9 @@ class Plan:
     of each actuator over the horizon, none where its level is set; () where none has a command; `saving`: what they
     save. `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took its place
     at one of them. `why` is one sentence for people; `news` (part of it) what was learned in this step of sensors,
-    meters or the model; `solver_status` is the solver's, `export_calls` how often it called the exported operator,
-    `own` the values of your own variables by name (`controller.options.terms`). `state` goes to the controller's next
-    plan of this run and is opaque to others.
+    meters or the model; `solver_status` is the solver's, `variables` how many its programme had,
+    `parameters` how many of the operator's, `own` the values of your own variables by name
+    (`controller.options.terms`). `state` goes to the controller's next plan of this run and is opaque to others.
     """
 
     blocks: tuple[Block, ...]
@@ -182,7 +182,8 @@ class Plan:
     news: str = ""
     solver_status: str = ""
     iterations: int = 0
-    export_calls: int = 0
+    variables: int = 0
+    parameters: int = 0
     own: Mapping[str, Array] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     margins: Mapping[str, Array] = field(default_factory=dict)

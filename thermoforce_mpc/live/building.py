@@ -54,6 +54,8 @@ class LiveBuilding:
         """`prices`: a file of them, read anew in each step, in the place of those of the map."""
         self._prices = prices
         self.connection, self._rules, self._step_s = connection, rules, step_s
+        if (reads := getattr(connection, "reads", None)) is not None:
+            reads([column for _, signal in rules.signals() for column in signal.columns])
         self._origin: pd.Timestamp | None = None
         self._measured: Measurements | None = None
         self._calls, self._answer_s = BoundedCalls(_LEFT_BEHIND), min(ANSWER_S, 0.5 * step_s)

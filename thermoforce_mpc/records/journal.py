@@ -25,7 +25,7 @@ from thermoforce_mpc.files import storage_errors, written
 from thermoforce_mpc.records.plain_files import open_plain
 
 NAME = "journal.jsonl"
-FORMAT = 5
+FORMAT = 6
 _CRC = ',"crc":"'
 # The longest record, that of the longest plant's past, has some 10 MB.
 MOST_LINE_BYTES = 100_000_000

@@ -167,7 +167,8 @@ def plan_json(plan: Plan, blocks: Sequence[Block], refused: str) -> Json:
         "refused": refused,
         "solver_status": plan.solver_status,
         "iterations": int(plan.iterations),
-        "export_calls": int(plan.export_calls),
+        "variables": int(plan.variables),
+        "parameters": int(plan.parameters),
         "blocks": [block_json(block) for block in blocks],
     }
     if plan.news:

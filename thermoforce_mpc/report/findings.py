@@ -33,8 +33,14 @@ _WORTH_TELLING, _NOTICED_K = 0.01, 0.05
 _A_FEW = 3
 # Hours ahead in which accepted discomfort counts.
 _SOON_H = 6.0
-# Solvers by the first word of their status.
-_SOLVERS = {"ipopt": "Ipopt", "piqp": "PIQP", "sqp": "SQP", "highs": "HiGHS", "policy": "a trained policy"}
+# What was solved and by whom, by the first word of a solver's status.
+_SOLVERS = {
+    "ipopt": ("nonlinear programme", "Ipopt"),
+    "piqp": ("quadratic programme", "PIQP"),
+    "sqp": ("nonlinear programme", "SQP"),
+    "highs": ("programme", "HiGHS"),
+    "policy": ("answer", "a trained policy"),
+}
 
 
 @dataclass(frozen=True)
@@ -48,8 +54,8 @@ class Planning:
         undecided: steps in which the controller met an error that it has no answer to; native control acted.
         why_undecided: the most frequent of these errors.
         uncomfortable: plans that accept discomfort in the next hours (0.05 K beyond a bound), since heat costs more.
-        export_calls: calls of the exported operator for those plans, one for each horizon and actuator.
-        trained, used: parameters of the operator, and those of them that affect a prediction; 0 without a model.
+        variables, parameters: of most of the programmes that were solved, the parameters of the operator; 0 without.
+        trained: parameters of the operator that were trained; 0 without a model.
     """
 
     steps: int
@@ -58,9 +64,9 @@ class Planning:
     undecided: int
     why_undecided: str
     uncomfortable: int
-    export_calls: int
+    variables: int
+    parameters: int
     trained: int
-    used: int
 
     def to_json(self) -> dict[str, Any]:
         """The counts, and what they say in words."""
@@ -70,10 +76,14 @@ class Planning:
         """One line for people."""
         words = "nothing was planned"
         if self.plans:
-            by = [f"{n} times by {_SOLVERS.get(solver, solver)}" for solver, n in self.plans.items()]
-            words = f"planned {' and '.join(filter(None, (', '.join(by[:-1]), by[-1])))}"
-            words += " over the exported operator" if self.export_calls else ""
-            words += f": {counted(self.trained, 'trained parameter')}, {self.used} used" if self.trained else ""
+            each = [(n, *_SOLVERS.get(solver, ("plan", solver))) for solver, n in self.plans.items()]
+            by = [f"{counted(n, what)} by {whom}" for n, what, whom in each]
+            words = f"solved {' and '.join(filter(None, (', '.join(by[:-1]), by[-1])))}"
+            if self.variables:
+                words += f", {counted(self.variables, 'variable')}, {counted(self.parameters, 'parameter')} of the "
+                words += "operator in each"
+                dropped = self.parameters < self.trained
+                words += f" ({self.trained} were trained: a network was not kept)" if dropped else ""
         if self.undecided >= _A_FEW:
             alarm = f"NO DECISION WAS MADE IN {self.undecided} OF {self.steps} STEPS, NATIVE CONTROL ACTED INSTEAD"
             words = f"{alarm} ({self.why_undecided}); {words}"
@@ -96,18 +106,18 @@ def _beyond_K(step: StepRecord) -> float:
 def planning_of(result: RunResult, model: ThermalModel | None) -> Planning:
     """The counts of a closed loop; `model`: what its controller planned with, if anything."""
     plans, undecided = Counter[str](), Counter[str]()
-    failed = uncomfortable = calls = 0
+    failed, uncomfortable, sizes = 0, 0, Counter[tuple[int, int]]()
     for step in result.steps:
         solver, _, how = step.plan.solver_status.partition(":")
         if step.plan.u.size:
             plans[solver or "another solver"] += 1
-            calls += step.plan.export_calls
+            sizes[step.plan.variables, step.plan.parameters] += 1
             uncomfortable += NOT_ECONOMICAL in step.plan.why and _beyond_K(step) > _NOTICED_K
         elif solver == UNDECIDED:
             undecided[how.strip()] += 1
         else:
             failed += bool(how) or solver == "raised"
-    operator = None if model is None else model.operator
+    variables, parameters = sizes.most_common(1)[0][0] if sizes else (0, 0)
     return Planning(
         steps=len(result.steps),
         plans=dict(plans.most_common()),
@@ -115,9 +125,9 @@ def planning_of(result: RunResult, model: ThermalModel | None) -> Planning:
         undecided=undecided.total(),
         why_undecided=next((why for why, _ in undecided.most_common(1)), ""),
         uncomfortable=uncomfortable,
-        export_calls=calls,
-        trained=operator.n_trained if operator else 0,
-        used=operator.n_used if operator else 0,
+        variables=variables,
+        parameters=parameters,
+        trained=model.operator.n_trained if model else 0,
     )
 
 

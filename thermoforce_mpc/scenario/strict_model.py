@@ -16,6 +16,7 @@ from pydantic import (
     ValidationInfo,
     WithJsonSchema,
     field_validator,
+    model_validator,
 )
 
 from thermoforce_mpc.files import odd_number
@@ -65,10 +66,23 @@ class StrictModel(BaseModel):
     """Base class of all configuration models; values are immutable.
 
     Refused: unknown keys, NaN and infinity, true and false where a number is meant, text that only Python takes for one
-    (1_0), and numbers that no building can have, by the unit that a key's name ends with.
+    (1_0), and numbers that no building can have, by the unit that a key's name ends with. A class variable is a
+    constant: files that name it with its own value are read, another value is refused.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _constants_are_no_options(cls, data: Any) -> Any:
+        named = cls.__class_vars__ & data.keys() if isinstance(data, Mapping) else set()
+        for key in named:
+            constant, value = getattr(cls, key), data[key]
+            same = constant.model_dump().items() >= value.items() if _is_model(constant, value) else value == constant
+            if not same:
+                shown = "what it is" if _is_model(constant, value) else f"{constant}"
+                raise ValueError(f"{key} is no option any more: it stays {shown}; leave the key out")
+        return {key: value for key, value in data.items() if key not in named} if named else data
 
     @field_validator("*", mode="before")
     @classmethod
@@ -96,6 +110,10 @@ class StrictModel(BaseModel):
                 in_unit = f" {_SHOWN.get(unit, unit.removeprefix('_'))}" if unit else ""
                 raise ValueError(f"no building has {one:g}; expected {least:g} to {most:g}{in_unit}")
         return value
+
+
+def _is_model(constant: Any, value: Any) -> bool:
+    return isinstance(constant, BaseModel) and isinstance(value, Mapping)
 
 
 @functools.cache

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from pydantic import Field
 
@@ -55,7 +56,12 @@ class IpoptSolver(StatementSolver):
             "mu_strategy": "adaptive",
             "min_refinement_steps": 0,
         }
-        self.model.functions.ipopt(self._options)  # built once
+        self.model.ipopt(self._options)  # built once
+
+    @property
+    def programme(self) -> ca.Function:
+        """What Ipopt is given: CasADi's solver with its functions `nlp_f`, `nlp_g` and their derivatives."""
+        return self.model.ipopt(self._options)
 
     def _answers(self, p: Array, guess: Array | None) -> Iterator[SolverAnswer]:
         cold, choices = self.model.cold(), self.model.choices
@@ -93,7 +99,7 @@ class IpoptSolver(StatementSolver):
         n_rows, n_equal = self.model.functions.rows.size1_out(1), self.model.functions.n_equal
         upper = np.full(n_rows, np.inf)
         upper[:n_equal] = 0.0
-        solver = self.model.functions.ipopt(options)
+        solver, p = self.model.ipopt(options), self.model.ipopt_parameters(p)
         with self.model.functions.busy:  # status and iterations are those of the call before
             found = solver(x0=x, p=p, lbx=low, ubx=high, lbg=np.zeros(n_rows), ubg=upper)
             stats = solver.stats()

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 import casadi as ca
 
 from controllers.optimisation.statement.structure import Structure
-from thermoforce_mpc.model.operator.casadi_export import gain_from
+from thermoforce_mpc.model.operator.casadi_export import gain_function
+from thermoforce_mpc.model.operator.features import N_FEATURES
 
 # Levels up to this do not act.
 ACTS_ABOVE = 1e-6
@@ -107,6 +108,8 @@ class Algebra:
     def response(self, q: Mapping[str, ca.SX], s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Responses of the zones (Z, N), drives m·v (A, N) of `heat` v by difference equations, and slack (Z, N).
 
+        m is a parameter unless it sees the response.
+
         The response is what is inside the comfort bounds, a variable between numbers, less what is below, plus what is
         above: where a zone has one group, comfort needs no rows. At given levels it is counted mode by mode.
         """
@@ -116,7 +119,7 @@ class Algebra:
         less, more = ca.fmax(low - total, 0.0), ca.fmax(total - high, 0.0)
         inside = self.variable("inside", total + less - more, low, ca.fmax(high, low))
         below, above = self.variable("below", less), self.variable("above", more)
-        forced, drive = inside - below + above, heat
+        forced, drive = inside - below + above, heat if s.hidden else q["gain"] * heat
         y = forced
         if [z for z, _ in s.groups] != list(range(s.Z)):
             y = self.variable("y", modes, -ca.inf)
@@ -124,7 +127,7 @@ class Algebra:
         if s.hidden:
             drive = self.variable("drive", modes_drive, -ca.inf)
             seen = ca.horzcat(ca.sum2(q["forced"]), y[:, :-1])
-            gain = ca.horzcat(*(gain_from(q, q["before"][:, k], seen[0, k]) for k in range(s.N)))
+            gain = ca.horzcat(*(_gain(q, s, k, seen[0, k]) for k in range(s.N)))
             self.equal.append(ca.vec(drive - gain * heat))
         self.equal.append(ca.vec(_difference_equations(q, s, y, drive)))
         return forced, drive, below + above
@@ -148,14 +151,17 @@ def _mode_by_mode(q: Mapping[str, ca.SX], s: Structure, heat: ca.SX) -> tuple[ca
     of_group = [s.groups.index(next(g for g in s.groups if g[0] == z and a in g[1])) for z, a in s.pairs]
     sums, sizes = _zones_of(of_group, len(s.groups)), sorted(set(s.lengths))
     for k in range(s.N):
-        drive = heat[:, k]
-        if s.hidden:
-            drive = gain_from(q, q["before"][:, k], ca.sum2(forced)) * drive
+        drive = (_gain(q, s, k, ca.sum2(forced)) if s.hidden else q["gain"][:, k]) * heat[:, k]
         of = slice(s.r * sizes.index(s.lengths[k]), s.r * sizes.index(s.lengths[k]) + s.r)
         forced = q["poles"][:, of] * forced + q["gains"][:, of] * ca.repmat(drive[actuators], 1, s.r)
         columns.append(ca.mtimes(sums, ca.sum2(forced)))
         drives.append(drive)
     return ca.horzcat(*columns), ca.horzcat(*drives)
+
+
+def _gain(q: Mapping[str, ca.SX], s: Structure, k: int, forced: ca.SX) -> ca.SX:
+    """m(x) of step k with the predicted temperature, T − F and `forced`, in x."""
+    return gain_function(s.hidden)(q["features"][:, k] + ca.vertcat(forced, ca.SX(N_FEATURES - 1, 1)), q["network"])
 
 
 def _difference_equations(q: Mapping[str, ca.SX], s: Structure, y: ca.SX, drive: ca.SX) -> ca.SX:

@@ -25,6 +25,8 @@ from controllers.optimisation.statement.problem_statement import Stated, paramet
 from controllers.optimisation.statement.structure import Structure
 from thermoforce_mpc.data.compiled import sources_of
 from thermoforce_mpc.dependencies import cache_folder
+from thermoforce_mpc.model.operator.casadi_export import gain_function, network_size
+from thermoforce_mpc.model.operator.features import N_FEATURES
 
 # Files kept.
 _MOST_FILES = 120
@@ -105,8 +107,9 @@ class Functions:
 
     `bounds`: p → least and largest values of the variables. `local`: (x, p, multipliers) → objective, gradient, second
     derivatives of the Lagrangian, equations and their Jacobian, inequalities and theirs. `rows`: (x, p) → objective and
-    rows, for Ipopt; a solver is used by one at a time (`busy`). `names` of the variables in their order; `n_equal`:
-    number of equations. `convex`: no derivative depends on variables or multipliers.
+    rows; an Ipopt is used by one at a time (`busy`). `names` of the variables in their order; `n_equal`: number of
+    equations. `convex`: no derivative depends on variables or multipliers. `n_gain`: how many of the last parameters
+    are gains m(x) of `A` actuators; 0 where these depend on variables.
     """
 
     bounds: ca.Function
@@ -115,6 +118,8 @@ class Functions:
     names: tuple[str, ...]
     n_equal: int
     convex: bool
+    A: int
+    n_gain: int
     solvers: dict[str, ca.Function] = field(default_factory=dict)
     busy: threading.Lock = field(default_factory=threading.Lock)
 
@@ -124,18 +129,44 @@ class Functions:
         names = np.array(self.names)
         return {name: np.flatnonzero(names == name) for name in dict.fromkeys(self.names)}
 
-    def ipopt(self, options: Mapping[str, Any]) -> ca.Function:
-        """Ipopt on the statement, with constant derivatives where they are."""
+    def ipopt(self, options: Mapping[str, Any], hidden: int) -> ca.Function:
+        """Ipopt on the statement with gains of `hidden` units in it, with constant derivatives where they are.
+
+        Its parameters are those of `rows`, but for gains those of `gain_sizes`; 0 units: the gains.
+        """
         constant = ("jac_c_constant", "jac_d_constant", "hessian_constant") if self.convex else ()
         options = {**options, **dict.fromkeys(constant, "yes")}
-        key = json.dumps(options, sort_keys=True)
+        key = json.dumps([options, hidden], sort_keys=True)
         if key not in self.solvers:
-            x, p = (ca.SX.sym(name, self.rows.size1_in(i)) for i, name in enumerate(("x", "p")))
-            f, g = self.rows(x, p)
+            x, own = (ca.SX.sym(name, self.rows.size1_in(i)) for i, name in enumerate(("x", "p")))
+            p = own
+            if hidden and self.n_gain:
+                others, (given, gain) = own[: own.numel() - self.n_gain], _exported_gain(self.A, self.n_gain, hidden)
+                own, p = ca.vertcat(others, gain), ca.vertcat(others, given)
+            f, g = self.rows(x, own)
+            derivatives = self._derivatives(x, own, p) if self.convex else {}
             self.solvers[key] = ca.nlpsol(
-                "plan", "ipopt", {"x": x, "p": p, "f": f, "g": g}, {"print_time": False, "ipopt": options}
+                "plan",
+                "ipopt",
+                {"x": x, "p": p, "f": f, "g": g},
+                {"print_time": False, "ipopt": options, **derivatives},
             )
         return self.solvers[key]
+
+    def _derivatives(self, x: ca.SX, own: ca.SX, p: ca.SX) -> dict[str, ca.Function]:
+        """Those of `local`, which CasADi would work out anew in every process; `own` parameters as expressions of p."""
+        multipliers, scale = ca.SX.sym("lam_g", self.local.size1_in(2)), ca.SX.sym("lam_f")
+        f, gradient, H, equal, A, above, G = self.local(x, own, multipliers)
+        lagrangian = [x, p, scale, multipliers]
+        return {
+            "grad_f": ca.Function("nlp_grad_f", [x, p], [f, gradient], ["x", "p"], ["f", "grad_f_x"]),
+            "jac_g": ca.Function(
+                "nlp_jac_g", [x, p], [ca.vertcat(equal, above), ca.vertcat(A, G)], ["x", "p"], ["g", "jac_g_x"]
+            ),
+            "hess_lag": ca.Function(
+                "nlp_hess_l", lagrangian, [scale * ca.triu(H)], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+            ),
+        }
 
 
 @lru_cache(_MOST_STRUCTURES)
@@ -170,9 +201,19 @@ def _build_programme(s: Structure) -> tuple[dict[str, Any], list[ca.Function]]:
     linear = not ca.depends_on(ca.veccat(A, G), x)
     H, gradient = ca.hessian(f if linear else f + ca.dot(m, rows), x)
     facts = {"names": tuple(alg.names), "n_equal": equal.numel(), "convex": linear and not ca.depends_on(ca.vec(H), x)}
+    facts |= {"A": s.A, "n_gain": 0 if s.hidden else s.A * s.N}
     outputs = [f, gradient if linear else ca.gradient(f, x), H, equal, A, above, G]
     bounds = ca.Function("bounds", [p], [ca.densify(ca.veccat(*each)) for each in (alg.low, alg.high)])
     return facts, [bounds, ca.Function("local", [x, p, m], outputs), ca.Function("rows", [x, p], [f, rows])]
+
+
+def _exported_gain(A: int, n_gain: int, hidden: int) -> tuple[ca.SX, ca.SX]:
+    """The parameters of the gains of all actuators and steps, and these, as `gain_sizes` orders them."""
+    n, function = n_gain // A, gain_function(hidden)
+    features, network = ca.SX.sym("features", N_FEATURES * A, n), ca.SX.sym("network", network_size(hidden), A)
+    rows = [ca.horzsplit(features[N_FEATURES * a : N_FEATURES * (a + 1), :]) for a in range(A)]
+    gain = [ca.horzcat(*(function(x, network[:, a]) for x in row)) for a, row in enumerate(rows)]
+    return ca.veccat(features, network), ca.vec(ca.vertcat(*gain))
 
 
 def _stated(s: Structure) -> tuple[Stated, Algebra, ca.SX]:

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.statement.problem_statement import parameter_sizes
+from controllers.optimisation.statement.problem_statement import gain_sizes, parameter_sizes
 from controllers.optimisation.statement.structure import PoleGroup, Structure, difference_equation
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.operator.casadi_export import ExportedGain, before_gain, gain_weights
+from thermoforce_mpc.model.operator.casadi_export import ExportedGain, network_of
 from thermoforce_mpc.model.operator.features import OUTDOOR
 
 # Half of the least width of a comfort band: solvers keep away from bounds that meet.
@@ -20,12 +20,19 @@ _HALF_BAND_K = 1e-3
 
 
 class Numbers:
-    """Packs instances of one operator and shape into the vector of the parameters of a structure."""
+    """Packs instances of one operator and shape into the vector of the parameters of a structure.
+
+    `hidden`: units of its gains, 0 where these do not depend on features. Parameters that are theirs come last, `n_own`
+    of the structure's own before them; a structure whose gain sees the plan has them itself.
+    """
 
     def __init__(self, operator: BuildingOperator, shape: ProblemShape, groups: list[PoleGroup], s: Structure) -> None:
         self._operator, self._shape, self._groups, self._s = operator, shape, groups, s
         machinery = shape.machinery
-        self._gains = [ExportedGain(operator.of_actuator(a), shape.n_steps) for a in range(s.A)]
+        heads = [operator.of_actuator(a) for a in range(s.A)]
+        seen = any(head.constant_modulation is None for head in heads)
+        self.hidden = max(head.hidden_bias.size for head in heads) if seen else 0
+        self._gains = [ExportedGain(head, s.N) for head in heads]
         self._z, self._a = (np.array(numbers, dtype=np.intp) for numbers in zip(*s.pairs, strict=True))
         poles, gains_ = operator.poles, operator.gains
         n, self._firsts = shape.n_steps, shape.first_steps
@@ -48,10 +55,13 @@ class Numbers:
             "u_min": machinery.u_min,
             "lowest": machinery.lowest_level,
             "on_per_v": np.maximum(1.0 / machinery.lowest_level, np.where(alone, machinery.share, 0.0)),
-            **(gain_weights(operator.of_actuator(0)) if s.hidden else {}),
         }
-        self._places, at = {}, 0
-        for name, (rows, columns) in parameter_sizes(s).items():
+        places, self._places, at = parameter_sizes(s), {}, 0
+        self.n_own = sum(rows * columns for rows, columns in places.values())
+        if self.hidden:
+            places |= gain_sizes(s, self.hidden)
+            self._constant["network"] = np.stack([network_of(head, self.hidden) for head in heads], axis=-1)
+        for name, (rows, columns) in places.items():
             self._places[name] = (at, rows, columns)
             at += rows * columns
         self._vector = np.zeros(at)
@@ -70,13 +80,16 @@ class Numbers:
     def of(self, p: MPCProblem) -> Array:
         """The parameters of an instance.
 
-        Raises `DataError` where it does not fit the shape: in its steps, or by a part in u² in its peak power or cap.
+        Raises `DataError` where it does not fit the shape: in its steps, by a part in u² in its peak power or cap, or
+        by a price of heat at the end.
         """
         s, machine_of = self._s, self._shape.machinery.machine_of
         if p.power_per_u2_W is not None and (s.peak or s.capped or s.terms) and not s.curved:
             raise DataError("MPC problem: power has a part in u², which its shape (`curved`) does not say")
         if p.n_steps != self._shape.n_steps:
             raise DataError(f"MPC problem: {p.n_steps} steps, but the shape has {self._shape.n_steps}")
+        if not s.stored and np.any(p.terminal_price_per_K):
+            raise DataError("MPC problem: heat at the end has a price, which its shape (`stored`) does not say")
         drive, sag = self._drive(p)
         worth = np.einsum("zar,zarn->an", p.terminal_price_per_K, self._remaining)
         price_of = p.price_per_W[machine_of]
@@ -115,8 +128,13 @@ class Numbers:
             values["limit"] = self._mean(p.power_cap.limit_W[None])
         if p.last_u is not None:
             values["last_u"] = p.last_u
-        if s.hidden:
-            values["before"] = self._mean(before_gain(self._operator.of_actuator(0), p.features[0]))
+        x = [self._mean(p.features[home].T) for home in self._operator.home]
+        if self.hidden:
+            values["features"] = np.concatenate(x)
+        if not s.hidden:
+            values["gain"] = np.stack(
+                [np.broadcast_to(gain(of.T), s.N) for gain, of in zip(self._gains, x, strict=True)]
+            )
         vector = self._vector.copy()
         self._write(vector, values)
         return vector
@@ -175,20 +193,19 @@ class Numbers:
         return per_u_W, fixed_W, fixed_cost
 
     def _drive(self, p: MPCProblem) -> tuple[Array, Array]:
-        """Drive per level with a known gain, and what of it each level above the lowest lacks, (A, control steps)."""
-        s, machinery = self._s, self._shape.machinery
-        n = p.n_steps
-        drive, sag = np.zeros((s.A, n)), np.zeros((s.A, n))
+        """Heat v per level, and what of it each level above the lowest lacks, (A, control steps)."""
+        A, machinery, n = self._s.A, self._shape.machinery, p.n_steps
+        drive, sag = np.zeros((A, n)), np.zeros((A, n))
         for a, home in enumerate(self._operator.home):
             pair, features = self._operator.of_actuator(a), p.features[home]
-            m, T_out_C = (1.0 if s.hidden else self._gains[a](features)), features[:, OUTDOOR]
+            T_out_C = features[:, OUTDOOR]
             highest, lowest = float(machinery.u_max[a]), float(machinery.lowest_level[a])
             full = pair.heat_input(np.full(n, highest), T_out_C)
-            drive[a] = m * full / highest
+            drive[a] = full / highest
             if machinery.stepped[a]:
                 at_lowest = pair.heat_input(np.full(n, lowest), T_out_C)
                 slope = (full - at_lowest) / (highest - lowest)
-                drive[a] = m * at_lowest / lowest
-                sag[a] = np.maximum(drive[a] - m * slope, 0.0)
+                drive[a] = at_lowest / lowest
+                sag[a] = np.maximum(drive[a] - slope, 0.0)
         comes = 1.0 if p.available is None else p.available
         return drive * comes, sag * comes

@@ -25,8 +25,10 @@ The free response T_free is fixed. The slack makes every instance feasible. λ i
 A machine's actuators begin together; w_a is the share of the time that it runs while only actuator a is on
 (`model.machine.load`), and it runs at least as long as its capacity asks.
 
-The gain m(x) is a number worked out beforehand, unless it sees the predicted temperature (`feedback`). All numbers, of
-the instance and of the operator, are parameters q, so one statement serves all buildings of one structure.
+All numbers, of the instance and of the operator, are parameters q, so one statement serves all buildings of one
+structure. The gain m(x) is the exported function with weights and features as parameters (`gain_sizes`): its values are
+known before a plan, and so quadratic programmes take them as numbers, unless x holds the predicted temperature
+(`feedback`).
 """
 
 from __future__ import annotations
@@ -40,7 +42,8 @@ from controllers.optimisation.problem import POWER_UNIT_W
 from controllers.optimisation.statement.algebra import MOST_RUNNING, Algebra
 from controllers.optimisation.statement.structure import Structure
 from controllers.optimisation.statement.terms import PlanExpressions
-from thermoforce_mpc.model.operator.casadi_export import gain_sizes
+from thermoforce_mpc.model.operator.casadi_export import network_size
+from thermoforce_mpc.model.operator.features import N_FEATURES
 
 Parameters = Mapping[str, ca.SX]
 # What the cost is made of, currency: `stored heat` is minus what it is worth at the end, `other` the curvature and the
@@ -80,9 +83,13 @@ def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
         **dict.fromkeys(("share", "runs_for", "u_max", "u_min", "lowest", "on_per_v", "last_u"), (s.A, 1)),
         **{"comfort": (s.Z, 1), "weights": (3, 1), "reached": (1, 1), "kept": (1, 1), "limit": (1, s.N)},
     }
-    if s.hidden:
-        sizes |= {"before": (s.hidden, s.N), **gain_sizes(s.hidden)}
-    return sizes
+    # The last ones: a nonlinear programme has the gain's own in its place.
+    return sizes | (gain_sizes(s, s.hidden) if s.hidden else {"gain": (s.A, s.N)})
+
+
+def gain_sizes(s: Structure, hidden: int) -> dict[str, tuple[int, int]]:
+    """Rows and columns of the parameters of gains of `hidden` units: x of each actuator, and its network."""
+    return {"features": (N_FEATURES * s.A, s.N), "network": (network_size(hidden), s.A)}
 
 
 def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
@@ -103,7 +110,8 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
     parts = dict.fromkeys(PARTS, ca.SX(0))
     parts["energy"] = ca.sum2(energy)
     parts["discomfort"] = ca.dot(lengths, ca.mtimes(q["comfort"].T, slack))
-    parts["stored heat"] = -ca.dot(q["worth"], drive) - q["kept"]
+    if s.stored:
+        parts["stored heat"] = -ca.dot(q["worth"], drive) - q["kept"]
     parts["other"] = q["weights"][0] * ca.dot(lengths, ca.sum1(u**2))
     whole = power + _of_machines(s, q["bend"] * curve)
     power = whole if s.curved else power  # rows of power are linear otherwise

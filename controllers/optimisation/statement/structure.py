@@ -109,8 +109,8 @@ class Structure:
     it; in `exclusive` groups of which one acts at a time, and `chosen`, those in them: which act is decided in the
     first `n_chosen` steps. `peak`, `capped`, `curved`: a price of peak power, a power cap, and whether the power in
     them, or in a term of the user, has a part in u². `hidden`: hidden units of the gain where it sees the predicted
-    temperature; 0: the gain is a number. `terms`, `step_s`: further terms of the user, and the length of a step for
-    them, s.
+    temperature; 0: it does not. `stored`: heat at the end has a price. `terms`, `step_s`: further terms of the user,
+    and the length of a step for them, s.
     """
 
     Z: int
@@ -132,6 +132,7 @@ class Structure:
     capped: bool = False
     curved: bool = False
     hidden: int = 0
+    stored: bool = True
     terms: tuple[Callable[..., None], ...] = ()
     step_s: float = 0.0
 
@@ -205,6 +206,7 @@ def structure_of(
         capped=shape.capped,
         curved=shape.curved and bool(shape.peak or shape.capped or shape.terms),
         hidden=operator.of_actuator(0).hidden_bias.size if feedback else 0,
+        stored=shape.stored,
         terms=shape.terms,
         step_s=operator.step_s if shape.terms else 0.0,
     )

@@ -21,7 +21,7 @@ from controllers.checks import ControllerConfigError, PackedState
 from controllers.many.portfolio import Portfolio, plan_many
 from controllers.many.worker import read_shared, write_shared
 from controllers.optimisation.solvers.highs import Highs
-from controllers.optimisation.solvers.ipopt import IpoptSolver
+from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.card import Competence
@@ -123,8 +123,12 @@ def test_what_is_wrong_with_a_building_costs_that_building(monkeypatch):
         "unknown, one instant": Observation(one.history, one.boundary.head(0)),
     }
     options |= dict.fromkeys(buildings.keys() - {"no solution"}, WEATHER_MODEL)
-    broken = {"solver": "milp", "ipopt": {"max_iterations": 1}}  # Ipopt is asked where HiGHS fails
-    options["no solution"] = MPCConfig(**HOURLY, free_response={"name": "linear_weather"}, **broken)
+
+    class OneIteration(MPCConfig):
+        ipopt = IpoptConfig(max_iterations=1)
+
+    # Ipopt is asked where HiGHS fails.
+    options["no solution"] = OneIteration(**HOURLY, free_response={"name": "linear_weather"}, solver="milp")
     build = IpoptSolver.__init__
 
     def unless_one_iteration(self, operator, shape, config):

@@ -12,6 +12,7 @@ from two_houses import TWO, TwoHouses, two_model
 
 from controllers import ThermoForceMPC
 from controllers.checks import ControllerConfigError
+from controllers.monitoring.zone_sensor_state import SensorConfig
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, Boundary, FreeForecast, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError
@@ -86,18 +87,18 @@ def test_for_hours_the_model_stands_in_and_nobody_feels_it(shows, says):
 
 
 def test_after_its_time_the_building_is_left_to_its_own_control_until_the_sensor_is_back():
-    result = run(sensor(lambda T, last: np.nan, hours=12.0), sensor={"bridge_h": 4.0})
+    result = run(sensor(lambda T, last: np.nan, hours=12.0))
     found = statuses(result)
-    assert found[FROM_H + 1 : FROM_H + 5] == [PlanStatus.BRIDGED] * 4
-    assert found[FROM_H + 5 : FROM_H + 13] == [PlanStatus.NATIVE] * 8
+    assert found[FROM_H + 1 : FROM_H + 7] == [PlanStatus.BRIDGED] * 6
+    assert found[FROM_H + 7 : FROM_H + 13] == [PlanStatus.NATIVE] * 6
     assert set(found[FROM_H + 14 :]) == {PlanStatus.SOLVED}
-    assert "the last reading believed is 5 h old: native control" in result.steps[FROM_H + 5].plan.why
-    assert all(sample.u_applied == (None,) for sample in result.steps[FROM_H + 6].samples)
+    assert "the last reading believed is 7 h old: native control" in result.steps[FROM_H + 7].plan.why
+    assert all(sample.u_applied == (None,) for sample in result.steps[FROM_H + 8].samples)
 
 
-def test_a_rule_acts_on_the_models_temperature_where_native_control_is_not_wanted():
-    options = {"sensor": {"bridge_h": 1.0}, "fallback": {"stand_back": "rule"}}
-    result = run(sensor(lambda T, last: np.nan, hours=8.0), **options)
+def test_a_rule_acts_on_the_models_temperature_where_native_control_is_not_wanted(monkeypatch):
+    monkeypatch.setattr(SensorConfig, "bridge_h", 1.0)
+    result = run(sensor(lambda T, last: np.nan, hours=8.0), fallback={"stand_back": "rule"})
     held = result.steps[FROM_H + 3 : FROM_H + 8]
     assert {step.plan.status for step in held} == {PlanStatus.THERMOSTAT}
     assert all("°C against" in step.plan.why for step in held)
@@ -138,14 +139,16 @@ def test_a_sensor_that_was_moved_for_good_is_believed_again_after_a_day():
     assert set(found[FROM_H + 27 :]) == {PlanStatus.SOLVED}
 
 
-def test_a_silent_sensor_is_the_business_of_its_own_zone_and_its_options_are_its_own():
-    houses = TwoHouses(first=sensor(lambda T, last: np.nan, hours=10.0))
-    options = {"sensors": {TWO.zones[0]: {"bridge_h": 2.0}}}
+@pytest.mark.parametrize("silent", [True, False])
+def test_a_sensor_is_the_business_of_its_own_zone_and_its_options_are_its_own(silent):
+    fault = (lambda T, last: np.nan) if silent else (lambda T, last: 40.0)
+    houses = TwoHouses(first=sensor(fault, hours=10.0))
+    options = {} if silent else {"sensors": {TWO.zones[0]: {"highest_C": 39.0}}}
     config = MPCConfig(step_s=None, horizon_h=24.0, **options)
     mpc = ThermoForceMPC(two_model(), config, free_response=Exact())
     result = run_closed_loop(houses, mpc, SimpleHouse().period("x"))
     acting = [step.plan.acting for step in result.steps]
-    assert [one[0] for one in acting[FROM_H + 3 : FROM_H + 11]] == [PlanStatus.NATIVE] * 8
+    assert [one[0] for one in acting[FROM_H + 7 : FROM_H + 11]] == [PlanStatus.NATIVE] * 4
     assert {one[1] for one in acting} <= {PlanStatus.SOLVED, PlanStatus.BRIDGED}
     hall = [step.T_zone_C[1] - step.lower_C[1] for step in result.samples[24:]]
     assert min(hall) > -0.3

@@ -10,6 +10,7 @@ import pytest
 from simple_house import OutdoorResponse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
+from controllers.mpc.config import DeadlineConfig
 from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.data import DAY_S, Boundary, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.identification.probing.probe import Probing
@@ -42,8 +43,13 @@ def irradiation_Wh_m2(record: Record) -> float:
     return float(record.solar_W_m2.sum() * 0.25)
 
 
+@pytest.fixture(autouse=True)
+def time_to_compile(monkeypatch):
+    """The first look compiles what it runs."""
+    monkeypatch.setattr(DeadlineConfig, "look_s", 600.0)
+
+
 def _controller(**options) -> ThermoForceMPC:
-    options = {"deadline": {"look_s": 600.0}, **options}  # the first look compiles what it runs
     return ThermoForceMPC(simple_model(), MPCConfig(step_s=900.0, **options), free_response=OutdoorResponse())
 
 
@@ -123,7 +129,8 @@ def test_a_look_that_fails_costs_no_plan(sunlit, monkeypatch):
 
 
 def test_no_step_waits_for_a_look_beyond_its_deadline(sunlit, monkeypatch):
-    controller = _controller(deadline={"look_s": 0.05})
+    monkeypatch.setattr(DeadlineConfig, "look_s", 0.05)
+    controller = _controller()
     state = _planned(controller, sunlit.slice(0, sunlit.n_steps - DAY), None).state
     goes_on = threading.Event()
     monkeypatch.setattr("controllers.monitoring.sun_on_sensors.sun_on_sensor", lambda *_: goes_on.wait(20.0))

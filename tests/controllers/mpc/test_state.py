@@ -17,6 +17,7 @@ from controllers.mpc.controller import ThermoForceMPC
 from controllers.rules.native import NativeController
 from controllers.rules.pi import PIConfig, PIController
 from controllers.rules.thermostat import Thermostat, ThermostatState
+from controllers.safety.fallback_policy import FallbackConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
@@ -120,11 +121,11 @@ def test_the_state_of_a_later_plan_is_refused(build):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("follow_steps", [0, 1])
-def test_minimum_times_hold_whatever_acts(follow_steps):
+def test_minimum_times_hold_whatever_acts(follow_steps, monkeypatch):
+    monkeypatch.setattr(FallbackConfig, "follow_steps", follow_steps)
     for seed in range(3):
         # The forecaster is exact at hourly steps only, which the watch would notice.
-        fallback = {"follow_steps": follow_steps}
-        config = MPCConfig(step_s=900.0, horizon_h=6.0, fallback=fallback, watch={"enabled": False})
+        config = MPCConfig(step_s=900.0, horizon_h=6.0, watch={"enabled": False})
         draw = np.random.default_rng(seed)
         solver = ChangedSolver(config, lambda n, found, draw=draw: FAILED if draw.random() < 0.4 else found)
         controller = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse(), solver=solver)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import numpy_problem
 import pytest
 from mpc_problems import N, linear_programme_optimum, multi_start_optimum, random_operator, random_problem
+from structures import CASES, instance
 
 from controllers.optimisation.problem import MPCProblem, ProblemShape, every_step
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import single
 
 
@@ -98,3 +101,33 @@ def test_ipopt_finds_the_optimum_where_the_gain_sees_the_plan(seed):
     assert solution.ok, solution.problem
     best = multi_start_optimum(problem, operator, rng, starts=4)
     assert float(numpy_problem.cost(problem, operator, solution.u)) <= best * (1 + 1e-4)
+
+
+def tanhs(function: ca.Function) -> int:
+    return sum(function.instruction_id(k) == ca.OP_TANH for k in range(function.n_instructions()))
+
+
+@pytest.mark.parametrize("name", ["one zone", "blocked", "several", "feedback"])
+def test_ipopt_is_given_the_exported_operator_with_its_network(name):
+    """33 tanh of each actuator and step stand in what Ipopt evaluates, with the weights among its parameters."""
+    operator, problem, shape = instance(CASES[name], np.random.default_rng(0))
+    solver = IpoptSolver(operator, shape, IpoptConfig())
+    found, gains = solver.solve(problem), 33 * shape.n_moves * len(operator.actuators)
+    assert tanhs(solver.programme.get_function("nlp_g")) == gains
+    weights = sum(operator.of_actuator(a).hidden_weight.size for a in range(len(operator.actuators)))
+    assert solver.programme.size1_in("p") > weights + 4 * shape.n_moves
+    assert found.parameters == operator.n_used >= 195
+    # Other weights are another optimum of the same graph.
+    other = operator.map(lambda pair: replace(pair, output_weight=-pair.output_weight))
+    again = IpoptSolver(other, shape, IpoptConfig())
+    assert again.programme is solver.programme
+    assert abs(again.solve(problem).cost - found.cost) > 1e-4
+
+
+def test_a_price_of_stored_heat_that_a_shape_does_not_say_is_refused():
+    operator, problem, shape = instance(CASES["one zone"], np.random.default_rng(0))
+    solver = IpoptSolver(operator, replace(shape, stored=False), IpoptConfig())
+    with pytest.raises(DataError, match="stored"):
+        solver.solve(problem)
+    assert solver.solve(replace(problem, terminal_price_per_K=0.0 * problem.terminal_price_per_K)).optimal
+    assert tanhs(solver.programme.get_function("nlp_f")) == 0

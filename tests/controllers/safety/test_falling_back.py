@@ -19,6 +19,7 @@ from controllers.mpc.state import MPCState
 from controllers.optimisation.solution import Solution
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig
+from controllers.safety.fallback_policy import FallbackConfig
 from thermoforce_mpc.data import HOUR_S, FreeForecast, Observation, Plan, PlanStatus
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 
@@ -185,7 +186,7 @@ def test_the_ladder_is_climbed_down_and_up_again_and_each_level_is_named():
     assert result.kpis["tdis_tot"] < 2.0
 
 
-def test_after_failures_on_end_it_starts_without_what_it_kept():
+def test_after_failures_on_end_it_starts_without_what_it_kept(monkeypatch):
     kept = []
 
     class Following(ChangedResponse):
@@ -194,7 +195,8 @@ def test_after_failures_on_end_it_starts_without_what_it_kept():
             return self.forecast(free_C, history, boundary), len(kept)
 
     broken = lambda n, found: raising(RuntimeError("broken")) if n in (1, 2) else found  # noqa: E731
-    controller = mpc(Following(lambda n, found: found), broken, fallback={"cold_after": 2})
+    monkeypatch.setattr(FallbackConfig, "cold_after", 2)
+    controller = mpc(Following(lambda n, found: found), broken)
     state, seen = None, observation()
     for _ in range(5):
         state = controller.plan(seen, state).state

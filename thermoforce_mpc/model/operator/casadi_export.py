@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Mapping
+from functools import cache
 from typing import TypeVar
 
 import casadi as ca
@@ -17,21 +16,6 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 Expression = TypeVar("Expression", ca.SX, ca.MX)
-
-
-class _Calls(threading.local):
-    n = 0
-
-
-_calls = _Calls()
-
-
-def export_calls() -> int:
-    """Number of horizons for which this thread has put features into the exported gain, one for each actuator.
-
-    A gain that sees the predicted temperature is part of the programme: its horizon counts once.
-    """
-    return _calls.n
 
 
 def on_load_expression(
@@ -62,36 +46,34 @@ def heat_input_expression(
     return on_load_expression(heat_input.heat, u, T_out_C, on) / heat_input.reference_W
 
 
-def gain_from(q: Mapping[str, ca.SX], before: ca.SX, forced: ca.SX | float = 0.0) -> ca.SX:
-    """Return m(x) (paper eq:mod) with its weights as expressions.
+@cache
+def gain_function(hidden: int) -> ca.Function:
+    """Return m(x) (paper eq:mod): `x` (4,) in physical units, `network` → m, in [1 − γ, 1 + γ].
 
-    `q`: `slope` (H, 1), what the hidden units add per kelvin of the zone, `output` (H, 1), `output_bias`, `gamma`.
-    `before` (H, 1): what enters the hidden units without the forced response; `forced`, K, where m sees it.
+    All that is exported or planned over calls this function. `network` (6 H + 10,), H = `hidden`: weights and biases of
+    the hidden units (4 H, column by column, and H), those of the output (H and 1), γ, mean and scale of the features.
     """
-    hidden = ca.tanh(before + q["slope"] * forced)
-    return 1.0 + q["gamma"] * ca.tanh(ca.dot(q["output"], hidden) + q["output_bias"])
+    x, network = ca.SX.sym("x", N_FEATURES), ca.SX.sym("network", network_size(hidden))
+    sizes = [N_FEATURES * hidden, hidden, hidden, 1, 1, N_FEATURES, N_FEATURES]
+    ends = np.cumsum([0, *sizes]).tolist()
+    weight, bias, output, output_bias, gamma, mean, scale = ca.vertsplit(network, ends)
+    units = ca.tanh(ca.mtimes(ca.reshape(weight, hidden, N_FEATURES), (x - mean) / scale) + bias)
+    m = 1.0 + gamma * ca.tanh(ca.dot(output, units) + output_bias)
+    return ca.Function("modulation", [x, network], [m], ["x", "network"], ["m"])
 
 
-def gain_sizes(hidden: int) -> dict[str, tuple[int, int]]:
-    """Sizes of the weights of `gain_from`, by name."""
-    return {"slope": (hidden, 1), "output": (hidden, 1), "output_bias": (1, 1), "gamma": (1, 1)}
+def network_size(hidden: int) -> int:
+    """Number of `gain_function`'s weights and constants."""
+    return (N_FEATURES + 2) * hidden + 2 + 2 * N_FEATURES
 
 
-def gain_weights(params: OperatorParameters) -> dict[str, Array]:
-    """Return the numbers of the weights of `gain_from`."""
-    return {
-        "slope": params.hidden_weight[:, ZONE] / params.feature_scale[ZONE],
-        "output": params.output_weight,
-        "output_bias": np.array([params.output_bias]),
-        "gamma": np.array([params.gamma]),
-    }
-
-
-def before_gain(params: OperatorParameters, features: Array) -> Array:
-    """Return what enters the hidden units at `features` (N, 4), (H, N)."""
-    _calls.n += 1
-    scaled = (np.asarray(features, dtype=np.float64) - params.feature_mean) / params.feature_scale
-    return np.asarray(params.hidden_weight @ scaled.T + params.hidden_bias[:, None])
+def network_of(params: OperatorParameters, hidden: int) -> Array:
+    """Return `gain_function`'s `network` with `hidden` units, at least as many as the operator has; others add 0."""
+    more = hidden - params.hidden_bias.size
+    weight = np.pad(params.hidden_weight, ((0, more), (0, 0)))
+    bias, output = (np.pad(values, (0, more)) for values in (params.hidden_bias, params.output_weight))
+    rest = [params.output_bias, params.gamma, *params.feature_mean, *params.feature_scale]
+    return np.concatenate([weight.ravel(order="F"), bias, output, rest])
 
 
 class ExportedGain:
@@ -106,7 +88,6 @@ class ExportedGain:
         """Return m(x) at `features` (N, 4), (N,); the constant where no feature enters it."""
         if self._constant is not None:
             return self._constant
-        _calls.n += 1
         return self._function(features.ravel())[0].copy()
 
 
@@ -139,9 +120,8 @@ def modulation_function(params: OperatorParameters) -> ca.Function:
 
 def modulation_of(params: OperatorParameters, x: ca.SX) -> ca.SX:
     """Return m(x) of `x` (4,) in physical units as an expression."""
-    normalised = (x - ca.DM(params.feature_mean)) / ca.DM(params.feature_scale)
-    before = ca.mtimes(ca.DM(params.hidden_weight), normalised) + ca.DM(params.hidden_bias)
-    return gain_from({name: ca.SX(ca.DM(value)) for name, value in gain_weights(params).items()}, before)
+    hidden = params.hidden_bias.size
+    return gain_function(hidden)(x, ca.DM(network_of(params, hidden)))
 
 
 def advanced(params: OperatorParameters, F: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:

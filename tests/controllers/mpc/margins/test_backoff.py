@@ -127,8 +127,9 @@ class Widening(OutdoorResponse):
         return FreeForecast(np.array([0.1, 0.5, 0.9]), np.stack([exact - half_K, exact, exact + half_K]), "widening")
 
 
-def test_only_the_bound_that_actuation_protects_is_kept_less():
-    config = MPCConfig(step_s=None, horizon_h=24.0, backoff_violation_K=None, comfort_margin_K=0.0, backoff_max_K=9.0)
+def test_only_the_bound_that_actuation_protects_is_kept_less(monkeypatch):
+    monkeypatch.setattr(MPCConfig, "backoff_max_K", 9.0)
+    config = MPCConfig(step_s=None, horizon_h=24.0, backoff_violation_K=None, comfort_margin_K=0.0)
     mpc = ThermoForceMPC(simple_model(), config, free_response=Widening())
     house = SimpleHouse()
     house.reset(10 * DAY_S, DAY_S)

@@ -1,0 +1,141 @@
+"""Home Assistant's answers, recorded of a real core (tests/with_home_assistant/check.py --record), served again."""
+
+from __future__ import annotations
+
+import json
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("websockets")
+
+import home_assistant_cases
+from home_assistant_cases import CASES, HALL
+from recorded_core import served, shifted
+
+from thermoforce_mpc.connections.home_assistant import whole_hours
+from thermoforce_mpc.connections.registry import build_connection
+from thermoforce_mpc.errors import ConfigError, PlantError
+
+CONTRACT = json.loads((Path(__file__).parent / "home_assistant.json").read_text())["cases"]
+
+
+@pytest.fixture
+def connect(monkeypatch):
+    def made(url, *, columns=(), token=None, **options):
+        monkeypatch.setenv("HOME_ASSISTANT_TOKEN", token or "TOKEN")
+        home = build_connection("home-assistant", {"url": url, **options})
+        home.reads(columns)
+        return home
+
+    return made
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
+def test_case(case, connect, monkeypatch):
+    monkeypatch.setattr("thermoforce_mpc.connections.home_assistant._TAKEN_S", 0.3)
+    recorded = CONTRACT[case.__name__]
+    acts = iter(recorded["acts"])
+    with served(recorded["exchanges"], "TOKEN") as url:
+        case(lambda **options: connect(url, **options), lambda *words, **data: next(acts))
+
+
+def test_a_core_that_is_away_is_said_without_the_token(connect):
+    home = connect("http://127.0.0.1:9", actuators=HALL, columns=["sensor.room"], token="very-secret")
+    for ask in (home.measurements, lambda: home.write({"hall": 21.0}, 900.0)):
+        with pytest.raises(PlantError, match="cannot be reached") as problem:
+            ask()
+        assert "very-secret" not in repr(problem.value)
+
+
+def test_the_token_stands_in_a_file_that_others_cannot_read(tmp_path, monkeypatch):
+    monkeypatch.delenv("HOME_ASSISTANT_TOKEN", raising=False)
+    monkeypatch.delenv("SUPERVISOR_TOKEN", raising=False)
+    with pytest.raises(ConfigError, match="HOME_ASSISTANT_TOKEN"):
+        build_connection("home-assistant", {})
+    file = tmp_path / "token"
+    file.write_text("abc\n")
+    file.chmod(0o644)
+    with pytest.raises(ConfigError, match="chmod 600"):
+        build_connection("home-assistant", {"token_file": str(file)})
+    file.chmod(0o600)
+    build_connection("home-assistant", {"token_file": str(file)})
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"url": "homeassistant.local"}, "expected http"),
+        ({"actuators": {"hall": {"entity": "light.hall", "release": 1}}}, "cannot be set"),
+        ({"actuators": {"hall": {"entity": "climate.hall", "release": "warm"}}}, "expected a number"),
+        ({"actuators": {"hall": {"entity": "climate.hall"}}}, "release"),
+        ({"actuators": {"hall": {"entity": "switch.hall", "release": 1}}}, "true or false"),
+        ({"actuators": {"hall": {"entity": "select.hall", "release": "normal"}}}, "options"),
+        ({"watchdog": "input_boolean.x"}, "no timer"),
+        ({"token": "secret"}, "token"),
+    ],
+)
+def test_wrong_options_are_refused_with_their_key(options, said, monkeypatch):
+    monkeypatch.setenv("HOME_ASSISTANT_TOKEN", "TOKEN")
+    with pytest.raises(ConfigError, match=said):
+        build_connection("home-assistant", options)
+
+
+def test_hours_beside_an_outage_are_not_measured():
+    """Home Assistant's hourly mean holds the value before an outage through the rest of the hour."""
+    hours = [0, 1, 2, 6, 7, 8, 9]  # nothing in 3 to 5: the outage began in hour 2 and ended in hour 6
+    middle_s, values = whole_hours([{"start": 3.6e6 * h, "end": 3.6e6 * (h + 1), "mean": float(h)} for h in hours])
+    assert values.tolist() == [0.0, 1.0, 7.0, 8.0, 9.0]
+    assert middle_s.tolist() == [3600.0 * h + 1800.0 for h in (0, 1, 7, 8, 9)]
+    _, counted = whole_hours([{"start": 3.6e6 * h, "end": 0, "state": 10.0 * h, "sum": 0.0} for h in (0, 1, 2)])
+    assert counted.tolist() == [0.0, 10.0, 20.0]
+
+
+def days_of_states(now_s: float, silent_h: tuple[float, float], days: float = 2.0) -> list[list[dict]]:
+    """States of two sensors every minute, in pieces of a day, without any in hours before now of `silent_h`."""
+    pieces, at = [], now_s - days * 86400.0
+    while at < now_s:
+        end = min(at + 86400.0, now_s)
+        rows = [
+            {"s": str(20.0 + 0.001 * k), "a": {}, "lu": at + 60.0 * k}
+            for k in range(int((end - at) / 60.0))
+            if not silent_h[1] * 3600.0 < now_s - (at + 60.0 * k) < silent_h[0] * 3600.0
+        ]
+        pieces.append(rows)
+        at = end
+    return pieces
+
+
+def test_what_was_not_stored_while_the_core_was_down_is_not_measured(connect):
+    now_s = time.time()
+    names = ["sensor.room", "sensor.hall"]
+    pieces = days_of_states(now_s, (7.0, 5.5))
+    stamp = datetime.fromtimestamp(now_s - 60.0, UTC).isoformat()
+    states = [{"entity_id": n, "state": "20.5", "attributes": {}, "last_updated": stamp} for n in names]
+    asked = {
+        "type": "history/history_during_period", "entity_ids": names, "significant_changes_only": False,
+        "minimal_response": False, "no_attributes": False,
+    }  # fmt: skip
+    exchanges = [{"at": now_s, "asked": "GET /api/states", "status": 200, "text": json.dumps(states)}]
+    for rows in pieces:
+        answer = {"type": "result", "success": True, "result": dict.fromkeys(names, rows)}
+        exchanges.append({"at": now_s, "asked": json.dumps(asked, sort_keys=True), "answer": answer})
+    with served(exchanges, "TOKEN") as url:
+        table = connect(url, columns=names, days=2.0).measurements()
+    ago_h = (table.index[-1] - table.index) / np.timedelta64(1, "h")
+    missing = table["sensor.room"].isna().to_numpy()
+    assert missing[(ago_h < 6.9) & (ago_h > 5.6)].all()
+    assert not missing[(ago_h < 5.4)].any()
+
+
+def test_times_of_recorded_answers_are_moved():
+    assert shifted({"lu": 1.0, "a": ["2026-01-01T00:00:00.500000+00:00"]}, 1.0) == {
+        "lu": 2.0, "a": ["2026-01-01T00:00:01.500000+00:00"]
+    }  # fmt: skip
+
+
+def test_every_case_was_recorded():
+    assert set(CONTRACT) == {case.__name__ for case in home_assistant_cases.CASES}

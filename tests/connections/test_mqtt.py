@@ -1,0 +1,268 @@
+"""MQTT against a real broker: what comes is recorded, what is set arrives in time or never."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import pandas as pd
+import pytest
+from mosquitto import Broker, Listener, missing, wire
+from waiting import wait_for
+
+from thermoforce_mpc.connections.discovery import device_message
+from thermoforce_mpc.connections.registry import build_connection
+from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.measurements.load import read_measurements
+
+pytest.importorskip("paho.mqtt.client")
+needs_broker = pytest.mark.skipif(bool(missing()), reason=missing())
+HALL = {"hall": {"topic": "hall/set", "release": 20.0}}
+
+
+@pytest.fixture(scope="module")
+def broker(tmp_path_factory):
+    one = Broker(tmp_path_factory.mktemp("broker"))
+    one.start()
+    yield one
+    one.stop()
+
+
+@pytest.fixture
+def connect(broker, tmp_path):
+    made = []
+
+    def connected(**options):
+        home = build_connection(
+            "mqtt", broker.options(record=str(tmp_path / "mqtt.csv"), prefix=f"t{len(made)}") | options
+        )
+        made.append(home)
+        return home
+
+    yield connected
+    for home in made:
+        home.close()
+
+
+@pytest.fixture
+def listener(broker):
+    one = Listener(broker)
+    yield one
+    one.close()
+
+
+@needs_broker
+@pytest.mark.parametrize("version", ["5", "3.1.1"])
+def test_commands_arrive_and_are_given_back(version, connect, listener):
+    home = connect(actuators=HALL, version=version)
+    home.write({"hall": 21.5}, 1020.0)
+    home.write({"hall": None}, 0.0)
+    assert listener.wait("hall/set", 2)[-2:] == ["21.5", "20"]
+
+
+@needs_broker
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # paho 2.2.0 leaves the socket open
+def test_over_tls_the_certificate_is_checked(connect, broker, listener):
+    secure = {"port": broker.tls_port, "tls": True}
+    home = connect(actuators=HALL, ca_file=str(broker.folder / "ca.crt"), **secure)
+    home.write({"hall": 23.0}, 900.0)
+    assert listener.wait("hall/set")[-1] == "23"
+    with pytest.raises(PlantError, match=r"CERTIFICATE_VERIFY_FAILED|certificate"):
+        connect(actuators=HALL, **secure).write({"hall": 21.0}, 900.0)
+
+
+@needs_broker
+def test_a_wrong_password_is_said_without_it(connect, tmp_path):
+    file = tmp_path / "wrong"
+    file.write_text("wrong-word")
+    file.chmod(0o600)
+    home = connect(actuators=HALL, password_file=str(file))
+    with pytest.raises(PlantError, match=r"Not authorized|not authorised") as problem:
+        home.write({"hall": 21.0}, 900.0)
+    assert "wrong-word" not in repr(problem.value)
+
+
+@needs_broker
+@pytest.mark.slow
+@pytest.mark.parametrize("version", ["5", "3.1.1"])
+def test_what_could_not_be_published_never_arrives(version, tmp_path, monkeypatch):
+    """paho keeps a failed publish of quality 1 and sends it when the broker is back, last of all."""
+    monkeypatch.setattr("thermoforce_mpc.connections.mqtt._TIMEOUT_S", 1.0)
+    (tmp_path / "broker").mkdir()
+    broker = Broker(tmp_path / "broker")
+    broker.start()
+    try:
+        with wire(broker.port) as (port, cut, _):
+            home = build_connection(
+                "mqtt", broker.options(port=port, actuators=HALL, version=version, record=str(tmp_path / "mqtt.csv"))
+            )
+            home.write({"hall": 21.0}, 900.0)
+            broker.stop()
+            with pytest.raises(PlantError, match=r"nothing was set|withdrawn"):
+                home.write({"hall": 22.0}, 900.0)
+            broker.start()
+            cut.set()
+            began = time.monotonic()
+            with pytest.raises(PlantError, match=r"nothing was set|withdrawn"):
+                home.write({"hall": 23.0}, 900.0)
+            assert time.monotonic() - began < 8.0
+            listener = Listener(broker, "hall/#")
+            cut.clear()
+            home.write({"hall": 24.0}, 900.0)
+            assert listener.wait("hall/set") == ["24"]
+            time.sleep(1.0)
+            assert listener.texts("hall/set") == ["24"]
+            home.close()
+            listener.close()
+    finally:
+        broker.stop()
+
+
+@needs_broker
+def test_a_retained_command_of_mqtt_5_ends_with_its_time_and_what_is_given_back_stays(connect, broker):
+    home = connect(actuators={"hall": HALL["hall"] | {"retain": True, "topic": "kept/set"}})
+    home.write({"hall": 24.0}, 1.0)
+    time.sleep(2.2)  # the broker counts in whole seconds
+    late = Listener(broker, "kept/#")
+    assert late.wait("kept/set", seconds=0.5) == []
+    late.close()
+    home.write({"hall": 24.0}, 900.0)
+    home.write({"hall": None}, 0.0)
+    late = Listener(broker, "kept/#")
+    assert late.wait("kept/set") == ["20"]
+    late.close()
+
+
+@needs_broker
+def test_what_the_device_says_is_waited_for(connect, broker, monkeypatch):
+    monkeypatch.setattr("thermoforce_mpc.connections.mqtt._TAKEN_S", 0.4)
+
+    def answers(client, userdata, message):
+        taken = min(float(json.loads(message.payload)["t"]), 24.0)
+        client.publish("room/state", json.dumps({"set": taken}), qos=1)
+
+    device = broker.client(on_message=answers)
+    device.subscribe("room/set", 1)
+    room = {
+        "topic": "room/set",
+        "release": 20,
+        "payload": '{"t": $value, "until": "$until"}',
+        "state": "room/state#set",
+    }
+    home = connect(actuators={"hall": room})
+    home.begin()
+    home.write({"hall": 22.0}, 900.0)
+    with pytest.raises(PlantError, match=r"room/state#set says 24.0, not 25"):
+        home.write({"hall": 25.0}, 900.0)
+    device.disconnect()
+    device.loop_stop()
+
+
+@needs_broker
+def test_what_comes_is_recorded_but_for_what_was_retained(connect, broker, tmp_path):
+    other = broker.client()
+    other.publish("z/old", "99", qos=1, retain=True).wait_for_publish(5)
+    home = connect(record=str(tmp_path / "r.csv"))
+    home.reads(["z/old", "z/hall#temperature", "z/out", "z/power", "z/on"])
+    home.begin()
+    wait_for("the broker", lambda: home.connected)
+    time.sleep(0.2)
+    for topic, text in (
+        ("z/out", "3.5"), ("z/hall", '{"temperature": 20.25, "x": {}}'), ("z/hall", "no json"), ("z/on", "ON"),
+        ("z/power", "1,5\n2"), ("z/power", "450"), ("z/other", "1"),
+    ):  # fmt: skip
+        other.publish(topic, text, qos=1).wait_for_publish(5)
+    file = home.measurements()
+    wait_for("the record", lambda: "450" in file.read_text())
+    table = pd.read_csv(file)
+    assert table[["topic", "value"]].astype(str).to_numpy().tolist() == [
+        ["z/out", "3.5"], ["z/hall#temperature", "20.25"], ["z/on", "ON"], ["z/power", "450"]
+    ]  # fmt: skip
+    other.publish("z/old", "", qos=1, retain=True).wait_for_publish(5)
+    other.disconnect()
+    other.loop_stop()
+
+
+def test_a_record_reads_as_measurements(tmp_path):
+    now = pd.Timestamp.now("UTC").floor("1h")
+    file = tmp_path / "mqtt.csv"
+    rows = [
+        f"{(now - pd.Timedelta(minutes=k)).isoformat()},{topic},{value}"
+        for k in range(600, -1, -1)
+        for topic, value in (("hall#t", 20.0 + 0.001 * k), ("out", 3.0 + 0.002 * k), ("level", "0.4"))
+    ]
+    file.write_text("\n".join(["time,topic,value", *rows, "2026-11-2"]))
+    rules = {
+        "table": {"point": "topic", "value": "value"}, "outdoor": "out", "step": "1h", "time": {"zone": "UTC"},
+        "zones": {"hall": {"temperature": "hall#t"}}, "actuators": {"a": {"level": "level"}},
+    }  # fmt: skip
+    measured = read_measurements(file, rules, at=now, now=now)
+    assert measured.record.n_steps == 10
+    assert measured.record.u[0].tolist() == pytest.approx([0.4] * 10)
+
+
+@needs_broker
+def test_home_assistant_finds_one_device_and_what_people_ask_is_heard(connect, broker):
+    asked = []
+    home = connect(prefix="house/mpc")
+    home.listen({key: lambda text, key=key: asked.append((key, text)) for key in ("lower", "upper", "boost", "mode")})
+    home.tell({"status": "solved", "why": "cheap hours first", "plan": {"next": "21 °C from 14:00", "steps": []}})
+    home.begin()
+    wait_for("the broker", lambda: home.connected)
+    late = Listener(broker, "#")
+    (message,) = late.wait("homeassistant/device/house_mpc/config")
+    found = json.loads(message)
+    assert found == device_message("house/mpc", "house_mpc", found["o"]["sw"], ("lower", "upper", "boost", "mode"))
+    assert {part["p"] for part in found["cmps"].values()} == {"sensor", "climate", "number", "select"}
+    assert late.wait("house/mpc/availability") == ["online"]
+    assert late.wait("house/mpc/why") == ["cheap hours first"]
+    other = broker.client()
+    other.publish("house/mpc/set/lower", "20.5", qos=1).wait_for_publish(5)
+    other.publish("house/mpc/set/mode", "advise", qos=1).wait_for_publish(5)
+    wait_for("what was asked", lambda: len(asked) == 2)
+    assert asked == [("lower", "20.5"), ("mode", "advise")]
+    home.close()
+    assert late.wait("house/mpc/availability", 2)[-1] == "offline"
+    other.disconnect()
+    other.loop_stop()
+    late.close()
+
+
+@needs_broker
+def test_a_connection_that_dies_says_so_by_its_last_will(connect, broker):
+    with wire(broker.port) as (port, _, snap):
+        home = connect(prefix="dying", port=port)
+        home.begin()
+        wait_for("the broker", lambda: home.connected)
+        late = Listener(broker, "dying/#")
+        assert late.wait("dying/availability") == ["online"]
+        snap()  # as of a killed process: nothing is said
+        wait_for("the last will", lambda: "offline" in late.texts("dying/availability"))
+        wait_for("that it is back", lambda: late.texts("dying/availability")[-1] == "online")
+        late.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"version": "4"}, "'5' or '3.1.1'"),
+        ({"actuators": {"a": {"topic": "a/#", "release": 1}}}, "no topic to publish to"),
+        ({"actuators": {"a": {"topic": "a", "release": 1, "payload": "$valu"}}}, "payload"),
+        ({"actuators": {"a": {"topic": "a"}}}, "release"),
+        ({"prefix": "$SYS"}, "prefix"),
+        ({"password": "x"}, "password"),
+        ({"user": "u"}, "MQTT_PASSWORD"),
+        ({"ca_file": "/nowhere.crt"}, "ca_file"),
+    ],
+)
+def test_wrong_options_are_refused_with_their_key(options, said, monkeypatch):
+    monkeypatch.delenv("MQTT_PASSWORD", raising=False)
+    with pytest.raises(ConfigError, match=said):
+        build_connection("mqtt", options)
+
+
+def test_a_broker_that_is_not_there_is_said(tmp_path):
+    home = build_connection("mqtt", {"port": 9, "actuators": HALL, "record": str(tmp_path / "m.csv")})
+    with pytest.raises(PlantError, match=r"127.0.0.1|localhost"):
+        home.write({"hall": 21.0}, 900.0)
+    home.close()

@@ -1,0 +1,444 @@
+"""Connection to an MQTT broker: topics are recorded as they come, commands are published so that none arrives late.
+
+A publish of quality 1 that failed stays in the client's queue and is sent when the broker is back, an hour later and
+after newer ones. So each command goes over a connection of its own, which is broken off, with what is in its buffers,
+where the broker did not confirm in time; with MQTT 5 each also carries the time after which it counts no more.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import logging
+import math
+import socket
+import ssl
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from string import Template
+from typing import Any
+from uuid import uuid4
+
+import pandas as pd
+from pydantic import Field
+
+from thermoforce_mpc.connections.discovery import device_message
+from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.files import secret_from, storage_errors, write_whole
+from thermoforce_mpc.measurements.tables.raw_table import SWITCH
+from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
+from thermoforce_mpc.scenario.strict_model import StrictModel
+from thermoforce_mpc.version import VERSION
+
+_LOG = logging.getLogger(__name__)
+_TIMEOUT_S, _KEEPALIVE_S = 10.0, 30
+# How long a device may take to say what it was set to, s.
+_TAKEN_S = 10.0
+_HEADER = "time,topic,value\n"
+_MOST_PAYLOAD = 100_000
+
+
+class MqttActuator(StrictModel):
+    """What is published for an actuator of the map."""
+
+    topic: str
+    release: float | str = Field(description="value that is published when the building is given back")
+    payload: str = Field("$value", description="what is published; $value: the value, $until: until when it holds, UTC")
+    scale: float = Field(1.0, gt=0, description="the level or command times this is published")
+    options: dict[float, str] = Field(default_factory=dict, description="word in the place of each command")
+    retain: bool = Field(False, description="whether the broker keeps it for who subscribes later")
+    state: str | None = Field(None, description="topic, or topic#key, that says what the device took: it is waited for")
+
+
+class MqttConnection:
+    """An MQTT broker: topics as columns, commands as messages that never arrive late; a device of Home Assistant"""
+
+    def __init__(
+        self,
+        host: str = "localhost",
+        port: int = 0,
+        actuators: dict[str, MqttActuator] | None = None,
+        user: str | None = None,
+        password_file: Path | None = None,
+        tls: bool = False,
+        ca_file: Path | None = None,
+        version: str = "5",
+        record: Path = Path("mqtt.csv"),
+        days: float = 60.0,
+        prefix: str = "thermoforce-mpc",
+        discovery: str | None = "homeassistant",
+        forecast: str | OutlookConfig = "tomorrow.csv",
+    ) -> None:
+        """Check the options and connect; what comes is recorded from then on.
+
+        Columns of the map are topics, or values in their JSON as `zigbee2mqtt/hall#temperature`; the map has
+        `table: {point: topic, value: value}`.
+
+        Args:
+            host: of the broker.
+            port: 0: 1883, with tls 8883.
+            actuators: what to publish, by the name in the map: `{heat_pump: {topic: hall/set, release: 20}}`.
+            user: name at the broker.
+            password_file: file of mode 600; without it the environment variable MQTT_PASSWORD.
+            tls: whether the traffic is encrypted, and the broker's certificate checked.
+            ca_file: certificate of the authority that signed it; default: those of the system.
+            version: of the protocol, 5 or 3.1.1.
+            record: file that what comes is appended to.
+            days: how long it is kept, at least.
+            prefix: of the topics that say what is planned.
+            discovery: prefix of Home Assistant's device discovery; null: none.
+            forecast: a file of weather, or services, see docs/how-to/forecasts.md.
+        """
+        if version not in ("5", "3.1.1"):
+            raise ConfigError(f"connection mqtt: version: {version!r}: expected '5' or '3.1.1'")
+        if discovery is not None and not _plain_topic(discovery):
+            raise ConfigError(f"connection mqtt: discovery: {discovery!r} is no topic")
+        if not _plain_topic(prefix):
+            raise ConfigError(f"connection mqtt: prefix: {prefix!r} is no topic")
+        self._actuators = actuators or {}
+        for name, one in self._actuators.items():
+            if not _plain_topic(one.topic):
+                raise ConfigError(f"connection mqtt: actuators.{name}.topic: {one.topic!r} is no topic to publish to")
+            if one.state is not None and not _plain_topic(one.state.partition("#")[0]):
+                raise ConfigError(f"connection mqtt: actuators.{name}.state: {one.state!r} is no topic")
+            try:
+                Template(one.payload).substitute(value="", until="")
+            except (KeyError, ValueError) as error:
+                raise ConfigError(f"connection mqtt: actuators.{name}.payload: unknown {error}") from error
+        self._host, self._port = host, port or (8883 if tls else 1883)
+        self._version, self._user = version, user
+        self._password = None
+        if user is not None:
+            self._password = secret_from(password_file, ("MQTT_PASSWORD",), "connection mqtt: password_file")
+        self._context = None
+        if tls or ca_file is not None:
+            try:
+                self._context = ssl.create_default_context(cafile=None if ca_file is None else str(ca_file))
+            except OSError as error:
+                raise ConfigError(f"connection mqtt: ca_file: {ca_file}: {error}") from error
+        self._record, self._days, self._prefix, self._discovery = record, days, prefix, discovery
+        self._outlook = Outlook(forecast)
+        self._columns: tuple[str, ...] = tuple(a.state for a in self._actuators.values() if a.state is not None)
+        self._heard: dict[str, str] = {}
+        self._change = threading.Condition()
+        self._asks: dict[str, Callable[[str], None]] = {}
+        self._said: dict[str, str] = {}
+        self._client: Any = None
+        self._problem = "not connected yet"
+
+    def reads(self, columns: Iterable[str]) -> None:
+        """See `Connection`: the columns of the map."""
+        for column in columns:
+            if not _plain_topic(column.partition("#")[0]):
+                raise ConfigError(f"map: column '{column}' is no topic, as connection mqtt reads")
+        self._columns = tuple(dict.fromkeys([*self._columns, *columns]))
+        if self._client is not None:
+            self._subscribe(self._client)
+
+    def sets(self) -> str:
+        """See `Connection`."""
+        return f"mqtt {self._host}:{self._port} " + " ".join(sorted(one.topic for one in self._actuators.values()))
+
+    def begin(self) -> None:
+        """Connect, and record what comes from now on; asked for by the first reading too."""
+        if self._client is not None:
+            return
+        _keep_lately(self._record, self._days)
+        # The same name after each loss: the broker then says the last will of the lost connection at once, and not half
+        # a minute after we are back.
+        client = self._made(f"thermoforce-mpc-{uuid4().hex[:16]}")
+        client.will_set(f"{self._prefix}/availability", "offline", qos=1, retain=True)
+        client.on_connect, client.on_message = self._on_connect, self._on_message
+        client.on_disconnect = self._on_disconnect
+        client.reconnect_delay_set(1, 30)
+        self._client = client
+        try:
+            client.connect(self._host, self._port, keepalive=_KEEPALIVE_S, **self._anew())
+        except (OSError, ValueError) as error:
+            self._problem = f"{type(error).__name__}: {error}"
+            client.connect_async(self._host, self._port, keepalive=_KEEPALIVE_S, **self._anew())
+        client.loop_start()
+
+    @property
+    def connected(self) -> bool:
+        """Whether the broker is there."""
+        return self._client is not None and bool(self._client.is_connected())
+
+    def measurements(self) -> Path:
+        """See `Connection.measurements`; raises `PlantError` where the broker is away."""
+        self.begin()
+        until = time.monotonic() + _TIMEOUT_S
+        while not self.connected:
+            if time.monotonic() > until:
+                raise PlantError(f"broker {self._host}:{self._port}: {self._problem}")
+            time.sleep(0.05)
+        if not self._record.exists():
+            raise PlantError(f"nothing was recorded in {self._record} yet of {', '.join(self._columns)}")
+        return self._record
+
+    def forecast(self) -> pd.DataFrame | str:
+        """See `Connection.forecast`."""
+        return self._outlook.now()
+
+    def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
+        """See `Connection.write`; raises `PlantError` where the broker or a device did not take one in time."""
+        if unknown := [name for name in levels if name not in self._actuators]:
+            raise ConfigError(f"connection mqtt: actuators: none is given for '{unknown[0]}'")
+        self.begin()
+        until = datetime.now(UTC) + timedelta(seconds=seconds)
+        messages, awaited = [], {}
+        for name, level in levels.items():
+            one = self._actuators[name]
+            value = _text(one, level)
+            text = Template(one.payload).substitute(value=value, until=until.isoformat(timespec="seconds"))
+            # What is given back stays given back: it has no end.
+            expires = None if level is None else max(1, math.ceil(seconds))
+            messages.append((one.topic, text, one.retain, expires))
+            if one.state is not None:
+                awaited[one.state] = value
+        self._publish(messages)
+        deadline = time.monotonic() + _TAKEN_S
+        with self._change:
+            while wrong := {key: v for key, v in awaited.items() if not _alike(self._heard.get(key), v)}:
+                if not self._change.wait(max(deadline - time.monotonic(), 0.0)) and time.monotonic() >= deadline:
+                    told = ", ".join(f"{key} says {self._heard.get(key)}, not {value}" for key, value in wrong.items())
+                    raise PlantError(f"not taken: {told}")
+
+    def tell(self, said: Mapping[str, Any]) -> None:
+        """Publish what was decided, retained, as states of the device: `status`, `why`, `notes`, `plan` and others."""
+        for key, value in said.items():
+            text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
+            self._said[f"{self._prefix}/{key}"] = text
+            if self.connected:
+                # Of quality 0: what is not sent now is sent with all that is known on the next connection.
+                self._client.publish(f"{self._prefix}/{key}", text, qos=0, retain=True)
+
+    def listen(self, asks: Mapping[str, Callable[[str], None]]) -> None:
+        """Call one of `asks`, by the last part of a topic `PREFIX/set/KEY`, with what people publish there.
+
+        A retained message is no wish of now, and not taken as one.
+        """
+        self._asks = dict(asks)
+        if self._client is not None:
+            self._subscribe(self._client)
+
+    def close(self) -> None:
+        """See `Connection.close`: says that nobody controls any more, and disconnects."""
+        client, self._client = self._client, None
+        if client is None:
+            return
+        if client.is_connected():
+            with suppress(Exception):
+                client.publish(f"{self._prefix}/availability", "offline", qos=1, retain=True).wait_for_publish(2.0)
+        client.disconnect()
+        client.loop_stop()
+
+    def _made(self, name: str) -> Any:
+        try:
+            import paho.mqtt.client as paho
+        except ModuleNotFoundError as error:
+            raise ConfigError(
+                "connection mqtt needs paho-mqtt, which is not installed: pip install 'thermoforce-mpc[mqtt]'"
+            ) from error
+        protocol = paho.MQTTv5 if self._version == "5" else paho.MQTTv311
+        more: dict[str, Any] = {} if self._version == "5" else {"clean_session": True}
+        client = paho.Client(paho.CallbackAPIVersion.VERSION2, client_id=name, protocol=protocol, **more)
+        client.connect_timeout = _TIMEOUT_S
+        if self._user is not None:
+            client.username_pw_set(self._user, self._password)
+        if self._context is not None:
+            client.tls_set_context(self._context)
+        return client
+
+    def _anew(self) -> dict[str, Any]:
+        return {"clean_start": True} if self._version == "5" else {}
+
+    def _publish(self, messages: Iterable[tuple[str, str, bool, int | None]]) -> None:
+        """Publish over a connection of its own, confirmed by the broker, or break it off; raises `PlantError`."""
+        client, refused = self._made(""), list[str]()
+        ready = threading.Event()
+
+        def on_connect(_c: Any, _u: Any, _f: Any, reason: Any, _p: Any = None) -> None:
+            if getattr(reason, "is_failure", reason != 0):
+                refused.append(str(reason))
+            ready.set()
+
+        def on_publish(_c: Any, _u: Any, _m: Any, reason: Any = None, _p: Any = None) -> None:
+            if getattr(reason, "is_failure", False):
+                refused.append(str(reason))
+
+        client.on_connect, client.on_publish = on_connect, on_publish
+        where, done = f"broker {self._host}:{self._port}", False
+        try:
+            client.connect(self._host, self._port, keepalive=_KEEPALIVE_S, **self._anew())
+            client.loop_start()
+            if not ready.wait(_TIMEOUT_S) or refused:
+                raise PlantError(f"{where}: {refused[0] if refused else 'no answer'}: nothing was set")
+            deadline = time.monotonic() + _TIMEOUT_S
+            waiting = [
+                client.publish(topic, text, qos=1, retain=retain, properties=self._expiring(expires))
+                for topic, text, retain, expires in messages
+            ]
+            for info in waiting:
+                info.wait_for_publish(max(deadline - time.monotonic(), 0.01))
+                if not info.is_published() or refused:
+                    raise PlantError(f"{where}: {refused[0] if refused else 'not confirmed in time'}: withdrawn")
+            done = True
+        except (OSError, ValueError, RuntimeError) as error:
+            raise PlantError(f"{where}: {type(error).__name__}: {error}: nothing was set") from error
+        finally:
+            if not done:
+                _break_off(client)
+            client.disconnect()
+            client.loop_stop()
+
+    def _expiring(self, seconds: int | None) -> Any:
+        if self._version != "5" or seconds is None:
+            return None
+        from paho.mqtt.packettypes import PacketTypes
+        from paho.mqtt.properties import Properties
+
+        properties = Properties(PacketTypes.PUBLISH)
+        properties.MessageExpiryInterval = seconds
+        return properties
+
+    def _on_connect(self, client: Any, _userdata: Any, _flags: Any, reason: Any, _properties: Any = None) -> None:
+        if getattr(reason, "is_failure", reason != 0):
+            self._problem = str(reason)
+            return
+        self._problem = ""
+        self._subscribe(client)
+        if self._discovery is not None:
+            node = self._prefix.replace("/", "_")
+            text = json.dumps(device_message(self._prefix, node, VERSION, tuple(self._asks)))
+            client.publish(f"{self._discovery}/device/{node}/config", text, qos=1, retain=True)
+        for topic, text in dict(self._said).items():
+            client.publish(topic, text, qos=0, retain=True)
+        client.publish(f"{self._prefix}/availability", "online", qos=1, retain=True)
+
+    def _on_disconnect(self, _client: Any, _userdata: Any, _flags: Any, reason: Any, _properties: Any = None) -> None:
+        self._problem = f"lost ({reason})"
+        if self._client is not None:
+            _LOG.warning("broker %s:%d: %s", self._host, self._port, self._problem)
+
+    def _subscribe(self, client: Any) -> None:
+        topics = {column.partition("#")[0] for column in self._columns}
+        topics |= {f"{self._prefix}/set/{key}" for key in self._asks}
+        if topics and client.is_connected():
+            client.subscribe([(topic, 1) for topic in sorted(topics)])
+
+    def _on_message(self, _client: Any, _userdata: Any, message: Any) -> None:
+        if len(message.payload) > _MOST_PAYLOAD:
+            return
+        text, asked = message.payload.decode("utf-8", "replace").strip(), f"{self._prefix}/set/"
+        if message.topic.startswith(asked):
+            ask = self._asks.get(message.topic.removeprefix(asked))
+            if ask is not None and not message.retain:
+                try:
+                    ask(text)
+                except Exception as error:  # whatever people publish ends no control
+                    _LOG.warning("%s: %r: %s", message.topic, text[:100], error)
+            return
+        states, rows = {one.state for one in self._actuators.values()}, []
+        for column in self._columns:
+            topic, _, key = column.partition("#")
+            if topic != message.topic or (value := _value(text, key)) is None:
+                continue
+            with self._change:
+                self._heard[column] = value
+                self._change.notify_all()
+            # When a retained reading was taken nobody knows; what was set holds until it is set anew.
+            if not message.retain or column in states:
+                rows.append(column + "\x00" + value)
+        if rows:
+            self._append(rows)
+
+    def _append(self, rows: Iterable[str]) -> None:
+        at, lines = datetime.now(UTC).isoformat(timespec="milliseconds"), io.StringIO()
+        csv.writer(lines, lineterminator="\n").writerows((at, *row.split("\x00", 1)) for row in rows)
+        try:
+            new = not self._record.exists()
+            with self._record.open("a", encoding="utf-8") as file:
+                file.write((_HEADER if new else "") + lines.getvalue())
+        except OSError as error:
+            _LOG.warning("%s: what came is not recorded (%s)", self._record, error.strerror or error)
+
+
+def _plain_topic(text: str) -> bool:
+    return bool(text) and not any(mark in text for mark in "+#\x00") and len(text) < 1000 and not text.startswith("$")
+
+
+def _text(one: MqttActuator, level: float | None) -> str:
+    """The value as text; raises `PlantError` for one that is none."""
+    if level is None:
+        return one.release if isinstance(one.release, str) else f"{one.release:.10g}"
+    if one.options:
+        if float(level) not in one.options:
+            raise PlantError(f"{one.topic} has no option for {level:g}: see key options")
+        return one.options[float(level)]
+    if not math.isfinite(level):
+        raise PlantError(f"{one.topic}: {level} is no value")
+    return f"{level * one.scale:.10g}"
+
+
+def _value(text: str, key: str) -> str | None:
+    """What a payload says, of JSON what stands at `key` (a.b for nested ones); None where it says nothing."""
+    found: Any = text
+    if key:
+        try:
+            found = json.loads(text)
+            for part in key.split("."):
+                found = found[part]
+        except (ValueError, KeyError, TypeError):
+            return None
+    if isinstance(found, bool):
+        return "1" if found else "0"
+    if found is None or isinstance(found, dict | list):
+        return None
+    said = str(found).strip()
+    return said[:200] if said and "\n" not in said else None
+
+
+def _alike(heard: str | None, wanted: str) -> bool:
+    """Whether a device says what it was told, as a number or word."""
+    if heard is None:
+        return False
+    numbers = []
+    for text in (heard, wanted):
+        word = SWITCH.get(text.lower())
+        try:
+            numbers.append(float(text) if word is None else word)
+        except ValueError:
+            return heard == wanted
+    return abs(numbers[0] - numbers[1]) <= 0.05
+
+
+def _break_off(client: Any) -> None:
+    """Close the connection with a reset, so that nothing in the system's buffers is delivered later."""
+    connection = client.socket()
+    if connection is None:
+        return
+    with suppress(OSError, ValueError):
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    with suppress(OSError, ValueError):
+        connection.close()
+
+
+def _keep_lately(record: Path, days: float) -> None:
+    """Leave out of the record what is older than `days`, once at the start; and end a line that was torn."""
+    if not record.exists():
+        with storage_errors(record.parent):
+            record.parent.mkdir(parents=True, exist_ok=True)
+        return
+    since = (datetime.now(UTC) - timedelta(days=days)).isoformat()
+    text = record.read_text(encoding="utf-8", errors="replace")
+    lines = text.splitlines()
+    kept = [line for line in lines[1:] if line[:10] >= since[:10]]
+    if len(kept) < 0.8 * (len(lines) - 1) or not text.endswith("\n"):
+        write_whole(record, "\n".join([_HEADER.strip(), *kept]) + "\n")

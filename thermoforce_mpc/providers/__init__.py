@@ -1,0 +1,1 @@
+"""Weather and prices from services that are asked only where they are configured."""

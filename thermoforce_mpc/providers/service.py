@@ -1,0 +1,82 @@
+"""A service asked over HTTPS within bounds: time, size, no redirect, no proxy set outside; no secret in errors."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from email.utils import parsedate_to_datetime
+from typing import Any, ClassVar
+
+import pandas as pd
+import requests
+
+from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.version import VERSION
+
+OUTDOOR, SUN, PRICE = "temperature_C", "solar_W_m2", "price_per_kWh"
+"""Columns of what a provider answers."""
+_OFFSET = re.compile(r"T\d\d:\d\d.*(Z|[+-]\d\d:?\d\d)$")
+_TIMEOUT_S, _MOST_BYTES = 15.0, 20_000_000
+
+
+@dataclass
+class Service:
+    """Base of the providers of this package: where they ask, and how."""
+
+    attribution: ClassVar[str] = ""
+    url: str
+
+    def __post_init__(self) -> None:
+        if not self.url.startswith(("https://", "http://127.0.0.1", "http://localhost", "http://[::1]")):
+            raise ConfigError(f"provider: url: {self.url!r}: expected https:// (http:// on this machine alone)")
+        self.url = self.url.rstrip("/")
+
+    def get(
+        self,
+        path: str,
+        parameters: Mapping[str, Any] | None = None,
+        headers: Mapping[str, str] | None = None,
+        json: Any = None,
+        accepted: tuple[int, ...] = (200,),
+    ) -> tuple[int, bytes, Mapping[str, str]]:
+        """Status, body and headers; raises `PlantError`, without parameters and headers, which may hold a secret."""
+        where = self.url + path
+        sent = {"User-Agent": f"thermoforce-mpc/{VERSION}", **(headers or {})}
+        try:
+            with requests.Session() as session:
+                session.trust_env = False
+                with session.request(
+                    "GET" if json is None else "POST", where, params=parameters, headers=sent, json=json,
+                    timeout=_TIMEOUT_S, stream=True, allow_redirects=False,
+                ) as answer:  # fmt: skip
+                    body = bytearray()
+                    for chunk in answer.iter_content(65536):
+                        body += chunk
+                        if len(body) > _MOST_BYTES:
+                            raise PlantError(f"{where}: more than {_MOST_BYTES} bytes")
+                    status, told = answer.status_code, dict(answer.headers)
+        except requests.RequestException as error:
+            raise PlantError(f"{where}: cannot be reached ({type(error).__name__})") from None
+        if status not in accepted:
+            raise PlantError(f"{where}: status {status}")
+        return status, bytes(body), {key.lower(): value for key, value in told.items()}
+
+
+def expires(headers: Mapping[str, str]) -> datetime | None:
+    """Time of the header Expires, None where there is none or it is no time."""
+    try:
+        return parsedate_to_datetime(headers["expires"])
+    except (KeyError, ValueError, TypeError):
+        return None
+
+
+def stamped(times: list[Any], what: str) -> pd.DatetimeIndex:
+    """Time stamps with an offset, as UTC; raises `PlantError` for one without: of which zone would it be?"""
+    if not all(_OFFSET.search(str(time)) for time in times):
+        raise PlantError(f"{what}: time stamps without an offset: of which zone are they?")
+    try:
+        return pd.DatetimeIndex(pd.to_datetime(times, utc=True, format="ISO8601"))
+    except (ValueError, TypeError) as error:
+        raise PlantError(f"{what}: a time stamp is none ({error})") from error
