@@ -33,8 +33,9 @@ LEAST_BEFORE_DAYS = 7.0
 _PLANNED = ("solved", "bridged", "acceptable")
 # An effect is at most so many times as large or small (logarithm).
 _MOST_LOG = 1.0
-# Error of a change of power, as a share, below which its law alone counts.
-_EXACT = 0.1
+# Error of a change of power, as a share, below which the record bears its law out, and from which the law may be as
+# wrong as the demand of the rooms says.
+_EXACT, _UNKNOWN = 0.1, 0.3
 # What a plan may be outside the bounds beyond what the house was, K·h a day in all zones, the step by which lower
 # bounds are then raised, K, and how often.
 _EQUAL_KH, _RAISED_K, _MOST_ROUNDS = 0.3, 0.25, 2
@@ -246,11 +247,10 @@ def _counted(
         fed = [layout.home[a] for a in layout.fed_by(m)]
         before, after = (one.power_W[m] * hours / 1000.0 for one in (was, record))
         cost_was, cost_law = float(before @ price[m]), float(after @ price[m])
-        factor = 1.0
-        if share.spread > _EXACT:
-            lost = [float(np.nanmean(one.T_zone_C[fed, 1:] - one.T_out_C[1:])) for one in (was, record)]
-            asked_kWh = float(before.sum()) * max(lost[1], 0.0) / max(lost[0], 1.0)
-            factor = 1.0 + unknown[1] * (asked_kWh / max(float(after.sum()), 1e-9) - 1.0)
+        lost = [float(np.nanmean(one.T_zone_C[fed, 1:] - one.T_out_C[1:])) for one in (was, record)]
+        asked_kWh = float(before.sum()) * max(lost[1], 0.0) / max(lost[0], 1.0)
+        by_demand = unknown[1] * min(share.spread / _UNKNOWN, 1.0)
+        factor = 1.0 + by_demand * (asked_kWh / max(float(after.sum()), 1e-9) - 1.0)
         planned = cost_law * factor
         planned += (cost_law - cost_was) * share.spread * unknown[0]
         mean_price = cost_was / max(float(before.sum()), 1e-9)

@@ -138,6 +138,9 @@ def test_rooms_that_are_heated_together_cannot_be_told_apart():
     (law,) = laws_of([together], layout, 0, IDENTITY, part_load)  # at part load one gets what the other leaves
     assert (law.name, law.mean < 0.0) == (OUTDOORS, True), "a circuit's water is warmer when it is cold"
     assert 0.1 < shared_sd(layout, 0) < 0.2, "the machine gives both but 0.6 of their full level"
+    unknown = unknown_heat([together], layout, 0, IDENTITY, {}, CONFIG)
+    assert unknown.sd > one[0]
+    assert shared_sd(layout, 0) <= unknown.heat_sd < unknown.sd, "other rooms get what the heat is, not what is theirs"
     known, levels = (
         identify(together, layout=layout, config=CONFIG.model_copy(update={"heat_input": chosen})).cards[0]
         for chosen in ("auto", "identity")
