@@ -258,6 +258,13 @@ def _show_other(result: Counterfactual, console: Console) -> None:
     for name, was, other, low, high in zip(names.machines, *energies, strict=True):
         if not np.isfinite(was):
             continue
+        if not np.isfinite(low):
+            console.print(
+                f"Energy of {name} by the model: {was:.1f} kWh as it was, not known under the other levels\n"
+                "  Its valves were never held between off and full in the record, which does not tell what they take "
+                "then. Ask for levels of off and full, or try such levels (tf-mpc data probe-plan --levels 0,0.5,1)"
+            )
+            continue
         told = (
             f"{other:.1f} kWh ({low:.1f} to {high:.1f})"
             if _is_told(other, low, high)
