@@ -40,10 +40,11 @@ _NOTED = 0.05
 # Relative standard deviation of the heat of full level where nothing near it was seen and no heat metered: what a level
 # gives may sag, or be switched by a machine that cycles.
 _UNSEEN_LEVEL_SD = 0.6
-# Relative standard deviation of the effect of full level in the own room, where rooms share a machine: operation opens
-# valves while emitters are warm and the machine is at its limit, so that a level brings less than alone from cold. Of
-# drawn houses of 3 to 5 rooms (seeds 101 to 107, 28 November 2026) 0 to 60 % more came.
-_FROM_COLD_SD = 0.25
+# Relative standard deviations where rooms share a machine, of the heat of a level and of what full level brings to the
+# own room beyond it: operation opens valves while emitters are warm and the machine is at its limit, so that a level
+# brings less than alone from cold. Of drawn houses (as `zones.network_estimate._LEVELS_D`) 0 to 60 % more came, and
+# 89 % of own and cross bands hold the truth with these.
+_VALVE_SD, _FROM_COLD_SD = 0.1, 0.28
 
 
 class Unknown(NamedTuple):
@@ -73,9 +74,11 @@ def unknown_heat(
         notes.insert(0, outdoors_in_words(laws, weather))
     highest = max((float(np.max(run.u[a])) for run in runs), default=1.0)
     unknown.append(_UNSEEN_LEVEL_SD * max(1.0 - highest, 0.0))
+    shared = len(layout.fed_by(layout.machine_of[a])) > 1
+    unknown.append(_VALVE_SD if shared else 0.0)
     heat_sd = float(np.linalg.norm(unknown))
-    from_cold_sd = _FROM_COLD_SD if len(layout.fed_by(layout.machine_of[a])) > 1 else 0.0
-    return Unknown(float(np.linalg.norm([heat_sd, neighbours_sd, from_cold_sd])), heat_sd, notes, advice)
+    own_sd = float(np.linalg.norm([heat_sd, neighbours_sd, _FROM_COLD_SD if shared else 0.0]))
+    return Unknown(own_sd, heat_sd, notes, advice)
 
 
 def _held_sd(runs: Sequence[Record], layout: Layout, a: int, heat_input: HeatInput) -> float:
