@@ -105,7 +105,8 @@ mpc_options = added(
     click.option(
         "--forecaster",
         metavar="NAME",
-        help="Free response or forecaster by name (see `tf-mpc free-responses`), a folder, or a hub's owner/model.",
+        help="Free response or forecaster by name (see `tf-mpc free-responses`), a folder, a hub's owner/model, or a "
+        "class of yours, as my.py:Mine.",
     ),
 )
 
@@ -122,8 +123,9 @@ def _forecaster(name: str) -> dict[str, Any]:
     from thermoforce_mpc.errors import ConfigError, suggestion
     from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as BACKBONES
     from thermoforce_mpc.model.free_response.registry import REGISTRY
+    from thermoforce_mpc.scenario.own_code import is_own_code
 
-    if name in REGISTRY:
+    if name in REGISTRY or is_own_code(name):
         return {"name": name}
     if name not in BACKBONES and "/" not in name and not Path(name).exists():
         raise ConfigError(
@@ -240,6 +242,16 @@ def check_named_code(
         check_code(found.values(), [*code, *(one.value for keys in words for one in code_of(keys))], name)
 
 
+def _note_option(option: str, key: str) -> None:
+    """Keep which option of the command gave a key, for the words of errors."""
+    from thermoforce_mpc.cli.commands import NAMED_BY
+
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        flags = [param.opts[-1] for param in context.command.params if param.name == option]
+        context.meta.setdefault(NAMED_BY, {}).update(dict.fromkeys([key], flags[0]) if flags else {})
+
+
 def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = None) -> Scenario:
     """Build the scenario of a command from its file, `defaults`, its options and `--set`; the last that says counts.
 
@@ -254,6 +266,7 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     keys: dict[str, Any] = {}
     for option, key in _KEYS.items():
         if (value := options.get(option)) is not None:
+            _note_option(option, key)
             keys = merge(keys, nested(key, str(value) if isinstance(value, Path) else value))
     if options.get("url") is not None:
         keys = merge(keys, {"plant": {"kind": "boptest", "path": None}})

@@ -44,7 +44,8 @@ class Counterfactual:
     measured. `effect_K` (Z, N): what the other levels change; `sd_K` its standard deviation by the identification, NaN
     where the model's card has none (the errors of all steps are taken to have one sign, so it is rather too wide);
     `certified_low_K`, `certified_high_K`: proven bounds in any weather and state. `energy_kWh`, `energy_other_kWh`
-    (M,): by the model's power, NaN where a machine has none, or heats and cools and feeds several actuators.
+    (M,): by the model's power, `power_W`, `power_other_W` (M, N), NaN where a machine has none, or heats and cools
+    and feeds several actuators.
     `energy_low_kWh`, `energy_high_kWh` (M,): 90 % band of the latter. Where levels followed the rooms' demand the
     record does not tell what they do to power by themselves: the band then reaches from what the law of power says to
     what the rooms' temperatures ask for. Where valves of one machine are asked to be held between off and full, and
@@ -65,6 +66,8 @@ class Counterfactual:
     energy_other_kWh: Array
     energy_low_kWh: Array
     energy_high_kWh: Array
+    power_W: Array
+    power_other_W: Array
 
     @property
     def other_C(self) -> Array:
@@ -134,7 +137,8 @@ def counterfactual(
     effect = context.effect(levels, applied)
     levels = levels if levels.ndim == 2 else levels[None]
     low, high = _certified_bounds(model, levels - applied, record.step_s)
-    was, other = _energy_kWh(model, applied, stretch), _energy_kWh(model, levels, stretch)
+    power_W, power_other_W = _power_W(model, applied, stretch), _power_W(model, levels, stretch)
+    was, other = (power.sum(axis=1) * record.step_s / J_PER_KWH for power in (power_W, power_other_W))
     energy_low, energy_high = _energy_band(model, record, stretch, effect, was, other)
     unseen = [_never_held(model, m, record, levels) for m in range(len(model.machines))]
     other, energy_low, energy_high = (np.where(unseen, np.nan, kWh) for kWh in (other, energy_low, energy_high))
@@ -153,6 +157,8 @@ def counterfactual(
         energy_other_kWh=other,
         energy_low_kWh=energy_low,
         energy_high_kWh=energy_high,
+        power_W=power_W,
+        power_other_W=power_other_W,
     )
 
 
@@ -255,9 +261,9 @@ def _identified_sd(model: ThermalModel, change: Array, step_s: float) -> Array:
     return out
 
 
-def _energy_kWh(model: ThermalModel, u: Array, stretch: Record) -> Array:
-    watts = [machine_W(model, m, u, stretch.T_out_C[:-1]) for m in range(len(model.machines))]
-    return np.array([float(of_one.sum()) * stretch.step_s / J_PER_KWH for of_one in watts])
+def _power_W(model: ThermalModel, u: Array, stretch: Record) -> Array:
+    """Power of each machine (M, N), W, by the model, NaN where it has none."""
+    return np.array([machine_W(model, m, u, stretch.T_out_C[:-1]) for m in range(len(model.machines))])
 
 
 def machine_W(model: ThermalModel, m: int, u: Array, T_out_C: Array) -> Array:
