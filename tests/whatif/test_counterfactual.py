@@ -103,7 +103,7 @@ def test_the_band_is_the_uncertainty_of_the_effect(model: ThermalModel) -> None:
 
 
 @pytest.mark.parametrize(("held", "asked", "known"), [(False, 0.4, False), (True, 0.4, True), (False, 1.0, True)])
-def test_energy_of_valves_that_were_never_held_between_is_not_given(
+def test_energy_of_valves_that_were_never_held_between_is_not_told(
     model: ThermalModel, held: bool, asked: float, known: bool
 ) -> None:
     """Rooms whose valves only open and close: 0.4 was 9.8 kWh (9.8 to 9.9) by the law, and 17.3 in the house."""
@@ -125,7 +125,7 @@ def test_energy_of_valves_that_were_never_held_between_is_not_given(
     record = replace(run, **both, names=names)
     found = counterfactual(two, record, asked, start="2026-01-05 00:00")
     assert np.isfinite(found.energy_kWh).all()
-    assert np.isfinite([found.energy_other_kWh, found.energy_low_kWh, found.energy_high_kWh]).all() == known
+    assert (found.energy_high_kWh[0] < 1.5 * found.energy_other_kWh[0]) == known
 
 
 def test_a_gap_in_the_day_stays_a_gap(model: ThermalModel) -> None:

@@ -258,13 +258,6 @@ def _show_other(result: Counterfactual, console: Console) -> None:
     for name, was, other, low, high in zip(names.machines, *energies, strict=True):
         if not np.isfinite(was):
             continue
-        if not np.isfinite(low):
-            console.print(
-                f"Energy of {name} by the model: {was:.1f} kWh as it was, not known under the other levels\n"
-                "  Its valves were never held between off and full in the record, which does not tell what they take "
-                "then. Ask for levels of off and full, or try such levels (tf-mpc data probe-plan --levels 0,0.5,1)"
-            )
-            continue
         told = (
             f"{other:.1f} kWh ({low:.1f} to {high:.1f})"
             if _is_told(other, low, high)
@@ -275,8 +268,8 @@ def _show_other(result: Counterfactual, console: Console) -> None:
         )
         if not _is_told(other, low, high):
             console.print(
-                "  The record does not tell what levels do to power: they went with what the rooms asked for. Try "
-                "levels at other times (tf-mpc data probe-plan) to know more"
+                "  The record does not tell what these levels do to power: levels went with what the rooms asked for, "
+                "or valves were never held like this. Try levels at other times (tf-mpc data probe-plan) to know more"
             )
     if np.isnan(result.sd_K).any():
         console.print("The model's card has no uncertainty of the effect: there is no band.")
