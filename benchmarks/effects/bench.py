@@ -16,7 +16,14 @@ import numpy as np
 
 from benchmarks.cases import run_all
 from benchmarks.effects.asking import GENERATED, Answer, Case, ask, probed_days
-from benchmarks.effects.operated import DAYS, OperatedCase, ask_operated, operated_rows, operated_targets
+from benchmarks.effects.operated import (
+    DAYS,
+    HouseAnswer,
+    OperatedCase,
+    ask_operated,
+    operated_rows,
+    operated_targets,
+)
 from benchmarks.effects.plot import plot_answers
 from benchmarks.effects.windows import LONGEST, WINDOWS
 from thermoforce_mpc.comparison.results_json import Target, results_json
@@ -99,9 +106,13 @@ def run_operated_bench(
     if houses < 1:
         raise InputError(f"{houses} houses: expected at least one")
     cases = [OperatedCase(seed, n, days) for n in range(1 if quick else houses)]
-    answers = run_all(
-        ask_operated, cases, engine, lambda done, a: progress(f"{done} of {len(cases)}: {a.building} {a.refused}")
-    )
+
+    def told(done: int, answer: HouseAnswer) -> None:
+        (cells, *_) = operated_rows([answer])
+        held = "; ".join(f"{of}: {cells[f'{of} in_90_band']} in their bands" for of in ("own", "cross"))
+        progress(f"{done} of {len(cases)}: {answer.building}, {answer.refused or held}, {cells['competent']} competent")
+
+    answers = run_all(ask_operated, cases, engine, told)
     result = results_json("effects", operated_rows(answers), operated_targets(answers))
     result["answers"] = [asdict(answer) for answer in answers]
     return result
