@@ -130,6 +130,10 @@ def test_what_plans_would_have_saved_is_what_they_save_in_the_house() -> None:
         "u_was", "T_zone_C_was", "power_W_was", "u_planned", "T_zone_C_planned", "power_W_planned", "price_per_kWh",
     ]  # fmt: skip
     assert len(frame) == 96
+    # Prices that end with the record are enough.
+    ending = conditions.price_per_kWh.copy()
+    ending[:, -1] = np.nan
+    conditions = replace(conditions, price_per_kWh=ending)
     again = worth(_model(0.1), record, conditions, _Nightly(), start_s=_FIRST * HOUR_S, days=4.0, draws=3, seed=1)
     assert again.draws == found.draws
 

@@ -145,9 +145,8 @@ def worth(
             f"{days:g} days from {start_s / DAY_S:g} days on are not in the record ({stamps[0]} to {stamps[-1]}) with "
             f"{LEAST_BEFORE_DAYS:g} days before: choose another start, or fewer days"
         )
-    stretch = slice(first, first + n + 1)
-    for name in ("lower_C", "upper_C", "price_per_kWh"):
-        if not np.isfinite(getattr(conditions, name)[:, stretch]).all():
+    for name, after in (("lower_C", 1), ("upper_C", 1), ("price_per_kWh", 0)):  # a price is that of a step
+        if not np.isfinite(getattr(conditions, name)[:, first : first + n + after]).all():
             raise DataError(f"{name} is not known throughout: name bounds in the map, and give prices of these days")
     spread = effect_spreads(model)
     rng = np.random.default_rng(seed)
