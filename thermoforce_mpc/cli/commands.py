@@ -41,6 +41,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "plan": ("building.plan:plan", "Plan the next hours from measurements in files."),
         "forecast": ("building.forecast:forecast", "Forecast the temperature, with its band."),
         "counterfactual": ("building.forecast:other_levels", "Show what another schedule would have done."),
+        "worth": ("building.worth:worth", "What plans would have saved in past days, with a band."),
         "saving": ("building.saving:saving", "What a changed operation saved, with an interval."),
     },
     "Live": {
