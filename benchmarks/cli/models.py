@@ -201,7 +201,7 @@ def rooms_command(
 def names_command(seed: int, buildings: int, quick: bool, json_file: Path | None) -> None:
     """Draw names and records of buildings, and count the signals that `tf-mpc data map` takes for what they are.
 
-    Names of eleven styles: Home Assistant, point lists, KNX, spreadsheets in four languages, grey-box models. Wrong and
+    Names of 14 styles: Home Assistant, point lists, KNX, spreadsheets in seven languages, grey-box models. Wrong and
     unmarked is what is wrong without a mark in the map.
     """
     from benchmarks.names.bench import run_names_bench

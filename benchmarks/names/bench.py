@@ -1,7 +1,7 @@
 """`tf-mpc bench names`: names and records drawn anew, and what `tf-mpc data map` takes their signals for.
 
 A building is drawn (rooms, a machine with valves or without, weather), its records are made by a small model, and its
-signals are named by one of eleven styles. A signal is right where its role, and where it is used its unit, are those
+signals are named by one of fourteen styles. A signal is right where its role, and where it is used its unit, are those
 that it was made with. Wrong and unmarked is what is wrong without a doubt that the map would show.
 """
 

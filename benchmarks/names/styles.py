@@ -12,6 +12,9 @@ _ROOMS_PLAIN = ("Living room", "Kitchen", "Bedroom 1", "Study", "Landing", "Bath
 _ROOMS_DE = ("Wohnzimmer", "Küche", "Schlafzimmer", "Büro", "Flur", "Bad", "Kinderzimmer", "Gästezimmer")
 _ROOMS_FR = ("salon", "cuisine", "chambre 1", "bureau", "couloir", "salle de bain", "chambre parents", "séjour")
 _ROOMS_NL = ("woonkamer", "keuken", "slaapkamer", "kantoor", "gang", "badkamer", "zolder", "kinderkamer")
+_ROOMS_SV = ("Vardagsrum", "Kök", "Sovrum", "Kontor", "Hall", "Badrum", "Barnrum", "Gästrum")
+_ROOMS_DK = ("Stue", "Køkken", "Soveværelse", "Kontor", "Gang", "Badeværelse", "Børneværelse", "Entré")
+_ROOMS_FI = ("Olohuone", "Keittiö", "Makuuhuone", "Työhuone", "Eteinen", "Kylpyhuone", "Lastenhuone", "Vierashuone")
 _ROOMS_NO = ("101", "102", "103", "204", "205", "206", "311", "312")
 
 STYLES: dict[str, tuple[tuple[str, ...], bool, Style]] = {
@@ -137,6 +140,39 @@ STYLES: dict[str, tuple[tuple[str, ...], bool, Style]] = {
         "humidity": ("Luchtvochtigheid {r} (%)", "Vocht {r} (%)"),
         "other": ("Raam {r}", "CO2 {r} (ppm)", "Luchtdruk (hPa)", "Windsnelheid (m/s)", "Deur {r}"),
         "pv": ("Zonnepanelen (W)", "Opbrengst PV (W)"), "price": ("Stroomprijs (€/kWh)",),
+    }),
+    "swedish sheet": (_ROOMS_SV, False, {
+        "zone": ("{r} temperatur", "Temperatur {r} (°C)", "Rumstemperatur {r}"),
+        "outdoor": ("Utetemperatur", "Utomhus (°C)", "Temperatur ute (°C)"),
+        "setpoint": ("Börvärde {r} (°C)", "Önskad temperatur {r}", "Inställd temperatur {r}"),
+        "level": ("Ventil {r} (%)", "{r} ventilläge (%)", "Termostatventil {r} (%)"),
+        "machine": ("Kompressor", "Kompressor frekvens (%)", "Panna modulering (%)"),
+        "power": ("Effekt värmepump (W)", "Värmepump effekt (kW)"),
+        "counter": ("Elmätare värmepump (kWh)", "Förbrukning värmepump totalt (kWh)"),
+        "sun": ("Solinstrålning (W/m²)", "Globalstrålning (W/m²)"),
+        "water": ("Framledning (°C)", "Returledning (°C)", "Varmvatten (°C)", "Ackumulatortank (°C)"),
+        "humidity": ("Luftfuktighet {r} (%)",), "other": ("Fönster {r}", "CO2 {r} (ppm)", "Lufttryck (hPa)"),
+        "pv": ("Solceller (W)",), "price": ("Elpris (öre/kWh)", "Spotpris (SEK/kWh)"),
+    }),
+    "danish sheet": (_ROOMS_DK, False, {
+        "zone": ("{r} temperatur", "Rumtemperatur {r} (°C)"), "outdoor": ("Udetemperatur", "Temperatur udendørs (°C)"),
+        "setpoint": ("Ønsket temperatur {r}", "Sætpunkt {r} (°C)"),
+        "level": ("Ventil {r} (%)", "Ventilåbning {r} (%)"), "machine": ("Kompressor", "Kedel modulation (%)"),
+        "power": ("Varmepumpe effekt (W)", "Elforbrug varmepumpe (W)"), "counter": ("Elmåler varmepumpe (kWh)",),
+        "sun": ("Solindstråling (W/m²)", "Globalstråling (W/m²)"),
+        "water": ("Fremløb (°C)", "Returløb (°C)", "Varmt brugsvand (°C)", "Fremløbstemperatur (°C)"),
+        "humidity": ("Luftfugtighed {r} (%)",), "other": ("Vindue {r}", "CO2 {r} (ppm)", "Lufttryk (hPa)"),
+        "pv": ("Solceller (W)",), "price": ("Elpris (kr/kWh)",),
+    }),
+    "finnish sheet": (_ROOMS_FI, False, {
+        "zone": ("{r} lämpötila", "Lämpötila {r} (°C)"), "outdoor": ("Ulkolämpötila", "Lämpötila ulkona (°C)"),
+        "setpoint": ("{r} asetusarvo (°C)", "Tavoitelämpötila {r}"),
+        "level": ("Venttiili {r} (%)", "{r} venttiilin asento (%)"), "machine": ("Kompressori", "Kattila (%)"),
+        "power": ("Lämpöpumppu teho (W)", "Lämpöpumpun sähköteho (W)"), "counter": ("Lämpöpumpun kulutus (kWh)",),
+        "sun": ("Auringonsäteily (W/m²)",), "water": ("Menovesi (°C)", "Paluuvesi (°C)", "Lämmin käyttövesi (°C)"),
+        "humidity": ("{r} kosteus (%)", "Ilmankosteus {r} (%)"),
+        "other": ("Ikkuna {r}", "CO2 {r} (ppm)", "Ilmanpaine (hPa)"), "pv": ("Aurinkopaneelit (W)",),
+        "price": ("Sähkön hinta (€/kWh)",),
     }),
     "english sheet": (_ROOMS_PLAIN, False, {
         "zone": ("{r} temperature (°C)", "{r} (°C)", "Temp {r} [degC]"),

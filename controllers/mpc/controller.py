@@ -282,7 +282,9 @@ class ThermoForceMPC(ActuatedController):
         margins = self._formulation.margins.learn(
             self.planning_operator, state.margins, state.good, readings.observation, readings.forecast
         )
-        return replace(state, margins=margins, peak_W=state.peak_after(readings.observation))
+        return replace(
+            state, margins=margins, peak_W=state.peak_after(readings.observation, self.config.objective.peak_of)
+        )
 
     def _formulate(
         self, forecast: Forecast | Failure, readings: Readings, state: MPCState, overrides: Mapping[int, Override]
@@ -335,11 +337,11 @@ class ThermoForceMPC(ActuatedController):
             if not refused:
                 u = solution.u
                 if own is not None:
-                    commanded = own.realise(u, forecast.state.actuation)
+                    commanded = own.realise(u, forecast.state.actuation, planner.evaluator)
                     saving = own.saving(commanded, planner.evaluator, self._power_spread(readings.history))
                     if not saving.gain > 0.0:
                         own = own.without
-                        commanded = own.realise(u, forecast.state.actuation)
+                        commanded = own.realise(u, forecast.state.actuation, planner.evaluator)
                     u = commanded.u
                 brought = planner.evaluator.brings(instance.problem, u, solution.own_values)
                 if planner.evaluator.structure.chosen or own is not None:  # levels become blocks, or are answers
@@ -399,7 +401,8 @@ class ThermoForceMPC(ActuatedController):
             self.config, self._actuators, self.step_s, plan, readings, commanded, most_u=problem.most_u
         )
         capacity = None if problem.capacity is None else problem.capacity[:, 0]
-        realised = self._realisation.realise(plan, demands, overrides, situation, limit, capacity)
+        by_command = commanded.guard(self.step_s) if commanded is not None else None
+        realised = self._realisation.realise(plan, demands, overrides, situation, limit, capacity, by_command)
         return realised if commanded is None else with_command_states(realised, commanded)
 
     def _power_spread(self, history: Record) -> float:

@@ -18,7 +18,7 @@ from controllers.mpc.readings import joined
 from controllers.mpc.state import MPCState
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
 from controllers.safety.overrides import ComfortGuard, Override, Situation, unplanned_status
-from thermoforce_mpc.data import Array, Plan, PlanStatus
+from thermoforce_mpc.data import Array, Block, Plan, PlanStatus
 from thermoforce_mpc.data.plan import UNDECIDED
 
 # From the first rung to the last: of several actuators the plan is named after the lowest.
@@ -51,21 +51,30 @@ class Realisation:
         situation: Situation,
         limit: PowerLimit | None = None,
         capacity: Array | None = None,
+        by_command: Mapping[int, tuple[tuple[Block, ...], tuple[Block, ...]]] | None = None,
     ) -> Plan:
         """The plan with its blocks.
 
         `demands` (A,): what it asks of each actuator; `overrides`: what takes its place; `situation`: what the guard
         decides from; `limit`: power that the plan allows in its first step, to which what takes its place is not held;
-        `capacity` (M,): as of `Actuators.realise`.
+        `capacity` (M,): as of `Actuators.realise`; `by_command`: what off and full level are of actuators that are set
+        by commands.
         """
+        by_command = by_command or {}
         begun = self._with_blocks(plan, demands, overrides, limit and limit.without(overrides), capacity)
         planned = {
             a: sum((block.u[a] or 0.0) * block.duration_s for block in begun.blocks) / self._step_s
             for a, demand in enumerate(demands)
-            if a not in overrides and isinstance(demand, float)  # the plant's own control acts on the bounds
+            if a not in overrides and (isinstance(demand, float) or a in by_command)  # own control acts on the bounds
         }
         guarded = self._guard.overrides(replace(situation, planned=planned))
-        return self._with_guard(begun, plan, demands, overrides, guarded, limit, capacity) if guarded else begun
+        if not guarded:
+            return begun
+        levels: dict[int, Demand] = {
+            a: by_command[a][bool(override.level)] if a in by_command else override.level
+            for a, override in guarded.items()
+        }
+        return self._with_guard(begun, plan, demands, overrides, guarded, levels, limit, capacity)
 
     def stand_back(self, overrides: Mapping[int, Override], state: MPCState) -> Plan:
         """A step in which every actuator is overridden; nothing is planned, and the last plan is not followed later."""
@@ -153,16 +162,17 @@ class Realisation:
         demands: Sequence[Demand],
         overrides: Mapping[int, Override],
         guarded: Mapping[int, Override],
+        instead: Mapping[int, Demand],
         limit: PowerLimit | None,
         capacity: Array | None,
     ) -> Plan:
-        """The plan with the guard's levels; `begun`: with its own blocks.
+        """The plan with what the guard asks for `instead`; `begun`: with its own blocks.
 
         Where the guard acts, the plan is not followed, so it must not be shifted later.
         """
         assert isinstance(plan.state, MPCState)
         guarded = dict(guarded)
-        levels = [guarded[a].level if a in guarded else demand for a, demand in enumerate(demands)]
+        levels = [instead[a] if a in guarded else demand for a, demand in enumerate(demands)]
         names, excluded = self._layout.names.actuators, []
         for a, b in self._layout.excluding():
             if (

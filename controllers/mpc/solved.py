@@ -165,7 +165,7 @@ def first_demands(
     learned, demands = plan.state.margins.learned, list[Demand]()
     for a, (actuation, z) in enumerate(zip(actuators.each, actuators.layout.home, strict=True)):
         u, boundary = float(plan.u[a, 0]), readings.observation.boundary
-        if commanded is not None and commanded.turns[a] is not None:
+        if commanded is not None and commanded.values[a] is not None:
             demands.append(commanded.blocks(a))
             continue
         if commanded is not None and a in commanded.left_alone:

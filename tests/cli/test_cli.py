@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -170,7 +171,7 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
     names = {path.name for path in folder.iterdir()}
     assert names == {
         "scenario.yaml", "trajectory.csv", "trajectory_native.csv", "steps.csv", "kpis.json", "manifest.json",
-        "report.html", "journal.jsonl", "log.jsonl", "kpis.csv",
+        "report.html", "journal.jsonl", "log.jsonl", "kpis.csv", "times.csv",
     }  # fmt: skip
     kpis = json.loads((folder / "kpis.json").read_text())
     assert set(kpis) == {
@@ -367,3 +368,20 @@ def test_names_of_baselines_may_have_spaces_between():
     options = {"testcase": "bestest_hydronic_heat_pump", "baselines": "native, thermostat,"}
     assert scenario_from(options).baselines == ("native", "thermostat")
     assert scenario_from(options | {"baselines": ""}).baselines == ()
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--start", "nonsense"), ("--start", "400"), ("--period", "no_day"), ("--price", "free"), ("--days", "-1"),
+     ("--forecast-uncertainty", "odd"), ("--url", "htp:/x")],
+)  # fmt: skip
+def test_an_error_of_an_option_names_that_option(option, value):
+    done = CliRunner().invoke(cli, ["run", "--testcase", "bestest_hydronic_heat_pump", option, value])
+    assert done.exit_code != 0
+    assert re.search(rf"(?m)^\s*{option}: ", str(done.exception)), done.exception
+
+
+def test_an_error_of_a_file_names_its_key(tmp_path):
+    (tmp_path / "s.yaml").write_text("testcase: bestest_hydronic_heat_pump\nperiod: nonsense\n")
+    done = CliRunner().invoke(cli, ["run", "--config", str(tmp_path / "s.yaml"), "--days", "1"])
+    assert str(done.exception).startswith("period: 'nonsense'")

@@ -55,6 +55,21 @@ def test_a_last_line_torn_at_any_byte_tells_nothing_that_was_not_measured(path, 
         assert len(found.left_out) <= 2
 
 
+@pytest.mark.parametrize(
+    ("last", "believed"), [("200", False), ("2", False), ("1000.5", False), ("1000.0", True), ("1000\n", True)]
+)
+def test_a_torn_number_that_looks_whole_is_not_believed(path, last, believed):
+    """2000 begins as 200; the end of the line, or as many decimals as in all rows before, says that it is whole."""
+    rows = [line.rstrip("\n") for line in lines()]
+    if last == "1000.0":
+        rows = [f"{row}.0" for row in rows]
+    power = ",".join(rows[-1].split(",")[:-1])
+    found = live(path, ["\n".join([*rows[:-1], f"{power},{last}"])])
+    end = "no end of line: its last cell may be cut off"
+    assert any(end in note for note in found.left_out) is not believed
+    assert np.isfinite(found.record.T_zone_C[0, -1])  # the rest of the line is
+
+
 def test_a_torn_line_with_the_next_one_behind_it_is_no_row(path):
     """Its last cells are empty: as many as there are names, but for one that ends the line."""
     last = "2025-01-12 00:00:00,21.2,2.2,,\n"

@@ -232,6 +232,93 @@ def units_below(folder: Path) -> list[Path]:
     return [folder / "db.csv"]
 
 
+def grafana(folder: Path) -> list[Path]:
+    """Cells as a panel shows them: a unit behind each number, W below a kilowatt and kW above."""
+    names = {k: v[7:].replace("_", " ") for k, v in ENTITIES.items()}
+    df = pd.DataFrame({"Time": local("%Y-%m-%d %H:%M:%S")})
+    for name, told in names.items():
+        unit = "W" if name == "power" else "%" if name[0] == "v" else "°C"
+        x = HOUSE[name]
+        df[told] = [f"{v / 1000:.3f} kW" if unit == "W" and v > 1000 else f"{v} {unit}" for v in x]
+    df.to_csv(folder / "panel.csv", index=False, quoting=1)
+    return [folder / "panel.csv"]
+
+
+def siemens(folder: Path) -> list[Path]:
+    """A trend report: points are named above the table, and it says where it ends."""
+    points = ("B1.R101.ROOM TEMP", "B1.R102.ROOM TEMP", "B1.OAT", "B1.R101.HTG VLV", "B1.R102.HTG VLV", "B1.HP1.KW")
+    head = ['"Key            Name:Suffix                     Trend Definitions Used"']
+    head += [f'"Point_{k}:","{point}","","15 minutes"' for k, point in enumerate(points, start=1)]
+    head += ['"Time Interval:","15 Minutes"', '"Report Timings:","All Hours"', '""']
+    df = HOUSE.assign(power=HOUSE["power"] / 1000).set_axis([f"Point_{k}" for k in range(1, 7)], axis=1)
+    df[["Point_1", "Point_2", "Point_3"]] = df[["Point_1", "Point_2", "Point_3"]] * 1.8 + 32
+    df = df.reset_index(drop=True)
+    df.insert(0, "<>Date", local("%m/%d/%Y"))
+    df.insert(1, "Time", local("%H:%M:%S"))
+    text = df.to_csv(index=False, quoting=1, lineterminator="\r\n")
+    end = '" ******************* End of Report *******************"\r\n'
+    (folder / "trend.csv").write_text("\r\n".join(head) + "\r\n" + text + end, encoding="utf-8", newline="")
+    return [folder / "trend.csv"]
+
+
+def danish(folder: Path) -> list[Path]:
+    names = ("Stuetemperatur", "Badeværelse temperatur", "Udetemperatur", "Ventil stue (%)", "Ventil badeværelse (%)")
+    df = HOUSE.set_axis([*names, "Varmepumpe effekt (W)"], axis=1).reset_index(drop=True)
+    df.insert(0, "Tidspunkt", local("%d-%m-%Y %H:%M"))
+    df.to_csv(folder / "hus.csv", sep=";", decimal=",", index=False)
+    return [folder / "hus.csv"]
+
+
+def finnish(folder: Path) -> list[Path]:
+    names = (
+        "Olohuone lämpötila",
+        "Kylpyhuone lämpötila",
+        "Ulkolämpötila",
+        "Venttiili olohuone",
+        "Venttiili kylpyhuone",
+    )
+    df = HOUSE.set_axis([*names, "Lämpöpumppu teho (W)"], axis=1).reset_index(drop=True)
+    df.insert(0, "Aika", local("%d.%m.%Y %H:%M"))
+    df.to_csv(folder / "talo.csv", sep=";", decimal=",", index=False)
+    return [folder / "talo.csv"]
+
+
+def newest_first(folder: Path) -> list[Path]:
+    df = HOUSE.rename(columns={k: v[7:] for k, v in ENTITIES.items()}).reset_index(drop=True)
+    df.insert(0, "time", local("%d/%m/%Y %H:%M"))
+    df.iloc[::-1].to_csv(folder / "latest.csv", index=False)
+    return [folder / "latest.csv"]
+
+
+def hobo(folder: Path) -> list[Path]:
+    """Names with commas in quotes, an offset in the name of the stamps, numbered rows."""
+    names = {
+        "living": "Temp, °C (LGR S/N: 1023, SEN S/N: 21, LBL: Living room)",
+        "bath": "Temp, °C (LGR S/N: 1023, SEN S/N: 22, LBL: Bath)",
+        "out": "Temp, °C (LGR S/N: 1023, SEN S/N: 23, LBL: Outdoor)",
+        "v_living": "Valve, % (LGR S/N: 1023, LBL: Living room)",
+        "v_bath": "Valve, % (LGR S/N: 1023, LBL: Bath)",
+        "power": "Heat pump power, W (LGR S/N: 1023)",
+    }
+    df = HOUSE.rename(columns=names).reset_index(drop=True)
+    df.insert(0, "Date Time, GMT+01:00", local("%m/%d/%y %I:%M:%S %p"))
+    text = df.rename_axis("#").to_csv(quoting=2)
+    (folder / "hobo.csv").write_text('"Plot Title: 1023"\n' + text, encoding="utf-8")
+    return [folder / "hobo.csv"]
+
+
+def iobroker(folder: Path) -> list[Path]:
+    """One file a signal, stamps in ms, with what the program knows of each reading beside."""
+    files = []
+    for name, entity in ENTITIES.items():
+        ms = HOUSE.index.as_unit("ms").asi8
+        df = pd.DataFrame({"timestamp": ms, "value": HOUSE[name].to_numpy(), "acknowledged": "true"})
+        df["from"], df["quality"] = "system.adapter.hm-rpc.0", 0
+        files.append(folder / f"{entity[7:].replace('_', '.')}.csv")
+        df.to_csv(files[-1], sep=";", index=False)
+    return files
+
+
 LAYOUTS = (
     ha_history,
     ha_statistics,
@@ -244,6 +331,13 @@ LAYOUTS = (
     intervals,
     french,
     units_below,
+    grafana,
+    siemens,
+    danish,
+    finnish,
+    newest_first,
+    hobo,
+    iobroker,
 )
 
 
@@ -252,7 +346,8 @@ def test_an_export_is_read_by_the_map_that_is_written_for_it(layout, tmp_path):
     files = layout(tmp_path)
     text = starting_map(files)
     text = text.replace("zone: America/New_York", f"zone: {ZONE}").replace("zone: Europe/Paris", f"zone: {ZONE}")
-    text = text.replace("zone: Europe/Brussels", f"zone: {ZONE}")
+    for guessed in ("Europe/Brussels", "Europe/Helsinki"):
+        text = text.replace(f"zone: {guessed}", f"zone: {ZONE}")
     (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
     found = tf.read_measurements(files, tmp_path / "map.yaml")
     record = found.record
@@ -277,6 +372,73 @@ def test_an_export_is_read_by_the_map_that_is_written_for_it(layout, tmp_path):
             if T is record.T_zone_C[home] or np.array_equal(T, record.T_zone_C[home], equal_nan=True)
         )
         np.testing.assert_allclose(record.u[a][kept], truth[f"v_{room}"].to_numpy()[:-1][kept] / 100, atol=1e-6)
+
+
+def test_a_heat_pump_s_log_is_divided_by_what_stands_above_it(tmp_path):
+    """NIBE's log: ten times the reading, sensors by their numbers, a frequency."""
+    names = ["Date", "Time", "BT1(40004)", "BT2(40008)", "BT6(40014)", "BT50(40033)", "Compr. freq. act.(43136)"]
+    lines = ["\t".join(["Divisors", "", "10", "10", "10", "10", "10"]), "\t".join(names)]
+    for k, (at, row) in enumerate(HOUSE.iterrows()):
+        stamp = at.tz_convert(ZONE).strftime("%Y-%m-%d\t%H:%M:%S")
+        values = (row["out"], 30 + row["v_living"] / 10, 48 + k % 7, row["living"], 0.6 * row["v_living"])
+        lines.append("\t".join([stamp, *(f"{10 * value:.0f}" for value in values)]))
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    text = starting_map(tmp_path / "log.csv")
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    record = tf.read_measurements(tmp_path / "log.csv", tmp_path / "map.yaml").record
+    assert "FILL IN" not in text
+    np.testing.assert_allclose(record.T_zone_C[0], HOUSE["living"].iloc[: record.T_zone_C.shape[1]], atol=0.06)
+    np.testing.assert_allclose(record.T_out_C, HOUSE["out"].iloc[: record.T_out_C.size], atol=0.06)
+    np.testing.assert_allclose(record.u[0], 0.6 * HOUSE["v_living"].iloc[: record.u.shape[1]] / 100, atol=1e-3)
+
+
+def test_seconds_of_an_interval_are_a_level(tmp_path):
+    """A thermostat's report in °F: how many of each 900 s a stage ran."""
+    df = HOUSE.reset_index(drop=True)
+    table = pd.DataFrame({"Date": local("%Y-%m-%d"), "Time": local("%H:%M:%S")})
+    table["Heat Set Temp (F)"] = 68
+    table["Current Temp (F)"], table["Outdoor Temp (F)"] = df["living"] * 1.8 + 32, df["out"] * 1.8 + 32
+    table["Heat Stage 1 (sec)"], table["Fan (sec)"] = (9 * df["v_living"]).astype(int), 0
+    (tmp_path / "report.csv").write_text(f"#Thermostat:,1\n#\n{table.to_csv(index=False)}", encoding="utf-8")
+    text = starting_map(tmp_path / "report.csv").replace("America/New_York", ZONE)
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    record = tf.read_measurements(tmp_path / "report.csv", tmp_path / "map.yaml").record
+    np.testing.assert_allclose(record.u[0], HOUSE["v_living"].iloc[: record.u.shape[1]] / 100, atol=2e-3)
+    np.testing.assert_allclose(record.T_zone_C[0], HOUSE["living"].iloc[: record.T_zone_C.shape[1]], atol=1e-6)
+
+
+def test_stamps_without_a_year_are_of_the_year_that_the_map_says(tmp_path):
+    """EnergyPlus: ' 12/30  24:00:00' is midnight at the end of that day; the record goes over New Year."""
+    ends = pd.date_range("2025-12-29 00:15", periods=N, freq="15min")
+    stamps = [
+        f" {t:%m/%d}  {t:%H:%M:%S}" if t.hour or t.minute else f" {t - pd.Timedelta('1h'):%m/%d}  24:00:00"
+        for t in ends
+    ]
+    names = {
+        "living": "ZONE ONE:Zone Mean Air Temperature [C](TimeStep)",
+        "out": "Environment:Site Outdoor Air Drybulb Temperature [C](TimeStep)",
+    }
+    df = HOUSE[list(names)].rename(columns=names).set_axis(pd.Index(stamps, name="Date/Time"))
+    df.to_csv(tmp_path / "eplusout.csv")
+    text = starting_map(tmp_path / "eplusout.csv")
+    assert "year: 2017  # CHECK" in text
+    (tmp_path / "map.yaml").write_text(text.replace("year: 2017", "year: 2025"), encoding="utf-8")
+    found = tf.read_measurements(tmp_path / "eplusout.csv", tmp_path / "map.yaml")
+    assert str(found.record.stamps()[-1])[:16] == "2026-01-02 00:00"
+    np.testing.assert_allclose(found.record.T_out_C[-1], HOUSE["out"].iloc[-1])
+
+
+@pytest.mark.parametrize(
+    ("unit", "watts"),
+    [("kBTU/h", 293.071), ("ton", 3516.85), ("kcal/h", 1.163), ("MJ/h", 277.778), ("MMBTU/h", 293071.0)],
+)
+def test_units_of_energy_exports_are_watts(unit, watts):
+    power = HOUSE["power"].to_numpy() / watts
+    df = pd.DataFrame({"room": HOUSE["living"], "out": HOUSE["out"], "p": power}, index=HOUSE.index)
+    rules = {"outdoor": "out", "zones": {"room": {"temperature": "room"}}}
+    rules |= {"machines": {"m": {"power": {"column": "p", "unit": unit}}}}
+    record = tf.read_measurements(df, rules).record
+    np.testing.assert_allclose(record.power_W[0], HOUSE["power"].iloc[: record.power_W.shape[1]], rtol=1e-4)
 
 
 def test_files_of_different_rooms_are_not_one_room(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import importlib
 import importlib.util
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,8 @@ from thermoforce_mpc.cli.completion import completing
 from thermoforce_mpc.errors import InputError, suggestion
 from thermoforce_mpc.files import odd_number
 
+NAMED_BY = "thermoforce_mpc.options"
+"""Key of a click context's `meta`: options by the keys that they give, as in {"period": "--start"}."""
 _ROOT = Path(__file__).resolve().parents[2]
 # name: (module below `thermoforce_mpc.cli`, or of the benchmarks, and function in it; summary of one line)
 GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
@@ -42,10 +45,11 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "Live": {
         "control": ("live.control:control", "Control a real building through a connection."),
+        "record": ("live.record:record", "Write a building's history, or record it."),
         "watch": ("live.watch:watch", "Watch a running controller, here or as a page."),
     },
     "Look inside": {
-        "inspect": ("inside.inspect:inspect", "Show a saved model: parameters, certificate, data."),
+        "inspect": ("inside.inspect:inspect", "Show a model, or a run's: parameters, certificate."),
         "testcases": ("inside.listing:testcases", "List test cases, scenarios, comparisons and fleets."),
         "controllers": ("inside.listing:controllers", "List controllers and their options."),
         "plants": ("inside.listing:plants", "List plants and their options."),
@@ -61,6 +65,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "bench": ("benchmarks.cli.bench:command", "Run benchmarks; compare the results with targets."),
         "paper": ("benchmarks.cli.paper:command", "Measure the paper's tables here, beside its figures."),
         "chaos": ("benchmarks.cli.chaos:command", "Run controllers with everything around them failing."),
+        "cite": ("inside.cite:cite", "Print how to cite this software and the paper."),
     },
 }
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
@@ -117,7 +122,7 @@ def _completed(command: str, option: click.Parameter, kind: click.ParamType) -> 
     complete = completing(command, option)
     if complete is not None:
         kind = copy.copy(kind)
-        kind.shell_complete = complete  # type: ignore[method-assign]
+        kind.shell_complete = complete  # type: ignore[method-assign, assignment]
     return kind
 
 
@@ -155,6 +160,17 @@ class CommandGroups(click.Group):
             meant = f", did you mean '{synonym}'?" if synonym else suggestion(args[0].lower(), known)
             raise click.UsageError(f"No such command '{args[0]:.80}'{meant}", ctx)
         return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; an error of a key that an option gave names that option (`NAMED_BY`)."""
+        try:
+            return super().invoke(ctx)
+        except InputError as error:
+            words = str(error)
+            for key, option in ctx.meta.get(NAMED_BY, {}).items():
+                words = re.sub(rf"(?m)^(\s*){re.escape(key)}: ", rf"\g<1>{option}: ", words)
+            error.args = (words, *error.args[1:])
+            raise
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """One section a group, all summaries in one column."""

@@ -13,6 +13,7 @@ import click
 
 if TYPE_CHECKING:
     from thermoforce_mpc.execution import DaskEngine, LocalEngine
+    from thermoforce_mpc.measurements.map.mapping import MeasurementMap
     from thermoforce_mpc.scenario.scenario import Scenario
 
 Function = Callable[..., Any]
@@ -105,7 +106,8 @@ mpc_options = added(
     click.option(
         "--forecaster",
         metavar="NAME",
-        help="Free response or forecaster by name (see `tf-mpc free-responses`), a folder, or a hub's owner/model.",
+        help="Free response or forecaster by name (see `tf-mpc free-responses`), a folder, a hub's owner/model, or a "
+        "class of yours, as my.py:Mine.",
     ),
 )
 
@@ -113,8 +115,24 @@ mpc_options = added(
 own_prices_option = click.option(
     "--prices",
     type=PATH,
-    help="CSV of prices for all machines (time, price per kWh; MWh or ct in the column's name) instead of the map's.",
+    help="Instead of the map's prices: CSV (time, price per kWh; MWh or ct in the column's name), or a bill (.yaml).",
 )
+
+
+def billed_objective(prices: Path | None, rules: MeasurementMap, peak_kW: float = 0.0) -> dict[str, Any]:
+    """Keys of the controller's objective that a bill in `--prices` and the map ask for.
+
+    Generation and other loads count where the map has them in its forecast, or the bill pays for what is fed in.
+    `peak_kW`: about what the peak of a month is.
+    """
+    from controllers.mpc.config import objective_of
+    from thermoforce_mpc.scenario.bill import SUFFIXES, read_bill
+
+    others = rules.forecast.load is not None or rules.forecast.generation is not None
+    keys: dict[str, Any] = {}
+    if prices is not None and prices.suffix in SUFFIXES:
+        keys = objective_of(read_bill(prices), peak_kW)
+    return keys | {"exchange": True} if others else keys
 
 
 def _forecaster(name: str) -> dict[str, Any]:
@@ -122,8 +140,9 @@ def _forecaster(name: str) -> dict[str, Any]:
     from thermoforce_mpc.errors import ConfigError, suggestion
     from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as BACKBONES
     from thermoforce_mpc.model.free_response.registry import REGISTRY
+    from thermoforce_mpc.scenario.own_code import is_own_code
 
-    if name in REGISTRY:
+    if name in REGISTRY or is_own_code(name):
         return {"name": name}
     if name not in BACKBONES and "/" not in name and not Path(name).exists():
         raise ConfigError(
@@ -240,6 +259,16 @@ def check_named_code(
         check_code(found.values(), [*code, *(one.value for keys in words for one in code_of(keys))], name)
 
 
+def _note_option(option: str, key: str) -> None:
+    """Keep which option of the command gave a key, for the words of errors."""
+    from thermoforce_mpc.cli.commands import NAMED_BY
+
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        flags = [param.opts[-1] for param in context.command.params if param.name == option]
+        context.meta.setdefault(NAMED_BY, {}).update(dict.fromkeys([key], flags[0]) if flags else {})
+
+
 def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = None) -> Scenario:
     """Build the scenario of a command from its file, `defaults`, its options and `--set`; the last that says counts.
 
@@ -254,6 +283,7 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     keys: dict[str, Any] = {}
     for option, key in _KEYS.items():
         if (value := options.get(option)) is not None:
+            _note_option(option, key)
             keys = merge(keys, nested(key, str(value) if isinstance(value, Path) else value))
     if options.get("url") is not None:
         keys = merge(keys, {"plant": {"kind": "boptest", "path": None}})

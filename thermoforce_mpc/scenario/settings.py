@@ -48,6 +48,14 @@ def is_config(kind: str, name: str) -> bool:
     return Path(name).suffix in {".yaml", ".yml"} or name in named_configs(kind)
 
 
+# How a file of a kind is made that is none of those that are known.
+_OTHER = {
+    "testcases": ". Another one is a YAML file (docs/reference/testcase.md): `tf-mpc init DIR --testcase NAME "
+    "--from-url URL` proposes it from the points of a BOPTEST service, `tf-mpc init DIR --testcase KNOWN "
+    "--copy-testcase` begins with a known one",
+}  # fmt: skip
+
+
 def find_config(kind: str, name: str, others: Iterable[str] = ()) -> Path:
     """Return the path of a shipped configuration by name, or `name` itself if it is a YAML file.
 
@@ -65,7 +73,8 @@ def find_config(kind: str, name: str, others: Iterable[str] = ()) -> Path:
     known = named_configs(kind)
     if name not in known:
         all_names = [*known, *others]
-        raise ConfigError(f"unknown {kind[:-1]} '{name}'{suggestion(name, all_names)}; known: {', '.join(all_names)}")
+        known_names, other = ", ".join(all_names), _OTHER.get(kind, "")
+        raise ConfigError(f"unknown {kind[:-1]} '{name}'{suggestion(name, all_names)}; known: {known_names}{other}")
     return known[name]
 
 

@@ -13,9 +13,11 @@ from thermoforce_mpc.scenario.settings import StrictModel
 
 TemperatureUnit = Literal["°C", "C", "degC", "K", "°F", "F", "degF"]
 PowerUnit = Literal[
-    "W", "kW", "MW", "BTU/h",
-    "Wh per step", "kWh per step", "BTU per step", "kJ per step", "MJ per step",
-    "Wh counter", "kWh counter", "MWh counter", "BTU counter", "kJ counter", "MJ counter",
+    "W", "kW", "MW", "BTU/h", "kBTU/h", "MMBTU/h", "kJ/h", "MJ/h", "kcal/h", "ton",
+    "Wh per step", "kWh per step", "MWh per step", "J per step", "kJ per step", "MJ per step", "GJ per step",
+    "BTU per step", "kBTU per step", "MMBTU per step", "therm per step", "kcal per step",
+    "Wh counter", "kWh counter", "MWh counter", "J counter", "kJ counter", "MJ counter", "GJ counter",
+    "BTU counter", "kBTU counter", "MMBTU counter", "therm counter", "kcal counter",
 ]  # fmt: skip
 LevelUnit = Literal["0-1", "%"]
 IrradianceUnit = Literal["W/m²", "W/m2", "kW/m²", "kW/m2"]
@@ -24,9 +26,16 @@ PriceUnit = Literal["per kWh", "per MWh"]
 PER_STEP, COUNTER = " per step", " counter"
 
 _TEMPERATURES = {"C": (1.0, 0.0), "K": (1.0, -ZERO_C_K), "F": (5.0 / 9.0, -160.0 / 9.0)}
-_ENERGIES_J = {"Wh": 3600.0, "kWh": J_PER_KWH, "MWh": 3.6e9, "BTU": 1055.05585262, "kJ": 1e3, "MJ": 1e6}
+# British thermal units of the International Table (1055.05585262 J, also the therm of 100,000), calories likewise.
+_BTU_J, _KCAL_J = 1055.05585262, 4186.8
+_ENERGIES_J = {
+    "Wh": 3600.0, "kWh": J_PER_KWH, "MWh": 3.6e9, "J": 1.0, "kJ": 1e3, "MJ": 1e6, "GJ": 1e9, "BTU": _BTU_J,
+    "kBTU": 1e3 * _BTU_J, "MMBTU": 1e6 * _BTU_J, "therm": 1e5 * _BTU_J, "kcal": _KCAL_J,
+}  # fmt: skip
+# A ton of refrigeration is 12,000 BTU/h.
 _LINEAR = {
-    "W": 1.0, "kW": 1e3, "MW": 1e6, "BTU/h": _ENERGIES_J["BTU"] / 3600.0, "0-1": 1.0, "%": 0.01,
+    "W": 1.0, "kW": 1e3, "MW": 1e6, "ton": 12e3 * _BTU_J / 3600.0, "0-1": 1.0, "%": 0.01,
+    **{f"{unit}/h": _ENERGIES_J[unit] / 3600.0 for unit in ("BTU", "kBTU", "MMBTU", "kJ", "MJ", "kcal")},
     "W/m²": 1.0, "W/m2": 1.0, "kW/m²": 1e3, "kW/m2": 1e3, "per kWh": 1.0, "per MWh": 1e-3,
 }  # fmt: skip
 

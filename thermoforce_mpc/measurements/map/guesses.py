@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,10 +27,12 @@ _TOGETHER = 0.9
 _NO_ROOM = frozenset(
     ("outdoor", "supply", "return", "water", "hot water", "humidity", "power", "energy", "valve", "other", "sun")
 )
-_LOADS = ("W", "kW", "MW", "BTU/h", "Wh", "kWh", "MWh", "kJ", "MJ", "BTU")
+_ENERGIES = ("Wh", "kWh", "MWh", "J", "kJ", "MJ", "GJ", "BTU", "kBTU", "MMBTU", "therm", "kcal")
+_LOADS = ("W", "kW", "MW", "BTU/h", "kBTU/h", "MMBTU/h", "kJ/h", "MJ/h", "kcal/h", "ton", *_ENERGIES)
 _OF_LOADS = frozenset(("energy", "power", "heat", "heating machine", "electric", "gas"))
 # Units of what a map has no place for, and words of numbers that count rows.
-_OTHER_UNITS = ("Hz", "ppm", "hPa", "Pa", "lx", "V", "A", "l/h", "m³", "m³/h", "cfm", "m/s", "km/h")
+_OTHER_UNITS = ("Hz", "rps", "rpm", "s", "ppm", "hPa", "Pa", "lx", "V", "A", "l/h", "m³", "m³/h", "cfm", "m/s", "km/h")
+_TURNS = ("Hz", "rps", "rpm")
 # Heat rather than what a machine takes for it.
 _HEAT = re.compile(
     r"(?i)^q[_ .-]|qdot|therm|w[aä]e?rme(menge|leist)|heat.?(meter|flow|output)|wmz|qh|^phi|^ph\b|heizleist|chaleur|"
@@ -38,19 +40,25 @@ _HEAT = re.compile(
 )
 _IDS = frozenset(("id", "idx", "row", "uuid", "epoch", "unix"))
 _SHORT = ("znt", "spt", "rmt", "sat", "rat", "mat", "dat", "oat", "lwt", "ewt", "degc", "degf")
-_LEAST = 8
+_LEAST, _PERCENT = 8, 100.5
+# Rooms that are inside whatever else their names hold, such as "indoor ambient", unless these say outdoors.
+_INDOORS = frozenset(("indoor", "inside", "innen", "binnen", "interieur", "inomhus", "innendors", "indendors", "sisa"))
+_OUTDOORS = frozenset(("outdoor", "outdoors", "outside", "aussen", "exterieur", "buiten", "ute", "utomhus", "ulko"))
 
 
 @dataclass(frozen=True)
 class Guess:
-    """What a signal probably is (`role`, '' for nothing that is used), its unit, and why that is doubtful ('' if "
-    "not)."""
+    """What a signal probably is (`role`, '' for nothing that is used), its unit, and why that is doubtful ('' if not).
+
+    `factor`: what its readings are multiplied by to be in that unit.
+    """
 
     name: str
     role: str
     unit: str = ""
     doubt: str = ""
     place: frozenset[str] = field(default=frozenset())
+    factor: float = 1.0
 
     @property
     def sure(self) -> bool:
@@ -62,7 +70,8 @@ class Guess:
 class Column:
     """First readings of a signal: instants (n,) s, increasing, values (n,) NaN where none.
 
-    `text`: it is mostly words; `unit`: one that stands elsewhere than in its name.
+    `text`: it is mostly words; `unit`: one that stands elsewhere than in its name; `by`: what
+    values were multiplied by, where a line above the table says it.
     """
 
     name: str
@@ -70,6 +79,7 @@ class Column:
     values: Array
     text: bool = False
     unit: str = ""
+    by: float = 1.0
 
 
 def guesses(columns: Sequence[Column]) -> list[Guess]:
@@ -107,6 +117,11 @@ class _Look:
         # A set-point changes seldom; where changes alone are stored, nothing stays.
         self.rests = same > 0.8 or same < 0.05
         self.few = self.rests and bool(v.size >= _LEAST and self.distinct.size <= max(4, min(14, v.size // 12 + 2)))
+        self.every_s = float(np.median(np.diff(column.time_s))) if column.time_s.size > 1 else np.nan
+        # How many seconds of an interval something ran.
+        acts = self.tags & {"level", "heating machine", "cooling", "heat"} and not self.tags & {"power", "setpoint"}
+        within = self.whole and self.least >= 0.0 and _PERCENT < self.most <= self.every_s
+        self.ran = bool(acts and within and self.unit in ("s", ""))
         self.is_row = bool(v.size >= _LEAST and self.whole and (steps == 1.0).mean() > 0.95)
 
     @property
@@ -172,7 +187,9 @@ def _of_no_use(look: _Look) -> bool:
     t, words = look.tags, set(words_of(look.name))
     if look.text or look.is_row or (words & _IDS and look.whole):
         return True
-    if look.unit in _OTHER_UNITS and not (look.unit == "Hz" and t & {"level", "valve"}):
+    if look.ran:
+        return False
+    if look.unit in _OTHER_UNITS and not (look.unit in _TURNS and t & {"level", "valve"}):
         return True
     other = "other" in t and look.unit not in _LOADS and not look.is_temperature
     # A window is on or off, where a room's temperature may be named by its window.
@@ -222,8 +239,10 @@ def _of_what_acts(look: _Look, fahrenheit: bool) -> Guess | None:
     if look.unit in _LOADS or (look.counts and t & _OF_LOADS and not look.is_temperature):
         return _load(look)
     as_temperature = look.is_temperature or _temperature_word(look, t)
+    if look.ran:
+        return Guess(look.name, "level", "%", "", factor=100.0 / look.every_s)
     may_act = "valve" in t or ("level" in t and (look.unit == "%" or not t & {"power", "energy"}))
-    if look.unit == "Hz":
+    if look.unit in _TURNS:
         return Guess(look.name, "level", "%", "a frequency over its largest is a level (factor)")
     if may_act and not as_temperature and _shares(look):
         if _setpoint(look, fahrenheit) and "valve" not in t:
@@ -284,24 +303,26 @@ def _bound(t: frozenset[str]) -> str:
 def _load(look: _Look) -> Guess:
     """Power, energy per step or a counter, and of what."""
     t, unit = look.tags, look.unit
-    if t & {"hot water", "gas", "pv", "other"}:
+    # A plug, or the starts, of what heats is its meter.
+    if t & {"hot water", "gas", "pv"} or ("other" in t and "heating machine" not in t):
         return Guess(look.name, "gas" if "gas" in t and "hot water" not in t else "")
     of_machine = t & {"electric", "heating machine"}
     heat = "heat" in t and (not of_machine or bool(_HEAT.search(look.name)))
     role = "heat" if heat else "power"
-    energies = ("Wh", "kWh", "MWh", "kJ", "MJ", "BTU")
     if look.counts:
-        counted = unit if unit in energies else "kWh" if look.most < 1e6 else "Wh"
-        sure = unit in energies or "energy" in t
+        counted = unit if unit in _ENERGIES else "kWh" if look.most < 1e6 else "Wh"
+        sure = unit in _ENERGIES or "energy" in t
         return Guess(look.name, role, f"{counted} counter", "" if sure else "it only rises: a counter, of kWh or Wh?")
-    if unit in energies or ("energy" in t and unit not in _LOADS and "power" not in t):
-        if unit in energies and unit != "MWh":
+    if unit in _ENERGIES or ("energy" in t and unit not in _LOADS and "power" not in t):
+        if unit in _ENERGIES:
             return Guess(look.name, role, f"{unit} per step")
         return Guess(look.name, role, f"{'kWh' if look.most < 50.0 else 'Wh'} per step", "energy without a unit")
     if not unit and look.binary:
         return Guess(look.name, "level", "0-1")
     if not unit and 30.0 < look.most <= 100.0 and not look.constant and "power" not in t:
         return Guess(look.name, "level", "%", "its values are between 0 and 100, its name is that of a load")
+    if not unit and t & {"heating machine", "level"} and look.whole and look.least >= 0.0 and 95.0 < look.most <= 100.0:
+        return Guess(look.name, "level", "%", "its values end at 100: a share of full power, or W?")
     below = look.least < -0.02 * max(look.most, 1.0) and not heat and "electric" not in t
     doubt = "it falls below 0" if below else ""
     return Guess(look.name, role, unit or ("W" if look.most > 60.0 else "kW"), doubt)
@@ -344,6 +365,8 @@ def _full_temperature(look: _Look) -> bool:
 def _room_first(look: _Look) -> bool:
     """Whether a name with words of rooms and of outdoors is of a room: 'int', 'room' and the like come first."""
     words = words_of(look.name)
+    if not _INDOORS.isdisjoint(words) and _OUTDOORS.isdisjoint(words):
+        return True
     outdoors = [k for k, word in enumerate(words) if "outdoor" in tags(word)]
     rooms = [k for k, word in enumerate(words) if "room" in tags(word) and "outdoor" not in tags(word)]
     sure = {"outdoor", "outside", "outdoors", "aussen", "exterieur", "exterieure", "buiten", "ambient", "oa", "oat"}
@@ -409,7 +432,7 @@ def _outdoor_apart(found: list[Guess], looks: Mapping[str, _Look]) -> list[Guess
         # What is colder and moves more than all others.
         free = [g for g in found if g.role == "zone" and not g.sure] + [
             Guess(look.name, "zone", look.celsius(False)[0]) for look in looks.values()
-            if not look.text and look.unit in ("°C", "°F", "K")
+            if not look.text and (look.is_temperature or "temperature" in look.tags) and "other" not in look.tags
             and all(g.name != look.name or g.role == "" for g in found)
             and not look.tags & {"supply", "return", "water", "hot water", "setpoint"} and not look.binary and
             look.median < 33.0
@@ -443,7 +466,7 @@ def _correlated(time_s: Array, values: Array, other_s: Array, others: Array) -> 
 
 
 def _with_place(guess: Guess) -> Guess:
-    return Guess(guess.name, guess.role, guess.unit, guess.doubt, place_of(guess.name))
+    return replace(guess, place=place_of(guess.name))
 
 
 def rooms_beside(columns: Mapping[str, Array], rules: MeasurementMap) -> tuple[str, ...]:

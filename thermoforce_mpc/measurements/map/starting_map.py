@@ -16,8 +16,8 @@ from thermoforce_mpc.measurements.map.words import tags, unit_of, words_of
 from thermoforce_mpc.measurements.tables.clock import all_year, instants
 from thermoforce_mpc.measurements.tables.files import all_readings, found_files, head_of, named_after, stamps_of
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
-from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, bad_status, raw_table
-from thermoforce_mpc.measurements.tables.recognition import Recognised, recognised
+from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, bad_status, raw_table, unit_of_cells
+from thermoforce_mpc.measurements.tables.recognition import Recognised, recognised, told_beside, units_of_points
 
 # Rows of a file that are looked at where its columns are signals, and readings of a signal where rows are readings.
 _ROWS, _READINGS = 20_000, 5_000
@@ -56,14 +56,24 @@ def starting_map(files: str | Path | Sequence[str | Path]) -> str:
 def _columns(taken: Recognised) -> list[Column]:
     """First readings of all signals of files."""
     if taken.table.point is not None:
+        units: dict[str, str] = {}
+        for path in taken.paths:
+            units |= units_of_points(head_of(path, _ROWS, taken.csv), taken.table, taken.csv.decimal)
         return [
-            Column(name, at[:: -(-at.size // _READINGS)], values[:: -(-at.size // _READINGS)], text)
+            Column(
+                name,
+                at[:: -(-at.size // _READINGS)],
+                values[:: -(-at.size // _READINGS)],
+                text,
+                unit_of(f"({units.get(name, '')})"),
+            )
             for name, (at, values, text) in all_readings(taken.paths, taken.clock, taken.csv, taken.table).items()
             if at.size
         ]
     found: dict[str, Column] = {}
     for path in taken.paths:
         head = head_of(path, _ROWS, taken.csv)
+        units, divisors = told_beside(path, taken.csv)
         table = raw_table(head, taken.clock.column, [], str(path))
         time_s = _seconds(table, taken.clock)
         bad = bad_status(head, taken.table)
@@ -78,7 +88,10 @@ def _columns(taken: Recognised) -> list[Column]:
             numbers = np.where(bad[: numbers.size], np.nan, numbers)
             key = _key(name, path, taken)
             if key is not None and key not in found:
-                found[key] = Column(key, time_s, numbers, words, unit_of(name))
+                below = next((u for u in (unit_of(f"({units.get(name, '').strip('()[]')})"),) if u), "")
+                unit = unit_of(name) or unit_of_cells(head[name], taken.csv.decimal) or below
+                by = 1.0 / divisors.get(name, 1.0)
+                found[key] = Column(key, time_s, numbers * by, words, unit, by)
     return list(found.values())
 
 
@@ -147,6 +160,8 @@ class _Text:
             lines += [f"  unit: {clock.unit}  # stamps are numbers", f"  since: '{clock.since}'"]
         elif note.startswith("? stamps are numbers"):
             lines += ["  unit: s  # stamps are numbers", "  since: FILL IN  # what they count from, such as 2016-01-01"]
+        if clock.year is not None:
+            lines.append(f"  year: {clock.year}  # {_CHECK}{note}")
         if clock.zone is not None:
             lines.append(
                 f"  zone: {clock.zone}  # of the stamps; name the building's all the same, such as Europe/Brussels"
@@ -208,7 +223,9 @@ class _Text:
     def _signal(self, guess: Guess, *more: str) -> str:
         self.used.add(guess.name)
         unit = [f"unit: '{guess.unit}'"] if guess.unit and guess.unit != "0-1" else []
-        told = ", ".join([f"column: {_quoted(guess.name)}", *unit, *more])
+        factor = self._factor(guess) * self.column[guess.name].by
+        by = [f"factor: {factor:.4g}"] if abs(factor - 1.0) > 1e-9 and not more else []
+        told = ", ".join([f"column: {_quoted(guess.name)}", *unit, *by, *more])
         return f"{{{told}}}"
 
     def _weather(self) -> list[str]:
@@ -268,7 +285,7 @@ class _Text:
                     lines.append("    # level: {column: ..., unit: '%'}  # without it, power over its 99th percentile")
                 else:
                     key = "heat" if guess.role == "heat" else "level"
-                    lines.append(f"    {key}: {self._signal(guess, *self._factor(guess))}{_comment(guess.doubt)}")
+                    lines.append(f"    {key}: {self._signal(guess)}{_comment(guess.doubt)}")
         else:
             lines.append("# actuators: {heater: {level: {column: ..., unit: '%'}}}  # nothing looks like what acts")
         price = self.of("price")
@@ -290,9 +307,11 @@ class _Text:
             lines.append(f"    price: {cost}  # per kWh, a number or a column")
         return lines
 
-    def _factor(self, guess: Guess) -> list[str]:
+    def _factor(self, guess: Guess) -> float:
+        """What the readings of a level are multiplied by: its seconds or turns over the most of them."""
         most = float(np.nanmax(self.column[guess.name].values))
-        return [f"factor: {100.0 / most:.4g}"] if guess.role == "level" and guess.unit == "%" and most > 100.5 else []
+        over = guess.factor == 1.0 and guess.role == "level" and guess.unit == "%" and most > 100.5
+        return 100.0 / most if over else guess.factor
 
     def _actuators(self) -> dict[str, tuple[str, Guess | None, Guess | None]]:
         """Actuators by name: the zone, what tells its level (None: the power of its machine), and that power."""
@@ -401,7 +420,8 @@ def _value(value: object) -> str:
 
 def _name(column: str) -> str:
     plain = re.sub(r"^(sensor|binary_sensor|climate|number|switch|input_number|valve)\.", "", column)
-    plain = re.sub(r"[\[(].*?[\])]", "", plain).strip()
+    labelled = re.search(r"LBL: ?([^\])]*)", plain)
+    plain = labelled[1] if labelled else re.sub(r"[\[(].*?[\])]", "", plain).strip()
     shorter = re.sub(r"[_ ]?(deg_?c|°c|temp[a-z]*|ist|ist-?wert)$", "", plain, flags=re.I)
     name = re.sub(r"\W+", "_", shorter or plain).strip("_").lower()
     return name or "zone"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.errors import DataError, counted
-from thermoforce_mpc.measurements.tables.clock import parsed_or_nat
+from thermoforce_mpc.measurements.tables.clock import newest_first, parsed_or_nat
 from thermoforce_mpc.measurements.tables.files import columns_of, header_of, is_text, opened, read_tables, reading
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import (
@@ -38,8 +39,8 @@ _FAR_S, _FEW = 86400.0, 0.01
 _FAR_FROM_MOST_S = 5 * 365 * 86400.0
 _EMPTY = frozenset(("", "nan", "NaN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A", *MISSING))
 _SHOWN = 60
-# Rows before the last one whose cells tell how long one of its last column is at least.
-_BEFORE = 100
+# Rows before the last one whose cells tell how one of its last column ends, and how many must.
+_BEFORE, _LEAST_BEFORE = 100, 8
 
 
 @dataclass
@@ -225,11 +226,15 @@ def _rows(
 
 
 def _leave_cut(rows: list[list[str]], number: int, left: _Left) -> None:
-    """Empty the last cell of a file that ends in it where it is shorter than all before: it is still being written."""
+    """Empty the last cell of a file that ends in it, for it may still be being written: 21.35 begins as 2.
+
+    It is whole where all before it have as many decimals as it, or end with the same unit.
+    """
     *before, last = (row[-1] for row in rows[-_BEFORE - 1 :])
-    lengths = [len(cell) for cell in before if cell not in _EMPTY]
-    if last and lengths and len(last) < min(lengths):
-        left.add("its last cell is cut off", number, last)
+    ends = {re.sub(r"^[+-]?\d+", "", re.sub(r"\d", "0", cell)) for cell in before if cell not in _EMPTY}
+    whole = len(ends) == 1 and len(before) >= _LEAST_BEFORE and "" not in ends
+    if last and not (whole and re.sub(r"^[+-]?\d+", "", re.sub(r"\d", "0", last)) in ends):
+        left.add("no end of line: its last cell may be cut off", number, last)
         rows[-1] = [*rows[-1][:-1], ""]
 
 
@@ -261,7 +266,10 @@ def _with_stamps(
         left.add("no time stamp", int(lines[row]), str(text.iloc[row]) if isinstance(text.iloc[row], str) else "")
     rows = np.flatnonzero(keep)
     at_s = np.asarray((at[keep] - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=np.float64)
-    far = _far(at_s) if in_order else np.abs(at_s - np.median(at_s)) > _FAR_FROM_MOST_S
+    if in_order and newest_first(at_s):
+        far = _far(at_s[::-1])[::-1]
+    else:
+        far = _far(at_s) if in_order else np.abs(at_s - np.median(at_s)) > _FAR_FROM_MOST_S
     late = at_s > latest.timestamp()
     if late.any() and late.sum() <= max(1, _FEW * late.size):
         far |= late

@@ -33,6 +33,9 @@ _CLOCKS = {
 }  # fmt: skip
 # More ends than this are ends of intervals; offsets from UTC are fewer.
 _MOST_OFFSETS = 4
+# From so many rows on a table is one whose newest row stands first, and so few of its rows rise all the same.
+_LEAST_FALLS, _FEW_RISE = 7, 0.005
+_HALF_A_YEAR = 5
 _AN_HOUR = pd.Timedelta("1h")
 _MOST_YEARS = 20
 # The clock of a table that is being written may be ahead of ours by so much.
@@ -57,7 +60,11 @@ def instants(table: RawTable, clock: TimeStampRules, notes: list[str], now: pd.T
     elif pd.api.types.is_datetime64_any_dtype(stamps):
         times = stamps
     else:
-        times = _parsed(table, plain(stamps.astype(str), clock.format), clock)
+        text = stamps.astype(str) if clock.year is None else with_year(stamps.astype(str), clock.year)
+        times = _parsed(table, plain(text, clock.format), clock)
+    if newest_first(times):
+        times = times.iloc[::-1]
+        notes.append(f"{table.name}: its newest row stands first: turned round")
     if times.dt.tz is not None:
         if clock.zone is not None:
             return times.dt.tz_convert(clock.zone)
@@ -65,6 +72,18 @@ def instants(table: RawTable, clock: TimeStampRules, notes: list[str], now: pd.T
     if clock.zone is None:
         return times
     return _localised(table, times, clock, notes, now)
+
+
+def newest_first(times: pd.Series | NDArray[np.float64]) -> bool:
+    """Whether times (n,), instants or s, fall throughout; the hour that comes twice in autumn may rise once."""
+    at = pd.DatetimeIndex(times).as_unit("ns").asi8 if isinstance(times, pd.Series) else times
+    steps = np.diff(at)
+    return bool(
+        steps.size >= _LEAST_FALLS
+        and (steps < 0).any()
+        and (steps > 0).sum() <= max(1, _FEW_RISE * steps.size)
+        and at[-1] < at[0]
+    )
 
 
 def _counted(table: RawTable, clock: TimeStampRules) -> pd.Series:
@@ -139,6 +158,7 @@ def parsed_or_nat(text: pd.Series, clock: TimeStampRules) -> pd.Series:
         elapsed = pd.to_timedelta(numbers.where(within), unit=clock.unit, errors="coerce")
         return pd.Series(since + elapsed)
     text = text.astype(object).where(text.notna(), "").astype(str)
+    text = text if clock.year is None else with_year(text, clock.year)
     text = plain(text, clock.format) if len(text) else text
     if clock.format is None:
         text = text.where(text.str.match(ISO), "")
@@ -172,6 +192,21 @@ def plain(text: pd.Series, form: str | None = None) -> pd.Series:
         text = text.copy()
         text[known.index] = (known + pd.Timedelta("1D")).dt.strftime("%Y-%m-%d 00:00:00")
     return full_offsets(text)
+
+
+def with_year(text: pd.Series, year: int) -> pd.Series:
+    """Stamps (n,) of the form ' 01/31  24:00:00' (EnergyPlus: month, day) as 2025-01-31 24:00:00; others as they are.
+
+    The first is of `year`; a month that falls by six and more is of the next one.
+    """
+    parts = text.str.extract(r"^\s*(\d{1,2})[/.-](\d{1,2})\s+(\d{1,2}:\d{2}(?::\d{2})?)\s*$")
+    known = parts[0].notna()
+    months = parts[0][known].astype(int)
+    years = year + (months.diff() < -_HALF_A_YEAR).cumsum()
+    days = years.astype(str) + "-" + months.astype(str).str.zfill(2) + "-" + parts[1][known].str.zfill(2)
+    out = text.copy()
+    out[known] = days + " " + parts[2][known].str.zfill(5)
+    return out
 
 
 def _beginnings(text: pd.Series) -> pd.Series:

@@ -60,6 +60,8 @@ _MAGIC = {
 _ROWS_AT_ONCE = 250_000
 # Readings that are kept of signals outside the map; from a gap of so long in all signals on the logger stood still.
 _FIRST, _LEAST_ROWS, _LEAST_OUTAGE_NS = 2000, 100, 7.2e12
+# A trend report of Siemens names its points above the table, as "Point_1:","ROOM TEMP".
+_POINTS = re.compile(r'^"?(Point_\d+):"?[,;\t]"?([^"\r\n]*?)"?(?:[,;\t]|\s*$)')
 # Bytes of one value of a table; a Parquet file may pack a million equal ones into a few.
 _CELL = 8
 SEPARATORS = ",;\t|"
@@ -250,7 +252,10 @@ def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
     with reading(path, " as CSV"):
         df, _ = next(part.frames(None, rows))
     df = df.iloc[:rows]
-    df = df[df.iloc[:, 0].astype(str) != str(df.columns[0])] if len(df.columns) else df  # the header again
+    if len(df.columns):
+        first = df.iloc[:, 0].astype(str)
+        words = df.iloc[:, 1:].isna().all(axis=1) & ~first.str.contains(r"\d", regex=True) & (len(df.columns) > 1)
+        df = df[(first != str(df.columns[0])) & ~words]  # without the header again, and what stands below a table
     return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
 
 
@@ -547,7 +552,7 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
                     parts.append((told, []))
                     kept[k], start = False, int(k)
                     continue
-                if not any(told):
+                if not any(told) or _is_footer(told):
                     kept[k] = False
                     continue
                 expected = len(current)
@@ -567,6 +572,11 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
     ]
 
 
+def _is_footer(cells: Sequence[str]) -> bool:
+    """Whether a line is words alone, as "End of Report" below a table."""
+    return not any(cells[1:]) and bool(re.fullmatch(r"[^\d\x00-\x1f]*[A-Za-z][^\d\x00-\x1f]*", cells[0]))
+
+
 def _starts(names: Sequence[str], separator: str) -> tuple[str, str]:
     """How a header that comes again begins, without quotes and with."""
     return separator.join(names[:2]), separator.join(f'"{name}"' for name in names[:2])
@@ -574,11 +584,13 @@ def _starts(names: Sequence[str], separator: str) -> tuple[str, str]:
 
 def header_of(path: Path, form: CsvFormat) -> tuple[str, list[str], int]:
     """Separator, names of the columns, and the line (from 0) where these stand."""
-    at, header = form.skip_lines, ""
+    at, header, called = form.skip_lines, "", dict[str, str]()
     try:
         with reading(path, but=(UnicodeError,)), opened(path, "rt", form.encoding) as lines:
             parts = iter(lambda: lines.readline(_BLOCK), "")  # not the whole of a line without end
-            for line in itertools.islice(parts, form.skip_lines, None):
+            for line in itertools.islice(parts, form.skip_lines):
+                called |= _POINTS.findall(line)
+            for line in parts:
                 header = line.lstrip("\ufeff").rstrip("\r\n")
                 if header.strip() and not (form.comment and header.startswith(form.comment)):
                     break
@@ -598,7 +610,7 @@ def header_of(path: Path, form: CsvFormat) -> tuple[str, list[str], int]:
     separator = form.separator or max(SEPARATORS, key=header.count)
     with reading(path, " as CSV"):
         names = next(csv.reader([header], delimiter=separator, skipinitialspace=True))
-    return separator, [name.strip() for name in names], at
+    return separator, [called.get(name.strip(), name.strip()) for name in names], at
 
 
 def is_text(path: Path) -> bool:

@@ -31,6 +31,9 @@ class TimeStampRules(StrictModel):
         description="time zone of stamps without an offset, such as Europe/Brussels (with daylight saving), UTC or "
         "Etc/GMT-1 (an hour ahead of UTC all year); stamps with an offset are converted to it",
     )
+    year: int | None = Field(
+        None, ge=1990, le=2100, description="year of the first of stamps that have none, of the form 01/31 14:30"
+    )
     unit: Literal["s", "ms", "min", "h", "D"] | None = Field(None, description="unit of stamps that are numbers")
     since: str | None = Field(None, description="what they count from, such as 2016-01-01 or 1970-01-01 in UTC")
     marks: Literal["start", "end"] = Field(

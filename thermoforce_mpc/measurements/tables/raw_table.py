@@ -18,18 +18,32 @@ from thermoforce_mpc.scenario.settings import suggestion
 # Words of a column that says on or off, in the languages of the maps.
 _ON = (
     "on", "ein", "an", "true", "open", "opened", "auf", "offen", "ouvert", "marche", "aan", "active", "running", "yes",
+    "på", "til", "tændt", "åben", "öppen", "åpen", "päällä", "käynnissä",
 )  # fmt: skip
 _OFF = (
     "off", "aus", "false", "closed", "zu", "geschlossen", "fermé", "arrêt", "uit", "inactive", "idle", "stopped", "no",
+    "av", "fra", "slukket", "lukket", "stängd", "pois", "seis",
 )  # fmt: skip
 SWITCH = dict.fromkeys(_ON, 1.0) | dict.fromkeys(_OFF, 0.0)
 """Numbers of words that say on or off."""
+# Units that stand behind a number in its cell, in small letters: what is measured, and in how many of the first of it.
+_QUANTITIES: dict[str, tuple[str, float]] = {
+    "°c": ("°C", 1.0), "℃": ("°C", 1.0), "deg c": ("°C", 1.0), "degc": ("°C", 1.0), "c": ("°C", 1.0),
+    "celsius": ("°C", 1.0), "°f": ("°F", 1.0), "℉": ("°F", 1.0), "deg f": ("°F", 1.0), "degf": ("°F", 1.0),
+    "f": ("°F", 1.0), "k": ("K", 1.0), "%": ("%", 1.0), "%rh": ("%", 1.0), "pct": ("%", 1.0), "percent": ("%", 1.0),
+    "w": ("W", 1.0), "kw": ("W", 1e3), "watt": ("W", 1.0), "wh": ("Wh", 1.0), "kwh": ("Wh", 1e3), "mwh": ("Wh", 1e6),
+    "btu/h": ("BTU/h", 1.0), "kbtu/h": ("BTU/h", 1e3), "w/m²": ("W/m²", 1.0), "w/m2": ("W/m²", 1.0), "hz": ("Hz", 1.0),
+    "ppm": ("ppm", 1.0), "hpa": ("hPa", 1.0), "lx": ("lx", 1.0), "v": ("V", 1.0), "a": ("A", 1.0), "l/h": ("l/h", 1.0),
+    "m/s": ("m/s", 1.0), "km/h": ("km/h", 1.0), "€/kwh": ("per kWh", 1.0), "eur/kwh": ("per kWh", 1.0),
+}  # fmt: skip
+_QUANTITY = re.compile(r"([+-]?\d+(?:[.,]\d+)?)\s*([^\d\s.,+-][^\d]{0,7}2?)")
 # Words of programs for a reading that there is not, beside those that pandas knows.
 MISSING = ("unavailable", "unknown", "undefined", "undef", "uninitialized", "no data", "-", "--", "---")
 ISO = re.compile(r"\s*\d{4}-\d{2}-\d{2}")
 """How stamps begin that are of the form 2025-01-31T14:30."""
 OFFSET = "(?:[+-][0-9]{2}(?::?[0-9]{2})?|Z) *$"
 """How stamps end that have an offset from UTC; databases leave minutes out where there are none."""
+_LOOKED_AT = 50
 _NONE = frozenset((*MISSING, "", "nan", "null", "none", "n/a", "na"))
 
 
@@ -165,7 +179,7 @@ def readings_table(
         if key not in df:
             continue
         empty = np.isnan(readings)
-        numbers, texts = _with_texts(df[key], decimal)
+        numbers, texts = _with_texts(df[key], decimal, table.codes)
         wordy |= set(codes[texts].tolist())
         readings[empty] = numbers[empty]
         of_wanted = [int(row) for row in np.flatnonzero(texts) if table.points[codes[row]] in wanted]
@@ -253,8 +267,13 @@ def as_numbers(column: pd.Series, decimal: str = ".") -> pd.Series:
     return pd.Series(_with_texts(column, decimal)[0], index=column.index)
 
 
-def _with_texts(column: pd.Series, decimal: str) -> tuple[Array, NDArray[np.bool_]]:
-    """Numbers (n,) of a column, and which of its cells hold text that is no number, no on or off and not 'missing'."""
+def _with_texts(
+    column: pd.Series, decimal: str, of: NDArray[np.int32] | None = None
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Numbers (n,) of a column, and which of its cells hold text that is no number, no on or off and not 'missing'.
+
+    `of` (n,): the signal of each cell, where they are of several.
+    """
     if pd.api.types.is_bool_dtype(column):
         column = column.astype(float)
     if pd.api.types.is_numeric_dtype(column):
@@ -270,9 +289,55 @@ def _with_texts(column: pd.Series, decimal: str) -> tuple[Array, NDArray[np.bool
     texts = np.zeros(len(column), dtype=bool)
     if rest.size:
         codes, words = pd.factorize(column.iloc[rest].astype(str).str.strip().str.lower())
-        numbers[rest] = np.array([SWITCH.get(word, np.nan) for word in words])[codes]
-        texts[rest] = np.array([word not in SWITCH and word not in _NONE for word in words])[codes]
+        found = np.array([SWITCH.get(word, np.nan) for word in words])
+        of_text = np.array([word not in SWITCH and word not in _NONE for word in words])
+        if of_text.any():
+            found = _of_quantities(codes, list(words), found, None if of is None else of[rest], decimal)
+            of_text = of_text[codes] & np.isnan(found)
+            numbers[rest], texts[rest] = found, of_text
+        else:
+            numbers[rest] = found[codes]
     return numbers, texts
+
+
+def _of_quantities(
+    codes: NDArray[np.intp], words: list[str], known: Array, of: NDArray[np.int32] | None, decimal: str
+) -> Array:
+    """Numbers (n,) of cells with a unit behind, in the unit of the first such cell of each signal `of` (n,).
+
+    `codes` (n,): which of `words` (k,) a cell is; `known` (k,): numbers of words that are none of a quantity. A cell of
+    another quantity than the first one is no number.
+    """
+    quantities = [quantity_of(word, decimal) for word in words]
+    out = known[codes]
+    rows = np.flatnonzero([quantities[code] is not None for code in codes])
+    first: dict[int, tuple[str, float]] = {}
+    for row in rows:
+        value, what, scale = quantities[codes[row]] or (np.nan, "", 1.0)
+        kind, by = first.setdefault(0 if of is None else int(of[row]), (what, scale))
+        out[row] = value * scale / by if kind == what else np.nan
+    return out
+
+
+def quantity_of(cell: str, decimal: str = ".") -> tuple[float, str, float] | None:
+    """Number of a cell such as '21.3 °C', what is measured, and in how many of its first unit; None for other cells."""
+    match = _QUANTITY.fullmatch(cell.strip().lower())
+    if match is None or (known := _QUANTITIES.get(match[2].strip())) is None:
+        return None
+    if ("," in match[1] and decimal != ",") or ("." in match[1] and decimal == ","):
+        return None
+    return float(match[1].replace(",", ".")), *known
+
+
+def unit_of_cells(column: pd.Series, decimal: str = ".") -> str:
+    """The unit that stands in the cells of a column behind their numbers; '' where none does."""
+    if not (pd.api.types.is_object_dtype(column) or pd.api.types.is_string_dtype(column)):
+        return ""
+    for cell in column.dropna().astype(str).iloc[:_LOOKED_AT]:
+        if (found := quantity_of(cell, decimal)) is not None:
+            _, what, scale = found
+            return {1.0: "", 1e3: "k", 1e6: "M"}[scale] + what
+    return ""
 
 
 def _numbers(column: pd.Series, key: str, table: RawTable, decimal: str) -> Array:

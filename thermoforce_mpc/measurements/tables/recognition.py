@@ -13,10 +13,10 @@ from pathlib import Path
 import pandas as pd
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.tables.clock import plain
-from thermoforce_mpc.measurements.tables.files import SEPARATORS, head_of, is_text, named_after, sample
+from thermoforce_mpc.measurements.tables.clock import newest_first, plain
+from thermoforce_mpc.measurements.tables.files import SEPARATORS, head_of, header_of, is_text, named_after, sample
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
-from thermoforce_mpc.measurements.tables.raw_table import ISO, SWITCH, as_numbers, with_offset
+from thermoforce_mpc.measurements.tables.raw_table import ISO, SWITCH, as_numbers, unit_of_cells, with_offset
 
 ROWS = 2000
 """Rows of a table that are looked at."""
@@ -39,14 +39,22 @@ _POINT = re.compile(
     r"_measurement|field|nombre|nome|punto|trend|trendlog|quantity|key|path|name.path.reference|address|source|ort|raum|type|kind)$"
 )
 _VALUE = re.compile(
-    r"(?i)^(value|state|_value|mean|wert|messwert|valeur|valore|valor|waarde|meetwaarde|reading|val|present.?value|object.?value|data|sum|"
+    r"(?i)^(value|payload|arvo|värde|vaerdi|værdi|verdi|state|_value|mean|wert|messwert|valeur|valore|valor|waarde|meetwaarde|reading|val|present.?value|object.?value|data|sum|"
     r"avg|average|numeric_value|float_value|result|actual.?value|istwert|v|y)([ _]*[\[(].*)?$"
 )
 _STATUS = re.compile(r"(?i)^(status|quality|trend ?flags|reliability|qualit.*|flag|flags|statut)$")
+# Columns of programs beside a reading: whether it was confirmed, where it comes from, what it was.
+_BESIDE = re.compile(r"(?i)^(ack|acknowledged|q|lc|from|_from|source|event|unit|units|type|attributes|id|row|#)$")
+_UNIT_COLUMN = re.compile(r"(?i)^(unit|units|unit_of_measurement|uom|einheit|unité|unite|eenheid|enhet|enhed|yksikkö)$")
+# Stamps without a year, as EnergyPlus writes them, and the year that is taken: 2017, like its own, began on a Sunday.
+_NO_YEAR, _YEAR = r"\s*\d{1,2}/\d{1,2}\s+\d{1,2}:\d{2}(:\d{2})?\s*", 2017
+# A line above the names of columns with what each of them is to be divided by, as NIBE's heat pumps write it.
+_DIVISORS = re.compile(r"(?i)^\W*divisors\b")
 # What stands in a line of units below the names of columns.
 _UNIT = re.compile(
     r"(?i)[\[(]?(°?[cfk]|deg ?[cf]|celsius|%|[kM]?W|[kM]?Wh|W/m.{1,2}|-|hh:mm|datetime|date|time|utc|iso.*|s|min|h|"
-    r"float|double|string|boolean|avg|smp|max|Pa|hPa|ppm|lx|m/s)?[\])]?"
+    r"float|double|string|boolean|avg|smp|max|Pa|hPa|ppm|lx|m/s|km/h|Hz|V|A|W|J|l/h|k?Btu.{0,3}|m³|m3|.{1,3}/kWh|"
+    r"[dDmMyYHhstT.:/ -]{8,24})?[\])]?"
 )
 _VALUES_OF: tuple[tuple[str, ...], ...] = (("mean", "sum", "state"), ("state",), ("value",), ("_value",))
 _DAYS = (
@@ -82,6 +90,37 @@ class Recognised:
     clock: TimeStampRules
     words: str
     notes: dict[str, str]
+
+
+def told_beside(path: Path, form: CsvFormat) -> tuple[dict[str, str], dict[str, float]]:
+    """Units by column from a line below the names of columns, and divisors from one above; of CSV files."""
+    if not is_text(path):
+        return {}, {}
+    separator, names, at = header_of(path, form)
+    _, lines = sample(path)
+    below = [_cells(line, separator) for line in lines[at + 1 : at + 1 + form.skip_after]]
+    units = {name: cell for cells in below for name, cell in zip(names, cells, strict=False) if _UNIT.fullmatch(cell)}
+    divisors: dict[str, float] = {}
+    for line in lines[:at]:
+        if _DIVISORS.match(line):
+            cells = zip(names, _cells(line, separator), strict=False)
+            divisors |= {name: float(cell) for name, cell in cells if re.fullmatch(r"[1-9]\d*", cell)}
+    return units, divisors
+
+
+def units_of_points(head: pd.DataFrame, table: TableForm, decimal: str) -> dict[str, str]:
+    """Units of the signals of a table of one reading a row: from a column of units, or behind the readings."""
+    points, values = ((one,) if isinstance(one, str) else one for one in (table.point or (), table.value or ()))
+    told = head[points[0]].astype(str).str.strip()
+    for more in points[1:]:
+        told = told + " " + head[more].astype(str).str.strip()
+    column = next((str(name) for name in head.columns if _UNIT_COLUMN.match(str(name))), None)
+    out: dict[str, str] = {}
+    for point, rows in head.groupby(told, sort=False):
+        cells = [unit_of_cells(rows[value], decimal) for value in values if value in rows]
+        units = rows[column].dropna().astype(str) if column is not None else pd.Series(dtype=str)
+        out[str(point)] = next((cell for cell in cells if cell), str(units.iloc[0]) if len(units) else "")
+    return out
 
 
 def recognised(paths: Sequence[Path]) -> Recognised:
@@ -127,14 +166,15 @@ def guessed_form(path: Path) -> CsvFormat:
             break
         after += 1
     below = "\n".join(rows[after:])
-    number = rf"(?:^|[{re.escape(separator)}\"])[ ]*-?\d+{{}}\d+[ ]*(?=[{re.escape(separator)}\"\r\n]|$)"
+    ends = rf"[ ]*(?:[°%A-Za-z][^{re.escape(separator)}\"\r\n]{{{{0,6}}}})?(?=[{re.escape(separator)}\"\r\n]|$)"
+    number = rf"(?:^|[{re.escape(separator)}\"])[ ]*-?\d+{{}}\d+{ends}"
     points, commas = (len(re.findall(number.format(mark), below, re.M)) for mark in (r"\.", ","))
     if separator == ",":  # there a decimal comma needs quotes
-        commas = len(re.findall(r'"-?\d+,\d+"', below))
+        commas = len(re.findall(r'"-?\d+,\d+[^",\d]{0,6}"', below))
     return CsvFormat(
         encoding=encoding,
         decimal="," if commas > points else ".",
-        separator=None if max(",;\t|", key=header.count) == separator else separator,
+        separator=None if max(SEPARATORS, key=header.count) == separator else separator,
         skip_lines=skip
         if (not comment or not all(line.startswith(comment) or not line.strip() for line in lines[:skip]))
         else 0,
@@ -147,7 +187,7 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
     """Place of the line of column names, the separator, and the mark of comments (None where the header begins so)."""
     best = (0, -1.0, ",")
     for separator in SEPARATORS:
-        n = [line.count(separator) for line in lines]
+        n = [_separators(line, separator) for line in lines]
         counted = Counter(k for k, line in zip(n, lines, strict=True) if k and not line.startswith("#"))
         if not counted:
             continue
@@ -164,14 +204,14 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
         (
             k
             for k, line in enumerate(lines)
-            if abs(line.count(separator) - usual) <= 1 and not line.startswith("#") and line.strip()
+            if abs(_separators(line, separator) - usual) <= 1 and not line.startswith("#") and line.strip()
         ),
         0,
     )
     cells = _cells(lines[first], separator)
     data = sum(_numeric(cell) or _stamp(cell) for cell in cells if cell) > len([c for c in cells if c]) / 2
     above = lines[first - 1] if first else ""
-    if data and above.startswith("#") and above.count(separator) == usual:
+    if data and above.startswith("#") and _separators(above, separator) == usual:
         return first - 1, separator, None
     # Lines of names and units above a table may have as many separators as it: the last before the first stamp counts.
     for k in range(first, min(first + _MOST_HEAD, len(lines) - 1)):
@@ -181,11 +221,18 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
             break
         if any(_stamp(cell) for cell in after):
             named = [
-                j for j in range(first, k + 1) if lines[j].count(separator) == usual and not lines[j].startswith("#")
+                j
+                for j in range(first, k + 1)
+                if _separators(lines[j], separator) == usual and not lines[j].startswith("#")
             ]
             units = len(named) > 1 and _is_units(ours) and not _is_units(_cells(lines[named[-2]], separator))
             return (named[-2] if units else named[-1]) if named else k, separator, "#"
     return first, separator, "#"
+
+
+def _separators(line: str, separator: str) -> int:
+    """How many times a line is parted; what stands in quotes parts nothing."""
+    return len(_cells(line, separator)) - 1 if '"' in line else line.count(separator)
 
 
 def _is_units(cells: Sequence[str]) -> bool:
@@ -238,10 +285,13 @@ def _clock(head: pd.DataFrame, path: Path) -> tuple[tuple[str, ...], TimeStampRu
     text = plain(stamps.dropna().astype(str))
     if not len(text):
         raise DataError(f"{path}: no column holds time stamps")
+    if _only(text, _NO_YEAR):
+        return key, TimeStampRules(year=_YEAR), "the year, which the stamps do not have"
     form, note = _stamp_format(text)
     zone = _zone(
         text if with_offset(text).any() else stamps.dropna().astype(str).iloc[:1], str(stamps.dropna().iloc[0])
     )
+    zone = zone or _zone_of_header(" ".join(key))
     return key, TimeStampRules(format=form, zone=zone) if form != "FILL IN" else TimeStampRules(zone=zone), note
 
 
@@ -252,7 +302,8 @@ def _dated(column: pd.Series) -> bool:
         return False
     told = column.dropna().astype(str).iloc[:50]
     return len(told) > 0 and bool(
-        told.str.contains(
+        told.str.fullmatch(_NO_YEAR).all()
+        or told.str.contains(
             r"\d{4}-\d{2}-\d{2}|\d{1,2}[./]\d{1,2}[./]\d{2,4}|\d{4}/\d{1,2}/\d{1,2}|^\d{8}\b", regex=True
         ).mean()
         > 0.9
@@ -316,6 +367,8 @@ def _fits_all(text: pd.Series, form: str) -> bool:
     times = pd.to_datetime(text, format=form, errors="coerce", utc="%z" in form)
     if not times.notna().all():
         return False
+    if newest_first(times):
+        times = times.iloc[::-1]
     back = times.diff() < pd.Timedelta(0)
     return bool(back.sum() <= 1) or bool((times.max() - times.min()) < pd.Timedelta("400D") and back.mean() < 0.2)
 
@@ -344,6 +397,14 @@ def _zone(stamps: pd.Series, as_written: str = "") -> str | None:
     return standard if standard and (len(offsets) > 1 or least in (0.0, 1.0)) else _all_year(least)
 
 
+def _zone_of_header(name: str) -> str | None:
+    """The zone that the header of the stamps tells, as 'Date/time UTC' or 'Date Time, GMT+01:00'; None for others."""
+    told = re.search(r"\b(?:GMT|UTC)\s?([+-]\d{1,2})(?::?00)?\b", name)
+    if told:
+        return _all_year(float(told[1]))
+    return "UTC" if re.search(r"(?<![A-Za-z])(UTC|GMT|utc)(?![A-Za-z])", name) else None
+
+
 def _all_year(hours: float) -> str | None:
     return f"Etc/GMT{-hours:+.0f}" if hours == int(hours) and hours else ("UTC" if hours == 0 else None)
 
@@ -363,7 +424,11 @@ def _form_of(
         (c for c in columns if c.lower() in ("status", "quality", "reliability") and not _numbers(head[c])), None
     )
     valued = [
-        [str(c) for c in one.columns if _numbers(one[c]) and not _STATUS.match(str(c)) and str(c) not in of_stamps]
+        [
+            str(c)
+            for c in one.columns
+            if _numbers(one[c]) and not (_STATUS.match(str(c)) or _BESIDE.match(str(c))) and str(c) not in of_stamps
+        ]
         for one in heads
     ]
     each_one = all(len(of) == 1 for of in valued)
@@ -433,12 +498,16 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
                 or given
             )
         return TableForm(point=point[0] if len(point) == 1 else tuple(point), value="_value")
-    values = [c for c in columns if _VALUE.match(c)]
-    points = [c for c in columns if _POINT.match(c) and c not in values]
+    columns = [c for c in columns if not _UNIT_COLUMN.match(c)]
+    told = [c for c in columns if _VALUE.match(c)]
+    # A "reading" may be the name of one, beside its value.
+    values = [c for c in told if _numbers(head[c])] or told
+    points = [c for c in columns if (_POINT.match(c) or c.lower() == "reading") and c not in values]
     repeated = [
         c for c in columns
         if c not in values and not _STATUS.match(c) and 1 < head[c].nunique() <= max(2, len(head) / 3)
-        and not _numbers(head[c]) and not set(head[c].dropna().astype(str).str.lower()) <= set(SWITCH)
+        and not _numbers(head[c]) and not _BESIDE.match(c)
+        and not set(head[c].dropna().astype(str).str.lower()) <= set(SWITCH)
     ]  # fmt: skip
     if not values or not (points or repeated):
         numeric = [c for c in columns if _numbers(head[c]) and not _POINT.match(c)]
@@ -463,6 +532,8 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
     unique = head[[*point, *[c for c in of_stamps if c in head.columns]]].duplicated().mean() < 0.05
     for more in (*points, *repeated):
         if not unique and more not in point and not _numbers(head[more]):
+            if len(head[[*point, more]].drop_duplicates()) == len(head[point].drop_duplicates()):
+                continue  # another column tells it already
             point.append(more)
             unique = head[[*point, *[c for c in of_stamps if c in head.columns]]].duplicated().mean() < 0.05
     status = next((c for c in columns if c.lower() in ("status", "quality", "reliability") and c not in value), None)
