@@ -122,7 +122,7 @@ def _completed(command: str, option: click.Parameter, kind: click.ParamType) -> 
     complete = completing(command, option)
     if complete is not None:
         kind = copy.copy(kind)
-        kind.shell_complete = complete  # type: ignore[method-assign]
+        kind.shell_complete = complete  # type: ignore[method-assign, assignment]
     return kind
 
 

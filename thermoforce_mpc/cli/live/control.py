@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, own_prices_option
+from thermoforce_mpc.cli.options import PATH, FiniteRange, billed_objective, map_option, own_prices_option
 from thermoforce_mpc.errors import ConfigError, ThermoForceError
 from thermoforce_mpc.records.run_folder import write_json
 
@@ -120,13 +120,15 @@ def control(
     from thermoforce_mpc.records.run_log import logging_to
     from thermoforce_mpc.report.display import RunDisplay
     from thermoforce_mpc.scenario.scenario import ProbingSpec
-    from thermoforce_mpc.scenario.settings import parse_overrides, validate
+    from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 
     chosen: Mapping[str, Any] = parse_overrides(assignments)
     mode = "probe" if probe else mode
     _check_words(mode, model, chosen, dry_run)
     connection, settings = connection_settings(connection, chosen.get("connection", {}))
-    rules, options = load_map(map_file), validate(MPCConfig, chosen.get("controller", {}), "--set controller")
+    rules = load_map(map_file)
+    billed = {"objective": billed_objective(prices, rules)}
+    options = validate(MPCConfig, merge(billed, chosen.get("controller", {})), "--set controller")
     plan = None
     if mode == "probe":
         spec = validate(ProbingSpec, chosen.get("identification", {}), "--set identification")
@@ -301,7 +303,7 @@ def commands_of(building: Connection, rules: MeasurementMap, step_s: float) -> d
     """
     from thermoforce_mpc.live import LiveBuilding
 
-    if not any(actuator.command for actuator in rules.actuators.values()):
+    if not any(rules.command_of(name) for name in rules.actuators):
         return {}
     return LiveBuilding(building, rules, step_s).commands()
 
