@@ -1,6 +1,9 @@
 # `tf-mpc` in an image:
 #   docker build -t tf-mpc .
 #   docker run --rm -v "$PWD:/home/runner/work" -w /home/runner/work tf-mpc run --testcase bestest_hydronic_heat_pump
+# A real building, from the files of `tf-mpc init --for` (secrets: --env-file, mode 600):
+#   docker run -d --restart unless-stopped --init --stop-timeout 90 --env-file secrets -v "$PWD:/home/runner/work" \
+#     -w /home/runner/work tf-mpc control --model my_house --map map.yaml --connection connection.yaml
 FROM python:3.12-slim
 COPY . /src
 # The files whose hashes requirements.txt has. torch is the CPU build, 200 MB instead of several GB, of an index of its own.
@@ -12,6 +15,8 @@ RUN pip install --no-deps --require-hashes -r /src/requirements.txt \
     && rm -r /src \
     && useradd --create-home runner
 USER runner
+# Of a real building's control: each step, of an hour at most, writes its log.
+HEALTHCHECK --interval=10m --timeout=10s CMD ["sh", "-c", "test ! -e control/log.jsonl || test -n \"$(find control/log.jsonl -mmin -130)\""]
 WORKDIR /home/runner
 ENTRYPOINT ["tf-mpc"]
 CMD ["--help"]

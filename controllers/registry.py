@@ -87,6 +87,11 @@ _OWN: dict[str, Entry] = {
     "rc_mpc": _mpc_entry(
         "as thermoforce_mpc, with the free response of a linear RC model", free_response={"name": "rc"}
     ),
+    "rc_mpc_paper": _mpc_entry(
+        "the paper's RC-MPC: as thermoforce_paper, with the free response of a linear RC model",
+        **{**_AS_PRINTED, "free_response": {"name": "rc"}},
+        solver="ipopt",
+    ),
     "thermostat": Entry(
         "on/off thermostat, optional weekday setback",
         False,

@@ -12,7 +12,7 @@ import pandas as pd
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
-from thermoforce_mpc.identification.probing.probe import probe
+from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")

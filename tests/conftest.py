@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
-import pytest
-from hypothesis import HealthCheck, settings
-from places import SHARED
+# Bytecode is kept also where the environment says not to: without it every process of the run compiles all sources, and
+# every worker rewrites all tests, half a minute of a core. Before the imports below, which are kept too.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
+import pytest  # noqa: E402
+from hypothesis import HealthCheck, settings  # noqa: E402
+from places import SHARED  # noqa: E402
 
 # One thread per process: the processes of pytest-xdist are as many as the cores. Read when torch is imported.
 if "PYTEST_XDIST_WORKER" in os.environ:

@@ -16,7 +16,7 @@ import thermoforce_mpc as tf
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.identification.probing.probe import probe
+from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 

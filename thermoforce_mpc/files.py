@@ -271,8 +271,7 @@ def secret_from(file: Path | None, variables: Sequence[str], key: str) -> str:
             if found := os.environ.get(name, "").strip():
                 return found
         raise ConfigError(
-            f"{key}: no secret is given: set the environment variable {variables[0]}, or {key} to a file of mode 600 "
-            "that holds it"
+            f"{key}: no secret is given: set the environment variable {variables[0]}, or this key to a file of mode 600"
         )
     try:
         mode = stat.S_IMODE(file.stat().st_mode)

@@ -35,7 +35,7 @@ PAGE = ROOT / "docs" / "reference" / "dependencies.md"
 _OLDEST = "3.11"
 # Those of foundation models from hubs are not in it: they hold pandas and torch back.
 _LOCKED = ("dev",)
-_IMAGE = ("serve", "fmu")
+_IMAGE = ("serve", "fmu", "home", "mqtt")
 # Of PyPI's builds with CUDA; the CPU build, which README and image name, has none of them.
 _LICENCE = re.compile(r"License :: (?!OSI Approved$|Other)")
 _CUDA = re.compile(r"(nvidia-|cuda-|triton)")

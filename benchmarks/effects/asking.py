@@ -17,7 +17,8 @@ from benchmarks.effects.windows import STEP_S, WINDOWS, band_K, block
 from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig
+from thermoforce_mpc.identification.probing.probe import ProbingConfig
+from thermoforce_mpc.loop.probing import Probing
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, generated_house

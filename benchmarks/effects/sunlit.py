@@ -18,7 +18,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import prepared_runs
 from thermoforce_mpc.identification.network.sensor import sun_on_sensor
-from thermoforce_mpc.identification.probing.probe import Probing
+from thermoforce_mpc.loop.probing import Probing
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.model.screening import ReadingLimits
 from thermoforce_mpc.model.sun_on_sensor import LIKELY

@@ -162,7 +162,8 @@ def _buildings(records: Mapping[str, Record], at_most: int, progress: Callable[[
 def embedded_records(starts: Mapping[str, int] = _EMBEDDED_STARTS, days: float = _EMBEDDED_DAYS) -> dict[str, Record]:
     """Records of `days` of the embedded plant under random probing, by name, from start days of the synthetic year."""
     from thermoforce_mpc.boundary.weather import synthetic_weather
-    from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
+    from thermoforce_mpc.identification.probing.probe import ProbingConfig
+    from thermoforce_mpc.loop.probing import probe
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
     plant = EmbeddedPlant(synthetic_weather())

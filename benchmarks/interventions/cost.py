@@ -47,8 +47,8 @@ def efficiency(
     training = training_of(climate, days, seed)
     free = build_free_response("chronos", backbone=backbone, resolutions="one")
     linear_ms = _milliseconds(lambda: identified(training, 1, modulation="linear"), 3)
-    neural_ms = _milliseconds(lambda: identified(training, 1), 1, warm=False)
-    model = identified(training, 1, modulation="linear")
+    neural_ms = _milliseconds(lambda: identified(training, 1, modulation="always"), 1, warm=False)
+    model = identified(training, 1, modulation="always")
     window = climate.part("test")[0]
     history, boundary = window.history.last(512), window.boundary
     features = np.tile([20.0, 0.0, 100.0, 0.0], (24, 1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from benchmarks.interventions.bench import data_for
 from benchmarks.interventions.cost import REPEATS, efficiency
 from benchmarks.interventions.dataset import Dataset
+from benchmarks.interventions.methods.base import Training
 from benchmarks.interventions.methods.curve import EXPONENTS
 from benchmarks.interventions.methods.registry import BEST, METHODS, MONOTONE
 from benchmarks.interventions.methods.remembering import tsfm
-from benchmarks.interventions.methods.thermoforce import build_thermoforce
+from benchmarks.interventions.methods.thermoforce import Modulation, build_thermoforce
 from benchmarks.interventions.office import PROBE_DAYS as PROBE_DAYS_OFFICE
 from benchmarks.interventions.office import office_data
 from benchmarks.interventions.page import write_page
@@ -26,15 +27,16 @@ from benchmarks.paper.printed import OPERATOR_ABLATION
 from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
+from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.records.run_folder import write_json
 
 Row = dict[str, Any]
 Say = Callable[[str], None]
 
 # Compared operators: order, modulation and exponents of v(u); the paper compares the first two.
-_OPERATORS: dict[str, tuple[tuple[int, ...], Literal["auto", "linear"], tuple[float, ...]]] = {
+_OPERATORS: dict[str, tuple[tuple[int, ...], Modulation, tuple[float, ...]]] = {
     "linear": ((1,), "linear", (1.0,)),
-    "neural": ((1,), "auto", (1.0,)),
+    "neural": ((1,), "always", (1.0,)),
     "curve": ((1,), "linear", EXPONENTS),
     "two-state": ((2,), "linear", (1.0,)),
     "two-state, curve": ((2,), "linear", EXPONENTS),
@@ -162,12 +164,17 @@ def _ablation(
                         "DR_down_K": down,
                         "DR_up_K": up,
                         "effect_K": float(np.mean([c.effect_rmse_K for c in cells])),
-                        "network_kept": predictor.modulated if gain == "neural" else None,
+                        "auto_keeps_network": _kept_by_auto(training, free) if gain == "neural" else None,
                         "paper_DR_down_K": paper[0],
                         "paper_DR_up_K": paper[1],
                     }
                 )
     return rows
+
+
+def _kept_by_auto(training: Training, free: FreeResponse) -> bool:
+    """Whether the network of one mode is kept where held-out probe data and validation windows decide."""
+    return build_thermoforce(training, free, orders=(1,)).modulated
 
 
 def _ablation_targets(rows: Sequence[Row]) -> list[Target]:

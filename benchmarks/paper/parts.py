@@ -22,7 +22,7 @@ Result = dict[str, Any]
 @dataclass(frozen=True)
 class Setting:
     """`records`: folders with measured homes. `weather`: file of the closed loop, None: synthetic. `quick`: a smaller
-    version of everything. `engine`: where tasks run; `say`: progress lines.
+    version of everything. `seeds`: how many of the closed loop. `engine`: where tasks run; `say`: progress lines.
     """
 
     out: Path
@@ -31,6 +31,7 @@ class Setting:
     quick: bool
     engine: Engine
     say: Callable[[str], None]
+    seeds: int = 1
 
     @property
     def pairs(self) -> Path:
@@ -62,13 +63,19 @@ def _interventions(setting: Setting, out: Path) -> Result:
 
 def _homes(setting: Setting, out: Path) -> Result:
     if not setting.records:
-        raise InputError("--records: no folder of measured homes was given, and the repository holds none")
+        raise InputError(
+            "--records: no folder of measured homes was given, and the repository holds none: give the cleaned REFIT "
+            "release (https://doi.org/10.15129/9ab14b0e-19ac-4279-938f-27f643078cec; CLEAN_House1.csv …), or your own "
+            "as docs/evidence/measured.md says"
+        )
     homes = [home for folder in setting.records for home in read_homes(folder, say=setting.say)]
     return run_factual_bench(homes, out, quick=setting.quick, engine=setting.engine, progress=setting.say)
 
 
 def _closed_loop(setting: Setting, out: Path) -> Result:
-    return run_closed_loop_tables(out, weather=setting.weather, quick=setting.quick, progress=setting.say)
+    return run_closed_loop_tables(
+        out, weather=setting.weather, quick=setting.quick, seeds=setting.seeds, progress=setting.say
+    )
 
 
 def _study(name: str, gains: tuple[str, ...] = ()) -> Callable[[Setting, Path], Result]:
@@ -105,7 +112,7 @@ PARTS = {
     "ablation": Part(
         _study("ablation", gains=("linear", "neural")),
         (Table("tab:ablation", "Linear and neural gain", tables.ablation, ("ablation.png",)),),
-        "houses as for tab:interv; the network is kept only where it is better on held-out data, else both are equal",
+        "houses as for tab:interv; the network is always kept, what auto would do is in ablation.json",
     ),
     "gamma": Part(
         _study("gamma"),
@@ -115,7 +122,7 @@ PARTS = {
     "efficiency": Part(
         _study("efficiency"),
         (Table("tab:efficiency", "Computational cost", tables.efficiency, ("efficiency.png",)),),
-        "wall times of this machine; m(x) is left out where it does not help, which leaves two trained parameters",
+        "wall times of this machine; the network is always kept",
     ),
 }
 # Tables and figures of the paper that hold nothing measured.

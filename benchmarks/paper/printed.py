@@ -66,12 +66,12 @@ BACKBONES: dict[str, tuple[float, float, float]] = {
 # Table 'Closed-loop key performance indicators': (window, controller) → energy kWh/m², discomfort K·h, cost EUR/m².
 CLOSED_LOOP: dict[tuple[str, str], tuple[float, float, float]] = {
     ("peak A", "native"): (3.478, 8.382, 0.882),
-    ("peak A", "rc_mpc"): (3.128, 5.208, 0.793),
+    ("peak A", "rc_mpc_paper"): (3.128, 5.208, 0.793),
     ("peak A", "thermoforce_paper"): (3.160, 1.726, 0.801),
     ("peak B", "native"): (3.268, 8.292, 0.829),
-    ("peak B", "rc_mpc"): (2.994, 0.832, 0.759),
+    ("peak B", "rc_mpc_paper"): (2.994, 0.832, 0.759),
     ("peak B", "thermoforce_paper"): (2.990, 1.304, 0.758),
     ("typical", "native"): (1.773, 9.446, 0.449),
-    ("typical", "rc_mpc"): (1.721, 9.482, 0.436),
+    ("typical", "rc_mpc_paper"): (1.721, 9.482, 0.436),
     ("typical", "thermoforce_paper"): (1.707, 6.352, 0.433),
 }

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
+import math
+import statistics
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from scipy.stats import t
 
 from benchmarks.paper.parts import NOT_MEASURED, PARTS, Setting, Table
 from benchmarks.paper.tables import Rows
@@ -16,7 +20,7 @@ from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.records.run_folder import write_json
 
-_COLUMNS = ("table", "row", "quantity", "paper", "here")
+_COLUMNS = ("table", "row", "quantity", "paper", "here", "low", "high", "seeds")
 
 
 def run_paper(names: Sequence[str], setting: Setting) -> dict[str, Any]:
@@ -42,7 +46,7 @@ def run_paper(names: Sequence[str], setting: Setting) -> dict[str, Any]:
         for table in part.tables:
             found = table.rows(result) if result else {}
             rows += _cells(table, found)
-            texts.append(_markdown(name, table, found, parts[name]))
+            texts.append(markdown(name, table, found, parts[name]))
         content = results_json("paper", rows, []) | {"parts": parts, "not_measured": NOT_MEASURED}
         _write(setting.out, content, texts)
     return content
@@ -50,14 +54,16 @@ def run_paper(names: Sequence[str], setting: Setting) -> dict[str, Any]:
 
 def _cells(table: Table, rows: Rows) -> list[dict[str, Any]]:
     """One row a figure."""
-    return [
-        dict(zip(_COLUMNS, (table.label, row, quantity, paper, here), strict=True))
-        for row, cells in rows.items()
-        for quantity, (paper, here) in cells.items()
-    ]
+    found = []
+    for row, cells in rows.items():
+        for quantity, cell in cells.items():
+            each = cell[2] if len(cell) == 3 else ()
+            values = (table.label, row, quantity, *cell[:2], *_interval(each), " ".join(map(repr, each)))
+            found.append(dict(zip(_COLUMNS, values, strict=True)))
+    return found
 
 
-def _markdown(name: str, table: Table, rows: Rows, part: Mapping[str, Any]) -> str:
+def markdown(name: str, table: Table, rows: Rows, part: Mapping[str, Any]) -> str:
     """A table with the paper's figure in brackets."""
     lines = [f"## {table.label}: {table.title}", "", f"`tf-mpc paper --only {name}`, {part['minutes']:.1f} min."]
     lines += [f"What differs: {part['differs']}.", ""]
@@ -71,9 +77,21 @@ def _markdown(name: str, table: Table, rows: Rows, part: Mapping[str, Any]) -> s
     return "\n".join(lines)
 
 
-def _pair(paper: float | None, here: float | None) -> str:
+def _interval(values: Sequence[float]) -> tuple[float | None, float | None]:
+    """The 95 % interval of the mean over seeds by Student's t; none from fewer than three."""
+    if len(values) < 3:
+        return None, None
+    half = float(t.ppf(0.975, len(values) - 1)) * statistics.stdev(values) / math.sqrt(len(values))
+    return statistics.mean(values) - half, statistics.mean(values) + half
+
+
+def _pair(paper: float | None, here: float | None, each: tuple[float, ...] = ()) -> str:
+    """As '5.6 [3.1, 8.2] (1.73): 9.9 7.8 2.7': mean, its interval, the paper's, each seed's."""
     mine = "–" if here is None else _number(here)
-    return mine if paper is None else f"{mine} ({_number(paper)})"
+    low, high = _interval(each)
+    mine += "" if low is None or high is None else f" [{_number(low)}, {_number(high)}]"
+    mine += "" if paper is None else f" ({_number(paper)})"
+    return mine + (f": {' '.join(map(_number, each))}" if each else "")
 
 
 def _number(value: float) -> str:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from benchmarks.interventions.methods.registry import METHODS
 from benchmarks.paper.printed import BACKBONES, CLOSED_LOOP, COVARIATES, FACTUAL, INTERVENTIONAL_VALIDITY
 from thermoforce_mpc.plants.energyplus.zone import CLIMATES
 
-# The rows of a table: name → quantity → (printed in the paper, measured here); None where there is none.
-Pair = tuple[float | None, float | None]
+# The rows of a table: name → quantity → (printed in the paper, measured here, the measurement with each seed); None
+# where there is none, and no seeds where there is one.
+Pair = tuple[float | None, float | None] | tuple[float | None, float, tuple[float, ...]]
 Rows = dict[str, dict[str, Pair]]
 Result = Mapping[str, Any]
 
@@ -62,28 +63,42 @@ def backbones(result: Result) -> Rows:
 
 
 def closed_loop(result: Result) -> Rows:
-    """Energy, discomfort and cost of two weeks, and what they change against native control."""
-    found = {(row["window"], row["controller"]): row for row in result["rows"]}
+    """Energy, discomfort and cost of two weeks, over seeds, what they change against native control, and the tests."""
+    measured: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    tests: Rows = {}
+    for row in result["rows"]:
+        if "p" in row:
+            tests[row["test"]] = {"p": (None, row["p"]), "lower in": (None, row["lower"]), "of": (None, row["of"])}
+        else:
+            measured.setdefault((row["window"], row["controller"]), []).append(row)
     rows: Rows = {}
-    for (window, name), (energy, discomfort, cost) in CLOSED_LOOP.items():
-        row, native = found[window, name], found[window, "native"]
-        printed = CLOSED_LOOP[window, "native"]
-        cells: dict[str, Pair] = {
-            "energy, kWh/m²": (energy, row["energy_kWh_m2"]),
-            "discomfort, K·h": (discomfort, row["discomfort_Kh"]),
-            "cost, EUR/m²": (cost, row["cost_EUR_m2"]),
-        }
+    for (window, name), seeds in measured.items():
+        printed, native = CLOSED_LOOP.get((window, name)), CLOSED_LOOP[window, "native"]
+        reference = measured[window, "native"][0]
+        cells: dict[str, Pair] = {}
+        for i, (key, words) in enumerate(_KPIS.items()):
+            cells[words] = over_seeds(printed and printed[i], [row[key] for row in seeds])
         if name != "native":
-            cells["energy against native, %"] = (
-                _percent(energy, printed[0]),
-                _percent(row["energy_kWh_m2"], native["energy_kWh_m2"]),
-            )
-            cells["discomfort against native, %"] = (
-                _percent(discomfort, printed[1]),
-                _percent(row["discomfort_Kh"], native["discomfort_Kh"]),
-            )
+            for i, (key, words) in enumerate(list(_KPIS.items())[:2]):
+                cells[f"{words.split(',')[0]} against native, %"] = over_seeds(
+                    printed and _percent(printed[i], native[i]), [_percent(row[key], reference[key]) for row in seeds]
+                )
         rows[f"{window}: {name}"] = cells
-    return rows
+    return rows | tests
+
+
+# Columns of the closed loop's rows, and their words.
+_KPIS = {
+    "energy_kWh_m2": "energy, kWh/m²",
+    "discomfort_Kh": "discomfort, K·h",
+    "cost_EUR_m2": "cost, EUR/m²",
+}
+
+
+def over_seeds(printed: float | None, values: Sequence[float]) -> Pair:
+    """A figure of the paper beside the mean over seeds; each of them, where there are several."""
+    mean = sum(values) / len(values)
+    return (printed, mean) if len(values) == 1 else (printed, mean, tuple(values))
 
 
 def ablation(result: Result) -> Rows:

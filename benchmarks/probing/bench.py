@@ -19,7 +19,8 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
 from thermoforce_mpc.identification.probing.design import information
-from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
+from thermoforce_mpc.identification.probing.probe import ProbingConfig
+from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 _LEVELS = (0.0, 0.4, 0.7, 1.0)

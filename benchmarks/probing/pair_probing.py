@@ -5,7 +5,8 @@ from __future__ import annotations
 from thermoforce_mpc.data import DAY_S, Layout
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
+from thermoforce_mpc.identification.probing.probe import ProbingConfig
+from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.protocols import Plant
 
 

@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
-from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
+from thermoforce_mpc.identification.probing.probe import ProbingConfig
+from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.rooms import house_of_rooms
 from thermoforce_mpc.plants.testcases import load_testcase

@@ -19,8 +19,8 @@ from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings
 from thermoforce_mpc.identification import identify
-from thermoforce_mpc.identification.probing.probe import Probing
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.probing import Probing
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.model.thermal_model import ThermalModel

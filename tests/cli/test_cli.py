@@ -171,7 +171,7 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
     names = {path.name for path in folder.iterdir()}
     assert names == {
         "scenario.yaml", "trajectory.csv", "trajectory_native.csv", "steps.csv", "kpis.json", "manifest.json",
-        "report.html", "journal.jsonl", "log.jsonl", "kpis.csv",
+        "report.html", "journal.jsonl", "log.jsonl", "kpis.csv", "times.csv",
     }  # fmt: skip
     kpis = json.loads((folder / "kpis.json").read_text())
     assert set(kpis) == {

@@ -8,7 +8,7 @@ from comparison_records import record
 from report_page import data_of
 from scipy import stats
 
-from thermoforce_mpc.comparison.files import write_outcome
+from thermoforce_mpc.comparison.files import formatted, write_outcome
 from thermoforce_mpc.comparison.outcome import in_words, outcome_rows, pairs, reference_of
 
 COSTS = {"16": (0.55, 0.65), "44": (0.50, 0.58), "108": (0.27, 0.30)}
@@ -77,3 +77,21 @@ def test_table_and_page_tell_the_same(tmp_path):
     assert difference["cost"]["half"] == pytest.approx(pair.cost_percent.half)
     assert data["reference"] == "thermostat"
     assert {point["name"] for point in data["groups"][0]["points"]} == {"ours", "thermostat"}
+
+
+def test_two_windows_have_no_interval(tmp_path):
+    """Student's t of two has one degree of freedom: ± 12.7 standard errors say nothing."""
+    two = records({"16": COSTS["16"], "44": COSTS["44"]})
+    (pair,) = pairs(outcome_rows(two), "thermostat")
+    assert pair.cost_percent.half is None
+    write_outcome(tmp_path, two, name="compare", title="t", currency="EUR")
+    assert "| ours | constant | 2 | -14.6 | +0.00 |" in (tmp_path / "table.md").read_text()
+
+
+def test_latex_holds_the_differences_too():
+    text = formatted(outcome_rows(records()), "latex", "t", "EUR")
+    assert text.count(r"\begin{tabular}") == 2
+    assert "% Difference to thermostat, mean over windows (95 % interval, from three on)" in text
+    assert r"ours & constant & 3 & -13.1 (" in text
+    seeds = records({"44, seed 1": COSTS["16"], "44, seed 2": COSTS["44"], "44, seed 3": COSTS["108"]})
+    assert "mean over windows and seeds" in formatted(outcome_rows(seeds), "latex", "t", "EUR")

@@ -23,7 +23,7 @@ from thermoforce_mpc.experiment.identifying import IdentificationTask
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.scenario.settings import named_configs
+from thermoforce_mpc.scenario.settings import named_configs, validate
 
 TESTCASE = "bestest_hydronic_heat_pump"
 BASE = Scenario(testcase=TESTCASE, days=1)
@@ -275,3 +275,37 @@ def test_limits_of_the_building_are_given_to_all_who_know_them_and_the_thermosta
     assert said[1] == "low keeps 21.3 °C (± 0.1 K), off from 22 to 6 h on weekdays"
     plain = contestants_in_words(BASE, expand(BASE, {"t": Variant(controller="thermostat")}, ["44"], ["constant"]))
     assert plain == ["t keeps 21.3 °C (± 0.1 K) day and night, whatever the comfort bounds are"]
+
+
+def test_seeds_are_runs_of_their_own_and_windows_of_their_own():
+    base, variant = Scenario(testcase=TESTCASE, seed=3), {"a": Variant(controller="thermoforce_mpc")}
+    (alone,) = expand(base, variant, ["44"], ["constant"])
+    cells = expand(base, variant, ["44"], ["constant"], seeds=2)
+    assert [cell.window for cell in cells] == ["44, seed 3", "44, seed 4"]
+    assert [cell.scenario.seed for cell in cells] == [3, 4]
+    assert cells[0].key == alone.key, "a finished run of this seed is not run again"
+    assert cells[1].key != alone.key
+
+
+@pytest.mark.parametrize(
+    ("key", "found", "value"),
+    [
+        ("horizon_h", lambda s: s.controller.options["horizon_h"], 12),
+        ("identification.days", lambda s: s.identification.days, 2),
+        ("identification.options.gamma", lambda s: s.identification.options["gamma"], 0.5),
+        ("seed", lambda s: s.seed, 7),
+        ("days", lambda s: s.days, 3),
+        ("step_s", lambda s: s.controller.options["step_s"], 1800),
+    ],
+)
+def test_any_number_may_be_swept(key, found, value):
+    (variant,) = swept_variants("thermoforce_mpc", key, [value], load_testcase(TESTCASE)).values()
+    (cell,) = expand(Scenario(testcase=TESTCASE), {"v": variant}, ["44"], ["constant"])
+    assert found(cell.scenario) == value
+
+
+def test_what_a_variant_may_not_set_is_refused():
+    with pytest.raises(ConfigError, match="'period' is set elsewhere"):
+        validate(Variant, {"controller": "pi", "scenario": {"period": "44"}}, "v")
+    with pytest.raises(ConfigError, match=r"identification\.days"):
+        swept_variants("thermoforce_mpc", "identification.dayz", [1], load_testcase(TESTCASE))

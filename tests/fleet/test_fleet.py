@@ -37,7 +37,7 @@ from thermoforce_mpc.fleet.dataset import FORMAT, read_dataset, schema
 from thermoforce_mpc.fleet.file import buildings_of, load_fleet
 from thermoforce_mpc.fleet.page import causes, fleet_page, groups, headline, lost, paired, run_command
 from thermoforce_mpc.fleet.runs import runs_of, tasks_of
-from thermoforce_mpc.identification.probing.probe import probe
+from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.scenario import Scenario
 

@@ -425,7 +425,7 @@ def test_a_dry_run_on_files_says_what_it_would_set(files):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--set", "controler.step_s=3600"], "write connection.KEY=VALUE or controller.KEY=VALUE"),
+        (["--set", "controler.step_s=3600"], "write connection.KEY=VALUE, controller.KEY=VALUE or"),
         (["--connection", "fils"], "unknown connection 'fils', did you mean 'files'"),
         (["--set", "connection.levles=x.json"], "did you mean 'levels'"),
         (["--set", "connection.measurements=none.csv"], "none.csv: no such file"),

@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from thermoforce_mpc.cli.completion import completing
 from thermoforce_mpc.errors import InputError, suggestion
 from thermoforce_mpc.files import odd_number
 
@@ -44,10 +45,11 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "Live": {
         "control": ("live.control:control", "Control a real building through a connection."),
+        "record": ("live.record:record", "Write a building's history, or record it."),
         "watch": ("live.watch:watch", "Watch a running controller, here or as a page."),
     },
     "Look inside": {
-        "inspect": ("inside.inspect:inspect", "Show a saved model: parameters, certificate, data."),
+        "inspect": ("inside.inspect:inspect", "Show a model, or a run's: parameters, certificate."),
         "testcases": ("inside.listing:testcases", "List test cases, scenarios, comparisons and fleets."),
         "controllers": ("inside.listing:controllers", "List controllers and their options."),
         "plants": ("inside.listing:plants", "List plants and their options."),
@@ -63,6 +65,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "bench": ("benchmarks.cli.bench:command", "Run benchmarks; compare the results with targets."),
         "paper": ("benchmarks.cli.paper:command", "Measure the paper's tables here, beside its figures."),
         "chaos": ("benchmarks.cli.chaos:command", "Run controllers with everything around them failing."),
+        "cite": ("inside.cite:cite", "Print how to cite this software and the paper."),
     },
 }
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
@@ -88,7 +91,7 @@ EXIT_CODES = """\
 143  ended by SIGTERM
 """
 COMPLETION = """\
-Completion of commands, options and files, for this shell session:
+Completion of commands, options, names, run folders and files, for this shell session:
 
   bash:  eval "$(_TF_MPC_COMPLETE=bash_source tf-mpc)"
   zsh:   eval "$(_TF_MPC_COMPLETE=zsh_source tf-mpc)"
@@ -114,6 +117,15 @@ def _plainly(kind: click.ParamType) -> click.ParamType:
     return kind
 
 
+def _completed(command: str, option: click.Parameter, kind: click.ParamType) -> click.ParamType:
+    """`kind`, whose values TAB completes, see `completing`."""
+    complete = completing(command, option)
+    if complete is not None:
+        kind = copy.copy(kind)
+        kind.shell_complete = complete  # type: ignore[method-assign, assignment]
+    return kind
+
+
 class CommandGroups(click.Group):
     """Click group that shows its commands in groups and imports only the one that is called."""
 
@@ -134,7 +146,7 @@ class CommandGroups(click.Group):
         else:
             command = getattr(importlib.import_module(f"thermoforce_mpc.cli.{module}"), function)
         for option in command.params:
-            option.type = _plainly(option.type)
+            option.type = _completed(cmd_name, option, _plainly(option.type))
         command.name = cmd_name  # functions have other names; the command line reference shows this one
         return command
 

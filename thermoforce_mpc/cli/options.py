@@ -105,7 +105,8 @@ mpc_options = added(
     click.option(
         "--forecaster",
         metavar="NAME",
-        help="Free response or forecaster by name (see `tf-mpc free-responses`), a folder, or a hub's owner/model.",
+        help="Free response or forecaster by name (see `tf-mpc free-responses`), a folder, a hub's owner/model, or a "
+        "class of yours, as my.py:Mine.",
     ),
 )
 
@@ -122,8 +123,9 @@ def _forecaster(name: str) -> dict[str, Any]:
     from thermoforce_mpc.errors import ConfigError, suggestion
     from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as BACKBONES
     from thermoforce_mpc.model.free_response.registry import REGISTRY
+    from thermoforce_mpc.scenario.own_code import is_own_code
 
-    if name in REGISTRY:
+    if name in REGISTRY or is_own_code(name):
         return {"name": name}
     if name not in BACKBONES and "/" not in name and not Path(name).exists():
         raise ConfigError(

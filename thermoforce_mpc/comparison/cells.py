@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -13,10 +13,11 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.keys import digest, source_fingerprint
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.identifying import IdentificationTask, SavedModel
+from thermoforce_mpc.experiment.outside import python_of
 from thermoforce_mpc.experiment.windows import check_windows
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.registry import plugin_sources
-from thermoforce_mpc.scenario.own_code import code_file, is_policy, policy_settings
+from thermoforce_mpc.scenario.own_code import is_policy, policy_settings
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.version import VERSION
 
@@ -72,10 +73,12 @@ def expand(
     prices: Sequence[str],
     uncertainties: Sequence[str] = ("none",),
     inputs: Inputs | None = None,
+    seeds: int = 1,
 ) -> list[Cell]:
     """All cells, validated; raises `ConfigError` naming the variant and the wrong key, or the window.
 
-    `inputs`: hashes that several calls share.
+    `inputs`: hashes that several calls share. `seeds`: how many from the scenario's on; with several every window is
+    one for each seed, named after both.
     """
     own = base.controller
     if own.options and own.name not in {variant.controller for variant in variants.values()}:
@@ -86,12 +89,16 @@ def expand(
     check_windows(windows, base.plant, load_testcase(base.testcase))
     inputs = inputs or Inputs()
     cells: list[Cell] = []
-    for window, price, uncertainty, (name, variant) in product(windows, prices, uncertainties, variants.items()):
+    several = range(base.seed, base.seed + seeds)
+    for window, seed, price, uncertainty, (name, variant) in product(
+        windows, several, prices, uncertainties, variants.items()
+    ):
+        seeded = base if seed == base.seed else base.model_copy(update={"seed": seed})
         try:
-            scenario = variant_scenario(base, variant, window, price, uncertainty)
-            cells.append(_cell(name, scenario, inputs))
+            cell = _cell(name, variant_scenario(seeded, variant, window, price, uncertainty), inputs)
         except ConfigError as error:
             raise ConfigError(f"variant '{name}': {error}") from error
+        cells.append(cell if seeds == 1 else replace(cell, window=f"{cell.window}, seed {seed}"))
     return cells
 
 
@@ -141,7 +148,7 @@ def _cell(name: str, scenario: Scenario, hash_of: Inputs) -> Cell:
         model = task.to_json() | {"plant": _plant_by_content(task.plant, hash_of), "probed": probed}
         identification_key = digest({**hash_of.made, "source": source_fingerprint(), "task": model})
     options = experiment.own.chosen.config.model_dump(mode="json")
-    named = [file for name in (controller, *scenario.kpis) if (file := code_file(name)) is not None]
+    named = python_of({"controller": {"name": controller, "options": options}, "kpis": scenario.kpis})
     named += [str(policy_settings(file)) for file in named if is_policy(file)]
     files = {path: hash_of(path) for path in (*named_files(controller, options), *named)}
     # What a controller is compared with decides nothing of its run. Keys that came later count where they are given.

@@ -126,10 +126,23 @@ def formatted(rows: Sequence[Row], form: str, title: str, currency: str) -> str:
     own = own_columns(rows)
     columns = ["window", "tariff", "controller", *headings(currency, rows)]
     texts = [[row["window"], row["price"], row["controller"], *shown_figures(row, own)] for row in rows]
-    latex = pd.DataFrame(texts, columns=columns).to_latex(
-        index=False, escape=True, column_format="lll" + "r" * (len(HEADINGS) + len(own))
+    tables = [_latex(columns, texts, 3)]
+    if found := _differences(rows):
+        tables.append(f"% {found[0]}\n{_latex(_DIFFERENCES, found[1], 2)}")
+    return "\n".join(tables)
+
+
+def _latex(columns: Sequence[str], texts: Sequence[Sequence[str]], names: int) -> str:
+    """A table in LaTeX (booktabs), its first `names` columns to the left."""
+    layout = "l" * names + "r" * (len(columns) - names)
+    latex = str(
+        pd.DataFrame([list(row) for row in texts], columns=list(columns)).to_latex(
+            index=False, escape=True, column_format=layout
+        )
     )
-    return str(latex).replace("₂", "$_2$").replace("²", "$^2$").replace("·", "$\\cdot$").replace("–", "--")
+    for character, command in (("₂", "$_2$"), ("²", "$^2$"), ("·", "$\\cdot$"), ("–", "--"), ("−", "$-$")):
+        latex = latex.replace(character, command)
+    return latex
 
 
 def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]) -> str:
@@ -154,20 +167,28 @@ def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]
     return "\n".join(lines) + "\n"
 
 
-def _paired_lines(rows: Sequence[Row]) -> list[str]:
-    """Table of the differences to the reference over windows in Markdown; nothing where there is one window."""
+_DIFFERENCES = ("controller", "tariff", "windows", "cost, %", "discomfort, K·h")
+
+
+def _differences(rows: Sequence[Row]) -> tuple[str, list[list[str]]] | None:
+    """Heading and rows of the differences to the reference over windows; None where there is one window."""
     reference = reference_of(rows)
     several = [pair for pair in pairs(rows, reference) if len(pair.windows) > 1] if reference else []
     if not several:
-        return []
+        return None
     rows_of_pairs = []
     for pair in several:
         tariff, windows = tariff_title(pair.price, pair.uncertainty), str(len(pair.windows))
         figures = [in_words(pair.cost_percent, 1), in_words(pair.discomfort_Kh, 2)]
         rows_of_pairs.append([pair.controller, tariff, windows, *figures])
-    columns = ["controller", "tariff", "windows", "cost, %", "discomfort, K·h"]
-    heading = f"## Difference to {reference}, mean over windows (95 % interval)"
-    return [heading, "", *_table_lines(columns, rows_of_pairs, names=2)]
+    over = "windows and seeds" if any(", seed " in window for pair in several for window in pair.windows) else "windows"
+    return f"Difference to {reference}, mean over {over} (95 % interval, from three on)", rows_of_pairs
+
+
+def _paired_lines(rows: Sequence[Row]) -> list[str]:
+    """The differences in Markdown."""
+    found = _differences(rows)
+    return [f"## {found[0]}", "", *_table_lines(_DIFFERENCES, found[1], names=2)] if found else []
 
 
 def _table_lines(columns: Sequence[str], rows: Sequence[Sequence[str]], names: int = 1) -> list[str]:

@@ -184,7 +184,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Difference:
-    """Differences of n windows, their mean, and the half width of its interval; None of one window."""
+    """Differences of n windows, their mean, and the half width of its interval; None of one window or two."""
 
     values: Array
     mean: float
@@ -196,7 +196,7 @@ class Difference:
         from scipy.special import stdtrit  # takes time to import, which `--help` need not wait for
 
         n, half = values.size, None
-        if n > 1:
+        if n > 2:
             half = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2)) * float(values.std(ddof=1)) / np.sqrt(n)
         return cls(values, float(values.mean()), half)
 

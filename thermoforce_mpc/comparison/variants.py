@@ -12,12 +12,18 @@ from pydantic import BaseModel, Field, field_validator
 
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.scenario.scenario import Scenario, full_name
 from thermoforce_mpc.scenario.settings import StrictModel, find_config, merge, nested, read_yaml, suggestion, validate
 from thermoforce_mpc.scenario.testcase import Price, TestCase
 
 # Options of an objective that are limits of the building, not aims of a controller.
 _LIMITS = ("power_cap_kW", "power_cap_price_per_kWh", "peak_price_per_kW")
+# Keys of a scenario that are axes of a comparison, or of a variant itself.
+_ELSEWHERE = {
+    "testcase", "controller", "period", "price", "baselines", "equal_comfort", "identification", "step_s", "kpis",
+}  # fmt: skip
+_SWEPT = {"identification", "step_s"}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 _.,=+%-]*")
 
 
@@ -31,6 +37,20 @@ class Variant(StrictModel):
         default_factory=dict,
         description="keys that override the scenario's `identification`: model, days, probing, options",
     )
+    scenario: dict[str, Any] = Field(
+        default_factory=dict,
+        description="other keys of the scenario: days, comfort, seed, plant",
+        examples=[{"seed": 2}],
+    )
+
+    @field_validator("scenario")
+    @classmethod
+    def _not_elsewhere(cls, value: dict[str, Any]) -> dict[str, Any]:
+        allowed = Scenario.model_fields.keys() - _ELSEWHERE
+        for key in value:
+            if key not in allowed:
+                raise ValueError(f"'{key}' is set elsewhere, or is no key; here: {', '.join(sorted(allowed))}")
+        return value
 
 
 class ManyRuns(StrictModel):
@@ -92,7 +112,7 @@ def variants_by_name(controllers: Sequence[str], file: ComparisonFile | None) ->
 
 
 def swept_variants(controller: str, key: str, values: Sequence[float], testcase: TestCase) -> dict[str, Variant]:
-    """One variant of `controller` for each value of the numeric option `key` (dotted, or its last word if unique).
+    """One variant of `controller` for each value of a numeric option or key of the scenario, as `numeric_option`.
 
     Raises:
         ConfigError: no such option, an ambiguous or non-numeric one, a value not allowed, or a value given twice.
@@ -100,32 +120,45 @@ def swept_variants(controller: str, key: str, values: Sequence[float], testcase:
     if not values:
         raise ConfigError("--values: give at least one number")
     key = numeric_option(controller, key)
+    of_options = key in _numeric_leaves(find_entry(controller).config())
     variants: dict[str, Variant] = {}
     for value in values:
         if not math.isfinite(value):
             raise ConfigError(f"--values: {value} is not a finite number")
-        options = nested(key, int(value) if value == int(value) and abs(value) < 2**53 else value)
-        controller_config(controller, options, testcase)
+        keys = nested(key, int(value) if value == int(value) and abs(value) < 2**53 else value)
+        if of_options:
+            controller_config(controller, keys, testcase)
+            variant = Variant(controller=controller, options=keys)
+        elif key in ("step_s",) or key.startswith("identification."):
+            variant = Variant(controller=controller, **keys)
+        else:
+            variant = Variant(controller=controller, scenario=keys)
         name = f"{controller} {key.rpartition('.')[2]}={value:g}"
         if name in variants:
             raise ConfigError(f"--values: {value:g} is given twice")
-        variants[name] = Variant(controller=controller, options=options)
+        variants[name] = variant
     return variants
 
 
 def numeric_option(controller: str, key: str) -> str:
-    """Dotted name of the numeric option `key` of `controller`; raises `ConfigError` listing all of them."""
+    """Dotted name of a number: option `key` of `controller`, by its last word if unique, else a key of the scenario.
+
+    Raises `ConfigError` listing all of them.
+    """
     options = _numeric_leaves(find_entry(controller).config())
-    if key in options:
+    of_scenario = [name for name in _numeric_leaves(Scenario) if name.partition(".")[0] not in _ELSEWHERE - _SWEPT]
+    of_scenario += _numeric_leaves(IdentificationConfig, "identification.options.")
+    if key in options or key in of_scenario:
         return key
     matches = [name for name in options if name.endswith(f".{key}")]
     if len(matches) == 1:
         return matches[0]
     if matches:
         raise ConfigError(f"--over {key}: more than one option has this name; give one of: {', '.join(matches)}")
+    near = suggestion(key, [*options, *of_scenario])
     raise ConfigError(
-        f"--over {key}: controller '{controller}' has no such numeric option{suggestion(key, options)}; "
-        f"known: {', '.join(options) or 'none'}"
+        f"--over {key}: controller '{controller}' has no such numeric option{near}; "
+        f"known: {', '.join(options) or 'none'}; of the scenario: {', '.join(of_scenario)}"
     )
 
 
@@ -144,7 +177,11 @@ def variant_scenario(base: Scenario, variant: Variant, window: str, price: str, 
     same = variant.controller == base.controller.name
     own = base.controller.options if same else shared_limits(base, variant.controller)
     controller = {"name": variant.controller, "options": merge(own, variant.options)}
-    data = merge(base.model_dump(), over) | {"controller": controller, "baselines": (), "equal_comfort": None}
+    data = merge(merge(base.model_dump(), variant.scenario), over) | {
+        "controller": controller,
+        "baselines": (),
+        "equal_comfort": None,
+    }
     return validate(Scenario, data, f"variant of '{variant.controller}'")
 
 

@@ -191,7 +191,7 @@ class MqttConnection:
         if unknown := [name for name in levels if name not in self._actuators]:
             raise ConfigError(f"connection mqtt: actuators: none is given for '{unknown[0]}'")
         self.begin()
-        until = datetime.now(UTC) + timedelta(seconds=seconds)
+        until = _now() + timedelta(seconds=seconds)
         messages, awaited = [], {}
         for name, level in levels.items():
             one = self._actuators[name]
@@ -360,7 +360,7 @@ class MqttConnection:
             self._append(rows)
 
     def _append(self, rows: Iterable[str]) -> None:
-        at, lines = datetime.now(UTC).isoformat(timespec="milliseconds"), io.StringIO()
+        at, lines = _now().isoformat(timespec="milliseconds"), io.StringIO()
         csv.writer(lines, lineterminator="\n").writerows((at, *row.split("\x00", 1)) for row in rows)
         try:
             new = not self._record.exists()
@@ -368,6 +368,10 @@ class MqttConnection:
                 file.write((_HEADER if new else "") + lines.getvalue())
         except OSError as error:
             _LOG.warning("%s: what came is not recorded (%s)", self._record, error.strerror or error)
+
+
+def _now() -> datetime:
+    return datetime.now(UTC)
 
 
 def _plain_topic(text: str) -> bool:
@@ -436,7 +440,7 @@ def _keep_lately(record: Path, days: float) -> None:
         with storage_errors(record.parent):
             record.parent.mkdir(parents=True, exist_ok=True)
         return
-    since = (datetime.now(UTC) - timedelta(days=days)).isoformat()
+    since = (_now() - timedelta(days=days)).isoformat()
     text = record.read_text(encoding="utf-8", errors="replace")
     lines = text.splitlines()
     kept = [line for line in lines[1:] if line[:10] >= since[:10]]

@@ -8,7 +8,10 @@ docs/how-to/connection.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
+
+from pydantic import Field
 
 from thermoforce_mpc.connections.files import FilesConnection
 from thermoforce_mpc.connections.home_assistant import HomeAssistantConnection
@@ -17,7 +20,8 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.protocols import Connection
 from thermoforce_mpc.registry import Registry
 from thermoforce_mpc.scenario.own_code import called, options_model, unfit
-from thermoforce_mpc.scenario.settings import validate
+from thermoforce_mpc.scenario.settings import merge, read_yaml, validate
+from thermoforce_mpc.scenario.strict_model import StrictModel
 
 REGISTRY: Registry[Callable[..., Connection]] = Registry(
     "connection",
@@ -26,6 +30,26 @@ REGISTRY: Registry[Callable[..., Connection]] = Registry(
     ConfigError,
     lambda entry: unfit(entry, ()),
 )
+
+
+class ConnectionFile(StrictModel):
+    """A file with the name and the options of a connection."""
+
+    name: str
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
+def connection_settings(named: str, options: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Name and options of a connection that is `named` by name or by a YAML file, `options` above those of the file.
+
+    Raises `ConfigError` for a file that is none.
+    """
+    if not named.endswith((".yaml", ".yml")):
+        return named, dict(options)
+    if not Path(named).is_file():
+        raise ConfigError(f"--connection {named}: no such file; `tf-mpc init --for home-assistant` writes one")
+    read = validate(ConnectionFile, read_yaml(Path(named)), named)
+    return read.name, merge(read.options, options)
 
 
 def build_connection(name: str, options: Mapping[str, Any]) -> Connection:

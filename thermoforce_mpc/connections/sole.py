@@ -33,6 +33,22 @@ def set_by(connection: Connection, name: str = "", options: Mapping[str, Any] | 
     return what
 
 
+def _place(what: Path | str) -> Path:
+    if isinstance(what, Path):
+        what = what.resolve()
+        return what.with_name(f".{what.name}.lock")
+    return cache_folder() / "control" / f"{hashlib.sha256(what.encode()).hexdigest()[:32]}.lock"
+
+
+def last_to_set(what: Path | str) -> str:
+    """Who sets `what`, or died while it did, as `process 123 since …`; '' where the last one ended by itself.
+
+    Raises `ConfigError` where that cannot be read.
+    """
+    place = _place(what)
+    return read_bounded(place, _MOST_BYTES, ConfigError).decode("utf-8", "replace").strip() if place.exists() else ""
+
+
 @contextmanager
 def sole_control(what: Path | str) -> Iterator[None]:
     """Keep other controllers from setting `what`, of `set_by`, while the block lasts; a process that dies releases it.
@@ -43,17 +59,11 @@ def sole_control(what: Path | str) -> Iterator[None]:
         ConfigError: another process sets it; names that one.
         StorageError: it cannot be locked.
     """
-    if isinstance(what, Path):
-        what = what.resolve()
-        place = what.with_name(f".{what.name}.lock")
-    else:
-        place = cache_folder() / "control" / f"{hashlib.sha256(what.encode()).hexdigest()[:32]}.lock"
+    place = _place(what)
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         # Before: some releases of filelock empty the file where they cannot lock it.
-        other = (
-            read_bounded(place, _MOST_BYTES, ConfigError).decode("utf-8", "replace").strip() if place.exists() else ""
-        )
+        other = last_to_set(what)
         lock = FileLock(place, timeout=0)
         lock.acquire()
     except Timeout as error:

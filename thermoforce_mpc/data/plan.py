@@ -164,6 +164,7 @@ class Plan:
     meters or the model; `solver_status` is the solver's, `variables` how many its programme had,
     `parameters` how many of the operator's, `own` the values of your own variables by name
     (`controller.options.terms`). `state` goes to the controller's next plan of this run and is opaque to others.
+    `ends`: why the run ends with this plan, of which nothing is applied; '' where it goes on.
     """
 
     blocks: tuple[Block, ...]
@@ -194,6 +195,7 @@ class Plan:
     settings: tuple[tuple[HeldCommand, ...], ...] = ()
     saving: PlannedSaving | None = None
     state: object = field(default=None, repr=False)
+    ends: str = ""
 
     def __post_init__(self) -> None:
         if not self.acting:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation
-from thermoforce_mpc.data.clock import seconds_of, words_of
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import ArtifactError, DataError, InputError
 from thermoforce_mpc.experiment.experiment import Experiment
@@ -19,7 +18,16 @@ from thermoforce_mpc.records.journal import NAME, JournalError, making_sense, re
 from thermoforce_mpc.records.journal_values import margins_of, planned_of
 from thermoforce_mpc.records.plain_files import check_plain
 from thermoforce_mpc.records.run_folder import kept_model
-from thermoforce_mpc.records.told_steps import ToldStep, forecast_of, history_before, told_loops, told_steps
+from thermoforce_mpc.records.told_steps import (
+    ToldBuilding,
+    ToldStep,
+    forecast_of,
+    history_before,
+    models_before,
+    told_building,
+    told_loops,
+    told_steps,
+)
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
 
@@ -38,7 +46,8 @@ class ExplainedStep:
     """One step of a run: what was known, planned, decided and done.
 
     `steps` are those of the loop until then, this one last; `boundary` the forecast it was made on, gaps filled as in
-    the run; `plan` the planned courses and `margins` those of the first step, by name (rows as in `Plan`).
+    the run; `plan` the planned courses and `margins` those of the first step, by name (rows as in `Plan`);
+    `building`: where.
     """
 
     controller: str
@@ -46,6 +55,7 @@ class ExplainedStep:
     boundary: Boundary
     plan: Mapping[str, Array]
     margins: Mapping[str, Array]
+    building: ToldBuilding
 
     @property
     def step(self) -> ToldStep:
@@ -134,7 +144,8 @@ def decision_at(folder: Path, at: str | None = None, controller: str | None = No
     path = folder / NAME
     check_plain(folder)
     with making_sense(path):
-        loops = told_loops(read_run(path).entries)
+        entries = read_run(path).entries
+        building, loops = told_building(entries[0].content), told_loops(entries)
         if not loops:
             raise JournalError(f"{path}: no step was decided yet")
         name = controller or next(iter(loops))
@@ -144,14 +155,15 @@ def decision_at(folder: Path, at: str | None = None, controller: str | None = No
         if not steps:
             raise JournalError(f"{path}: {name} has not decided anything yet")
         if at is not None:
-            seconds, first = seconds_of(at), steps[0].time_s
+            seconds, first = building.seconds_of(at), steps[0].time_s
             end = steps[-1].time_s + (steps[1].time_s - first if len(steps) > 1 else HOUR_S)
             if not first <= seconds < end:
-                ran = f"{name} ran from {words_of(first)} to {words_of(end)} ({first:.0f} to {end:.0f} s)"
+                words = f"{building.in_words(first)} to {building.in_words(end)}"
+                ran = f"{name} ran from {words} ({first:.0f} to {end:.0f} s)"
                 raise InputError(f"--at {at}: {ran}")
             steps = [step for step in steps if step.time_s <= seconds]
         told = steps[-1].told
-        return ExplainedStep(name, tuple(steps), forecast_of(steps), planned_of(told), margins_of(told))
+        return ExplainedStep(name, tuple(steps), forecast_of(steps), planned_of(told), margins_of(told), building)
 
 
 def hour_ends(n: int, step_s: float, hours: float) -> range:
@@ -169,28 +181,33 @@ def alternatives_of(folder: Path, decision: ExplainedStep) -> Alternatives | str
     with making_sense(folder / NAME):
         entries = read_run(folder / NAME).entries
         scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")
-        name = decision.controller
-        code = [one.value for one in unknown(scenario) if one.key in (CODE, HUB)]
+        name, real = decision.controller, decision.building.is_real
+        # At a real building the MPC controls, and no code of a scenario.
+        code = [] if real else [one.value for one in unknown(scenario) if one.key in (CODE, HUB)]
         if code or name not in (scenario.controller.name, *scenario.baselines):
             unclear = ", ".join(code) or name
             return f"they need what you have not given here before, or what was changed since: {unclear}"
-        contestant = Experiment.of(scenario).contestant(name)
-        if contestant is None or not contestant.chosen.needs_model:
+        contestant = None if real else Experiment.of(scenario).contestant(name)
+        if not real and (contestant is None or not contestant.chosen.needs_model):
             return f"{name} acts without a model"
-        models: Mapping[str, Any] = next((entry.content["models"] for entry in entries if entry.kind == "models"), {})
-        entry: Mapping[str, Any] = models.get(name, {})
+        entry: Mapping[str, Any] = models_before(entries).get(name, {})
         if not entry.get("folder"):
             return f"there is no model: {entry.get('refused') or 'the run was given one that it did not keep'}"
         from controllers.mpc.alternatives import alternatives
-        from controllers.mpc.config import FreeResponseConfig
+        from controllers.mpc.config import FreeResponseConfig, MPCConfig
         from controllers.mpc.controller import ThermoForceMPC
         from thermoforce_mpc.model.thermal_model import load_model
 
-        chosen = contestant.chosen
-        config = chosen.config.model_copy(update={"free_response": FreeResponseConfig(**_FREE_RESPONSE)})
+        options = scenario.controller.options
+        config = contestant.chosen.config if contestant else validate(MPCConfig, options, f"{folder / NAME}")
+        assert isinstance(config, MPCConfig)
+        config = config.model_copy(update={"free_response": FreeResponseConfig(**_FREE_RESPONSE)})
         try:
             model = load_model(kept_model(folder, entry["folder"]))
-            controller = replace(chosen, config=config).build(model)
+            # What a real building is told in the place of levels does not matter here.
+            controller = (
+                replace(contestant.chosen, config=config).build(model) if contestant else ThermoForceMPC(model, config)
+            )
             assert isinstance(controller, ThermoForceMPC)
             planned = decision.step.plan if decision.plan else None
             observation, begin_s = decision.observation, decision.steps[0].time_s

@@ -25,7 +25,7 @@ from thermoforce_mpc.records.kept_probing import (
     told_probing,
 )
 from thermoforce_mpc.scenario.comfort import Comfort
-from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
+from thermoforce_mpc.scenario.scenario import PlantSpec, ProbingSpec, Scenario
 from thermoforce_mpc.scenario.settings import merge, validate
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 
@@ -167,25 +167,47 @@ def identification_settings(scenario: Scenario, chosen: Chosen) -> tuple[Probing
     modulates, off and full if it switches. Where that is to be decided (actuation mode auto), a few steps at half level
     are added; where heat is not metered, more of them, and at a quarter too.
     """
-    from thermoforce_mpc.identification.config import IdentificationConfig
-    from thermoforce_mpc.identification.probing.probe import ProbingConfig
-
     spec, testcase = scenario.identification, chosen.testcase
     metered = all(actuator.heat.units for actuator in testcase.points.actuators)
     actuation = getattr(chosen.config, "actuation", None)
-    defaults: dict[str, Any] = {}
+    shipped = testcase.defaults
+    derived: dict[str, Any] = {}
+    if any(machine.supply is not None for machine in testcase.machines.values()):
+        derived["power_curve"] = True
+    if isinstance(testcase.actuator, Actuator) and testcase.actuator.map == "radiator" and not metered:
+        derived["heat_input"] = "identity"  # the level of a radiator map is heat
+    of_testcase = merge(derived, shipped.identification)
+    return settings_for(actuation, metered, spec, scenario.seed, shipped.probing, of_testcase)
+
+
+def settings_for(
+    actuation: Any,
+    metered: bool,
+    spec: ProbingSpec,
+    seed: int,
+    probing_defaults: Mapping[str, Any] | None = None,
+    identification_defaults: Mapping[str, Any] | None = None,
+) -> tuple[ProbingConfig, IdentificationConfig]:
+    """Settings for a controller with this `actuation` (None: a rule), at a building whose heat is `metered` or not.
+
+    The defaults are those of the building, the options of `spec` the user's. Raises `ConfigError` naming a wrong key.
+    """
+    from thermoforce_mpc.identification.config import IdentificationConfig
+    from thermoforce_mpc.identification.probing.probe import ProbingConfig
+
+    of_building, defaults = dict(probing_defaults or {}), dict[str, Any]()
     if actuation is not None and actuation.mode in ("modulating", "supply"):
         # Probe the intermediate levels that a plan can use.
         defaults["levels"] = (0.0, *np.linspace(actuation.lowest_level, 1.0, 5).round(3).tolist())
     elif actuation is not None:
         defaults["levels"] = (0.0, actuation.level)
-        if actuation.mode == "auto" and "levels" not in {**testcase.defaults.probing, **spec.probing}:
+        if actuation.mode == "auto" and "levels" not in {**of_building, **spec.probing}:
             defaults["trial_levels"] = tuple(share * actuation.level for share in _TRIAL_SHARES)
             if not metered:
                 defaults["trial_steps"] = _UNMETERED_STEPS
-    shipped, given = testcase.defaults, merge(defaults, testcase.defaults.probing)
+    given = merge(defaults, of_building)
     probing = validate(ProbingConfig, merge(given, spec.probing), "identification.probing")
-    derived: dict[str, Any] = {"seed": scenario.seed}
+    derived: dict[str, Any] = {"seed": seed}
     between = [level for level in (*probing.levels, *probing.trial_levels) if 0.0 < level < max(probing.levels)]
     if actuation is not None and actuation.mode == "auto" and between:
         derived["lowest_level"] = min(between)  # these levels are held, not made by cycling
@@ -193,11 +215,7 @@ def identification_settings(scenario: Scenario, chosen: Chosen) -> tuple[Probing
         derived["lowest_level"] = actuation.level  # blocks at part load, the only level that there is
     if probing.trial_levels and not metered:
         derived["part_load"] = True
-    if any(machine.supply is not None for machine in testcase.machines.values()):
-        derived["power_curve"] = True
-    if isinstance(testcase.actuator, Actuator) and testcase.actuator.map == "radiator" and not metered:
-        derived["heat_input"] = "identity"  # the level of a radiator map is heat
-    options = merge(merge(derived, shipped.identification), spec.options)
+    options = merge(merge(derived, dict(identification_defaults or {})), spec.options)
     return probing, validate(IdentificationConfig, options, "identification.options")
 
 

@@ -83,8 +83,10 @@ def own_names(keys: Mapping[str, Any]) -> list[str]:
     if not isinstance(controller, Mapping):
         controller = {"name": controller}
     options = controller.get("options")
-    terms = options.get("terms") if isinstance(options, Mapping) else None
-    named = [controller.get("name"), terms]
+    options = options if isinstance(options, Mapping) else {}
+    forecaster = options.get("free_response")
+    named = [controller.get("name"), options.get("terms")]
+    named += [forecaster.get("name")] if isinstance(forecaster, Mapping) else []
     for key in ("baselines", "kpis"):
         named += keys[key] if isinstance(keys.get(key), list | tuple) else []
     return [name for name in named if isinstance(name, str) and code_file(name) is not None]

@@ -90,6 +90,8 @@ class RunBook:
         path = folder / NAME
         text = read_run(path) if since is None else _until(path, since)
         head = text.entries[0]
+        if "building" in head.content:
+            raise JournalError(f"{path}: is of a real building: start `tf-mpc control` again with the same --out")
         with making_sense(head.where):
             scenario = validate(Scenario, dict(head.content["scenario"]), head.where)
             command = tuple(str(word) for word in head.content["command"])

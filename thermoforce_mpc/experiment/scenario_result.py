@@ -24,6 +24,7 @@ from thermoforce_mpc.records.run_folder import (
     environment,
     file_stem,
     steps_frame,
+    times_frame,
     trajectory_frame,
     write_json,
 )
@@ -37,6 +38,7 @@ from thermoforce_mpc.report.findings import (
     planning_of,
     verdict,
     watch_spells,
+    without_times,
 )
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import suggestion
@@ -96,7 +98,10 @@ class ScenarioResult:
 
 
 def write_results(folder: Path, outcome: ScenarioResult, command: Sequence[str], currency: str) -> dict[str, Any]:
-    """Write configuration, trajectories, step log, KPIs, manifest with hashes; returns what `kpis.json` holds."""
+    """Write configuration, trajectories, step log, KPIs, manifest with hashes; returns what `kpis.json` holds.
+
+    Equal runs write equal files, but for `times.csv` and the manifest.
+    """
     scenario, plant, result, baselines = outcome.experiment.written, outcome.plant, outcome.result, outcome.baselines
     resolved = yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
     write_plain(folder / "scenario.yaml", resolved)
@@ -106,7 +111,9 @@ def write_results(folder: Path, outcome: ScenarioResult, command: Sequence[str],
         write_plain(folder / f"trajectory_{file_stem(name)}.csv", trajectory_frame(baseline.steps).to_csv(index=False))
     kpis = figures_of(scenario, asdict(plant), result, baselines, outcome.equal_in_words(currency))
     write_json(folder / "kpis.json", kpis)
-    table = pd.DataFrame.from_dict(outcome.kpis, orient="index")
+    runs = {run.controller: run.steps for run in (result, *baselines.values())}
+    write_plain(folder / "times.csv", times_frame(runs).to_csv(index=False))
+    table = pd.DataFrame.from_dict({name: without_times(of) for name, of in outcome.kpis.items()}, orient="index")
     write_plain(folder / "kpis.csv", table.to_csv(index_label="controller"))
     manifest = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -120,6 +127,7 @@ def write_results(folder: Path, outcome: ScenarioResult, command: Sequence[str],
         "fallbacks": {"controller": result.fallback_levels()}
         | {name: baseline.fallback_levels() for name, baseline in baselines.items()},
         "seconds": {run.controller: run.seconds for run in (result, *baselines.values())},
+        "time_rat": {run.controller: run.kpis["time_rat"] for run in (result, *baselines.values())},
         "sha256": {
             path.name: file_sha256(path) for path in sorted(folder.iterdir()) if path.is_file() and path.name != LOCK
         },

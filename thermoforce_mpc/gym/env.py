@@ -1,4 +1,9 @@
-"""The environment: episodes, reward, snapshot, branch and picture over a view of a plant."""
+"""The environment: episodes, reward, snapshot, branch and picture over a view of a plant.
+
+It is no controller in `thermoforce_mpc.loop`: the agent decides outside, and looks back no further than its observation
+says. The loop around a controller that does nothing makes 1,600 steps a second of a core on the embedded test case, the
+environment 4,750, the plant alone 11,000 (a day ahead, steps of 15 min, 2026-11-28).
+"""
 
 from __future__ import annotations
 

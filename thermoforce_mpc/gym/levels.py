@@ -10,9 +10,10 @@ import numpy as np
 from gymnasium import spaces
 
 from controllers.policy.seen import FORECAST, PolicySpec
-from thermoforce_mpc.data import Array, Boundary
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.gym.view import ObservationBox, View
+from thermoforce_mpc.model.forecast_gaps import lengthened
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.actuator import RoomSetpoints
 from thermoforce_mpc.scenario.settings import validate
@@ -127,7 +128,5 @@ class LevelsView(View):
     def _forecast(self, horizon_s: float) -> Array:
         """Forecast from now at every step (signals, n); NaN at instants that the plant leaves out."""
         steps = max(int(horizon_s / self._step_s + 1e-9), 1)
-        boundary: Boundary = self.plant.forecast(steps * self._step_s, self._step_s)
-        rows = np.vstack([np.atleast_2d(getattr(boundary, name)) for name in FORECAST])
-        missing = steps + 1 - rows.shape[1]
-        return np.pad(rows, ((0, 0), (0, max(missing, 0))), constant_values=np.nan)
+        boundary = lengthened(self.plant.forecast(steps * self._step_s, self._step_s), steps, self._step_s)
+        return np.vstack([np.atleast_2d(getattr(boundary, name)) for name in FORECAST])

@@ -17,9 +17,10 @@ from typing import Protocol
 import pandas as pd
 
 from thermoforce_mpc.connections.sole import set_by, sole_control
+from thermoforce_mpc.connections.watchdog import Watchdog
 from thermoforce_mpc.data import Block, Boundary, CommandValue, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.errors import ControllerRaised, PlantError, ThermoForceError
+from thermoforce_mpc.errors import ControllerRaised, NoForecast, PlantError, ThermoForceError
 from thermoforce_mpc.live.building import Applied, LiveBuilding
 from thermoforce_mpc.live.kept import Kept, KeptState
 from thermoforce_mpc.loop.forecasts import OUTAGE_H
@@ -27,6 +28,7 @@ from thermoforce_mpc.loop.loop import Believed, Decided, Loop
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of, screened_history
 from thermoforce_mpc.protocols import Controller
+from thermoforce_mpc.records.live_journal import Given, LiveJournal
 from thermoforce_mpc.records.run_log import log_decision
 
 _LOG = logging.getLogger(__name__)
@@ -86,13 +88,17 @@ def control(
     dry: bool = False,
     outage_h: float = OUTAGE_H,
     kept: KeptState | None = None,
+    journal: LiveJournal | None = None,
     told: Callable[[Decision], None] = lambda decision: None,
     sets: Path | str | None = None,
-) -> None:
+    acts: bool = True,
+    watchdog: Watchdog | None = None,
+) -> object:
     """Control a building, of the step of `controller`, until interrupted, or for `steps` decisions.
 
     Whatever fails after the first decision, readings, forecast or plan, gives the building back to its own control for
-    a step; the reason is in the log. What fails in the first one raises: nothing was set then.
+    a step; the reason is in the log. What fails in the first one raises: nothing was set then. Returns the controller's
+    last state.
 
     Args:
         clock: the time; by default this machine's.
@@ -100,7 +106,10 @@ def control(
         dry: decide once and set nothing.
         outage_h: how long the last forecast may stand in where there is none, h.
         kept: where the controller's state is kept from step to step; None: a restart begins anew.
+        journal: where steps are recorded for explain, watch and report.
         told: called with every decision, before it acts.
+        acts: set what is decided; otherwise it is recorded beside what the building does by itself.
+        watchdog: gives the building back where this process does not.
         sets: what is set, which no other controller may set meanwhile; by default what the connection says, if it does.
 
     Raises:
@@ -109,9 +118,11 @@ def control(
         PlantError: the building did not take its levels back at the end.
     """
     sets = set_by(building.connection) if sets is None else sets
-    driver = _Building(building, controller, clock or WallClock(), steps, delay_s, dry, kept, told)
-    with sole_control(sets) if sets and not dry else nullcontext():
-        Loop(driver, controller, outage_h).run()
+    driver = _Building(
+        building, controller, clock or WallClock(), steps, delay_s, dry, kept, journal, told, acts, watchdog
+    )
+    with sole_control(sets) if sets and acts and not dry else nullcontext():
+        return Loop(driver, controller, outage_h).run()
 
 
 class _Building:
@@ -126,12 +137,17 @@ class _Building:
         delay_s: float,
         dry: bool,
         kept_state: KeptState | None,
+        journal: LiveJournal | None,
         on_decision: Callable[[Decision], None],
+        acts: bool,
+        watchdog: Watchdog | None,
     ) -> None:
         self._building, self._controller, self._clock = building, controller, clock
         self._step, self._delay = pd.Timedelta(seconds=controller.step_s), pd.Timedelta(seconds=delay_s)
         self._left, self._dry = steps, dry
-        self._on_decision, self._kept_state = on_decision, kept_state
+        self._on_decision, self._kept_state, self._journal = on_decision, kept_state, journal
+        self._given = Given(None, None)
+        self._acts, self._watchdog = acts, watchdog
         self._allowed = limits_of(controller)
         self._instant: pd.Timestamp | None = None
         self._applied: list[Applied] = []
@@ -142,6 +158,8 @@ class _Building:
     def begin(self) -> object:
         """See `LoopDriver.begin`: the state that was kept, if it is of this controller and young enough."""
         self._next = self._building.instant(self._clock.now())
+        if self._journal is not None and (origin := self._journal.origin()) is not None:
+            self._building.count_from(pd.Timestamp(origin))
         if self._kept_state is None or (kept := self._kept_state.load(self._next)) is None:
             return None
         self._building.count_from(pd.Timestamp(kept.origin))
@@ -165,7 +183,7 @@ class _Building:
         if self._left == 0:
             return False
         self._left = None if self._left is None else self._left - 1
-        self._instant = self._next
+        self._instant, self._given = self._next, Given(None, None)
         self._clock.wait_until(self._instant + self._delay)
         return True
 
@@ -191,6 +209,7 @@ class _Building:
         """See `LoopDriver.read`."""
         building, controller = self._building, self._controller
         as_read = building.record(self._at, self._applied, self._clock.now())
+        self._given = Given(as_read, None)
         record, doubts = screened_history(as_read, self._allowed)
         model = getattr(controller, "model", None)
         if model is not None:
@@ -203,7 +222,13 @@ class _Building:
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """See `Plant.forecast`."""
-        return self._building.forecast(horizon_s, interval_s)
+        try:
+            forecast = self._building.forecast(horizon_s, interval_s)
+        except NoForecast as error:
+            self._given = replace(self._given, no_forecast=str(error))
+            raise
+        self._given = replace(self._given, forecast=forecast)
+        return forecast
 
     def instead(self, index: int, error: Exception, state: object) -> Decided:
         """See `LoopDriver.instead`: the building's own control, but for what is wrong from the start."""
@@ -226,6 +251,11 @@ class _Building:
         notes = decided.notes if decided.observation is None else (*self._building.left_out, *decided.notes)
         log_decision(name, decided.index, time_s, plan, levels, refused, notes)
         self._on_decision(Decision(self._at, plan, decided.blocks, refused, notes))
+        if self._journal is not None:
+            asked = (self._controller.horizon_s, self._controller.step_s)
+            decision = replace(decided, notes=notes)
+            origin, layout = self._building.origin.isoformat(), self._building.layout
+            self._journal.decided(decision, time_s, self._given, asked, origin, layout)
         if self._dry:
             self._left = 0
             return decided.after
@@ -233,7 +263,11 @@ class _Building:
 
     def end(self) -> None:
         """See `LoopDriver.end`."""
-        self._release()
+        try:
+            self._release()
+        finally:
+            if self._journal is not None:
+                self._journal.ended("control was ended")
 
     @property
     def _at(self) -> pd.Timestamp:
@@ -250,7 +284,13 @@ class _Building:
         end = begin + self._step
         beyond_s = min(_NEXT_DECISION_S, self._step.total_seconds())
         self._keep(self._at, decided.before, state)
-        for block in decided.blocks:
+        # What is not set did not act: as if nothing had been planned.
+        blocks = decided.blocks if self._acts else ()
+        if not self._acts:
+            self._record(Block.native(len(self._building.names), self._step.total_seconds()), begin)
+            state = decided.before
+            self._keep(self._at, state, state)
+        for block in blocks:
             until = min(begin + pd.Timedelta(seconds=block.duration_s), end)
             # No longer than a step, where the clock was set back; a machine that slept may wake after the block's end.
             self._clock.wait_until(min(begin, self._clock.now() + self._step))
@@ -262,12 +302,21 @@ class _Building:
                 state = state if taken else decided.before
                 # What a command brings is measured, not known.
                 levels = tuple(None if told is not None else u for u, told in zip(block.u, block.command, strict=True))
+                set_block = block if taken else Block.native(len(block.u), block.duration_s)
+                self._record(set_block, begin)
                 done = Applied(start_s, block.duration_s, levels if taken else (None,) * len(block.u))
                 self._applied = [*self._applied, done][-_REMEMBERED:]
                 self._keep(self._at, decided.before, state)
+            else:
+                self._record(Block.native(len(block.u), block.duration_s), begin)
             begin = until
         self._clock.wait_until(min(end, self._clock.now() + self._step))
         return state
+
+    def _record(self, block: Block, begin: pd.Timestamp) -> None:
+        """Note a block in the journal, whose steps begin when they do, not when they are decided."""
+        if self._journal is not None:
+            self._journal.applied(block, self._building.time_s(begin - self._delay))
 
     def _keep(self, instant: pd.Timestamp, before: object, after: object) -> None:
         self._decided = instant, before, after
@@ -279,12 +328,20 @@ class _Building:
         names = self._building.names
         levels = {name: value if isinstance(value, float) else None for name, value in zip(names, told, strict=True)}
         # Before the call: one that fails, or is interrupted, may have set them.
-        self._set = self._set or any(value is not None for value in levels.values())
+        anything = any(value is not None for value in levels.values())
+        self._set = self._set or anything
+        if self._watchdog is not None and anything:
+            self._watchdog.sets(names, seconds)
         try:
             self._building.write(levels, seconds)
         except Exception as error:  # somebody's connection may raise anything
             _LOG.warning("the levels %s were not taken (%s: %s)", levels, type(error).__name__, error)
             return False
+        if self._watchdog is not None:
+            if anything:
+                self._watchdog.set(names, seconds)
+            else:
+                self._watchdog.released()
         return True
 
     def _release(self) -> None:

@@ -1,4 +1,5 @@
-"""What a controller of a real building knows, kept in a file from step to step for the case that it is started anew.
+"""What is kept of a run at a real building: what the controller knows, from step to step for the case that it is
+started anew, and what the journal says of building, controller and model.
 
 A record tells most of it again, but not what the watch has found, which sensor is not believed, the highest power so
 far, how wide the forecast's interval has to be, and levels that nobody measures.
@@ -7,14 +8,27 @@ far, how wide the forecast's interval has to be, and levels that nobody measures
 from __future__ import annotations
 
 import logging
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
+from controllers.mpc.config import MPCConfig
 from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.errors import InputError, StorageError
+from thermoforce_mpc.experiment.run_models import origin
+from thermoforce_mpc.files import file_sha256
+from thermoforce_mpc.identification.probing.excitation import RoomsState
+from thermoforce_mpc.identification.probing.probe import LevelsState, ProbingState
 from thermoforce_mpc.live.building import Applied
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.model.saved import JSON_NAME
+from thermoforce_mpc.model.thermal_model import load_model
+from thermoforce_mpc.records.live_journal import RealRun
+from thermoforce_mpc.records.run_folder import plain_json
+from thermoforce_mpc.scenario.scenario import ControllerSpec, Scenario
 from thermoforce_mpc.state_file import StateFormat
 
 _LOG = logging.getLogger(__name__)
@@ -41,7 +55,7 @@ class Kept:
         return self.before if instant == pd.Timestamp(self.instant) else self.after
 
 
-_FORMAT = StateFormat((*STATE_CLASSES, Kept, Applied))
+_FORMAT = StateFormat((*STATE_CLASSES, ProbingState, LevelsState, RoomsState, Kept, Applied))
 
 
 class KeptState:
@@ -81,3 +95,43 @@ class KeptState:
             if not self._failed:
                 _LOG.warning("the state is not kept, and a restart begins anew: %s", error)
             self._failed = True
+
+
+def real_run(
+    out: Path,
+    model: Path | None,
+    map_file: Path,
+    rules: MeasurementMap,
+    options: MPCConfig,
+    connection: str,
+    controller: str = "thermoforce_mpc",
+) -> RealRun:
+    """The run of a controller with the model in the folder `model`, if any, of which a copy is kept in `out`.
+
+    Raises `ArtifactError` where the model is damaged.
+    """
+    spec = ControllerSpec(name=controller, options=options.model_dump(mode="json", exclude_unset=True))
+    models = {} if model is None else {spec.name: _kept_model(out, model)}
+    return RealRun(
+        name=map_file.stem,
+        zone=rules.time.zone or "UTC",
+        currency="currency",  # a map has prices, and does not say in what
+        scenario=Scenario(testcase=map_file.stem, controller=spec, baselines=()),
+        command=("tf-mpc", *sys.argv[1:]),
+        connection=connection,
+        models=models,
+    )
+
+
+def _kept_model(out: Path, model: Path) -> dict[str, Any]:
+    """What the journal says of a model, of which a copy is kept in the folder `out` under a name of its own."""
+    thermal, sha256 = load_model(model), file_sha256(model / JSON_NAME)
+    name = f"model-{sha256[:8]}"
+    refused = ""
+    if not (out / name / JSON_NAME).is_file():
+        try:
+            thermal.save(out / name)
+        except StorageError as error:
+            refused = str(error)
+    of = {"sha256": sha256, "refused": refused, "origin": plain_json(origin(thermal))}
+    return {"folder": None if refused else name, **of}

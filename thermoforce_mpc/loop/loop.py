@@ -124,7 +124,7 @@ class Loop:
         self._units: UnitDoubts | None = None
 
     def run(self) -> object:
-        """Step until the driver ends it; returns the controller's last state. Raises as the driver does."""
+        """Step until the driver or a plan ends it; returns the controller's last state. Raises as the driver does."""
         driver, index = self._driver, 0
         state = driver.begin()
         try:
@@ -135,6 +135,9 @@ class Loop:
                     decided = self._decide(index, driver.read(), state)
                 except Exception as error:
                     decided = driver.instead(index, error, state)
+                if decided.plan.ends:
+                    state = decided.after
+                    break
                 state = driver.act(decided)
                 index += 1
         finally:
@@ -157,6 +160,8 @@ class Loop:
         t2 = time.perf_counter()
         # Records do not hold the controller's state, which grows with the run; only the latest is kept.
         plan, after = replace(plan, state=None), plan.state
+        if plan.ends:
+            return Decided(index, observation, boundary, plan, (), before=state, after=after)
         blocks, refused = checked_blocks(plan, controller.step_s, believed.left_s, believed.lowest, history.names)
         if not refused and (unfit := self._driver.unfit(blocks)):
             refused = f"refused {unfit}: native control instead"

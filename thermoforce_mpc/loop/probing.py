@@ -1,4 +1,4 @@
-"""Probing of a plant until a model of it knows enough, and what it still lacks at each look."""
+"""Probing in the loop: of a simulated plant, until a model of it knows enough, and what it still lacks at each look."""
 
 from __future__ import annotations
 
@@ -7,20 +7,32 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Block, Layout, Period, PlantInfo, Record
+from thermoforce_mpc.data import (
+    DAY_S,
+    HOUR_S,
+    SAMPLED,
+    YEAR_S,
+    Block,
+    Boundary,
+    Layout,
+    Period,
+    PlantInfo,
+    Record,
+)
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.loop.closed_loop import advanced
+from thermoforce_mpc.loop.loop import Believed, Decided, Loop
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.sun_on_sensor import LIKELY
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.scenario.testcase import TestCase
 
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.identification.config import IdentificationConfig
-    from thermoforce_mpc.identification.probing.probe import ProbingConfig
+    from thermoforce_mpc.identification.probing.probe import EndRule, ProbingConfig
     from thermoforce_mpc.model.card import ModelCard
     from thermoforce_mpc.model.machine.blocked_hours import Directions
     from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -113,12 +125,28 @@ class ProbingProgress(NamedTuple):
     planned_days: float
 
 
+class ProbedBuilding(Protocol):
+    """What is known of a building that is probed: a test case, or a real one."""
+
+    @property
+    def layout(self) -> Layout:
+        """What acts where."""
+
+    @property
+    def currency(self) -> str:
+        """What prices are in."""
+
+    @property
+    def step_s(self) -> float:
+        """Default control step, s."""
+
+
 class Identifying:
     """Identifies models from records of the probing of one test case; logs what they lack, says why probing ended."""
 
     def __init__(
         self,
-        testcase: TestCase,
+        testcase: ProbedBuilding,
         config: IdentificationConfig,
         step_s: float | None = None,
         say: Callable[[str], None] | None = None,
@@ -181,6 +209,204 @@ class Identifying:
         return replace(look.model, cards=tuple(cards))
 
 
+class Probing:
+    """A probing of a simulated plant that can be continued, as the driver of a loop.
+
+    `record` is what was measured so far, without the warm-up; `blocks` what was asked for, one a step.
+    """
+
+    begun_anew = False
+
+    def __init__(
+        self,
+        plant: Plant,
+        start_s: float,
+        *,
+        seed: int,
+        layout: Layout | None = None,
+        config: ProbingConfig | None = None,
+    ) -> None:
+        """Reset `plant` with native warm-up to `start_s`; arguments as for `probe`.
+
+        Raises:
+            PlantError: the plant or service failed.
+        """
+        from thermoforce_mpc.identification.probing.probe import ProbingConfig
+
+        self.config = c = config or ProbingConfig()
+        self._plant, self._layout, self._seed = plant, layout or Layout.single(), seed
+        now = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
+        self.record, self.blocks = Record.beginning(now), list[Block]()
+        # The past bounds the effect of a level; rooms need none.
+        self._past = self.record
+        if any(lowest >= 0.0 for lowest in self._layout.lowest):
+            past = plant.past(c.step_s)
+            sampled: dict[str, Any] = {name: np.copy(getattr(past, name)) for name in SAMPLED}
+            for name in SAMPLED:
+                sampled[name][..., -1] = getattr(now, name)
+            self._past = replace(past, **sampled)
+        self._state: object = None
+        self._on_step: Callable[[], None] = lambda: None
+
+    @property
+    def days(self) -> float:
+        """Days probed so far."""
+        return self.record.n_steps * self.config.step_s / DAY_S
+
+    def go_on(
+        self,
+        days: float,
+        *,
+        enough: Callable[[Record], bool] | None = None,
+        on_step: Callable[[float], None] | None = None,
+    ) -> Record:
+        """Probe for `days` more; returns the record from the start of the probing.
+
+        Args:
+            days: days to probe, from where the last call stopped.
+            enough: called at the end of every block; True ends the probing.
+            on_step: called after every step with the completed fraction of `days`.
+
+        Raises:
+            PlantError: the plant or service failed.
+        """
+        first, n = self.record.n_steps, round(days * DAY_S / self.config.step_s)
+
+        def until(record: Record, planned: int) -> tuple[int, str]:
+            if record.n_steps >= first + n:
+                return first + n, "its days are over"
+            return first + n, "enough is known" if record.n_steps > first and enough and enough(record) else ""
+
+        self.run(until, lambda: on_step((self.record.n_steps - first) / n) if on_step else None)
+        return self.record
+
+    def run(self, until: EndRule, on_step: Callable[[], None] = lambda: None) -> None:
+        """Probe until the rule ends it; `on_step` is called after every step. Raises as `go_on`."""
+        from thermoforce_mpc.identification.probing.probe import ProbingController
+
+        self._on_step = on_step
+        self._state = Loop(self, ProbingController(self._layout, self.config, self._seed, until)).run()
+
+    def begin(self) -> object:
+        """See `LoopDriver.begin`."""
+        return self._state
+
+    def next_step(self) -> bool:
+        """See `LoopDriver.next_step`: a probing is ended by its rule."""
+        return True
+
+    def read(self) -> Believed:
+        """See `LoopDriver.read`: readings are judged where a model is identified from them."""
+        history = self.record if self.record.n_steps else self._past
+        return Believed(history, history, (), math.inf, self._layout.lowest)
+
+    def unfit(self, blocks: Sequence[Block]) -> str:
+        """See `LoopDriver.unfit`: the plant refuses itself what it has not."""
+        return ""
+
+    def units(self) -> UnitDoubts | None:
+        """See `LoopDriver.units`: `Identifying` looks for them."""
+        return None
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """See `Plant.forecast`."""
+        return self._plant.forecast(horizon_s, interval_s)
+
+    def instead(self, index: int, error: Exception, state: object) -> Decided:
+        """See `LoopDriver.instead`: nothing acts in the place of what cannot be decided about a simulated plant."""
+        raise error
+
+    def act(self, decided: Decided) -> object:
+        """See `LoopDriver.act`."""
+        for block in decided.blocks:
+            self.blocks.append(block)
+            self.record = self.record.extended(advanced(self._plant, block))
+        self._on_step()
+        return decided.after
+
+    def end(self) -> None:
+        """See `LoopDriver.end`: the plant is its owner's."""
+
+
+def probe(
+    plant: Plant,
+    start_s: float,
+    days: float,
+    *,
+    seed: int,
+    layout: Layout | None = None,
+    config: ProbingConfig | None = None,
+) -> Record:
+    """Probe `plant` for `days` from `start_s`, after a reset with native warm-up.
+
+    Args:
+        seed: seed of the draws; the same seed on the same plant gives the same record.
+        layout: what acts where, by default one heating actuator; one whose levels are signed is probed by room
+            set-points instead of levels.
+        config: options of the probing.
+
+    Returns:
+        The record at `config.step_s`, without the warm-up.
+
+    Raises:
+        PlantError: the plant or service failed.
+    """
+    return Probing(plant, start_s, seed=seed, layout=layout, config=config).go_on(days)
+
+
+class UntilKnown:
+    """The end rule of a probing: after `days` as soon as a model of it may act, or before them, or later, by the day.
+
+    `why`, `look` and `record` are those of the end.
+    """
+
+    def __init__(
+        self,
+        identifying: Identifying,
+        plant: PlantInfo,
+        step_s: float,
+        *,
+        days: float,
+        most_days: float,
+        room_days: float = math.inf,
+        before: str = "",
+        end_early: bool,
+    ) -> None:
+        """`room_days`: days until what comes next, which is named by `before`; see `identify_on` for the others."""
+        self._identifying, self._plant, self._step_s, self._end_early = identifying, plant, step_s, end_early
+        self._first, self._day = round(days * DAY_S / step_s), round(DAY_S / step_s)
+        self._most_days, self._latest, self._before = most_days, min(most_days, room_days), before
+        self.planned_days = days
+        self.why = ""
+        self.look: Look | None = None
+        self.record: Record | None = None
+
+    def __call__(self, record: Record, planned: int) -> tuple[int, str]:
+        """See `EndRule`."""
+        done = record.n_steps
+        planned = planned or self._first
+        if done < planned and not (planned == self._first and self._end_early and self._is_enough(record)):
+            return self._as_planned(planned), ""
+        self.look, self.record = self._identifying.look(record, self._plant), record
+        look = self.look
+        if look.lacks and done * self._step_s / DAY_S + 1.0 <= self._latest + 1e-9:
+            return self._as_planned(done + self._day), ""
+        self.why = "enough is known"
+        if look.lacks:
+            self.why = "the most days are over" if self._latest == self._most_days else f"{self._before} begins"
+        return self._as_planned(planned), self.why
+
+    def _is_enough(self, record: Record) -> bool:
+        if record.n_steps * self._step_s / DAY_S < _LEAST_DAYS:
+            return False
+        quick = self._identifying.config.model_copy(update={"modulation": "linear"})
+        return self._identifying.look(record, self._plant, quick).is_well_known
+
+    def _as_planned(self, planned: int) -> int:
+        self.planned_days = planned * self._step_s / DAY_S
+        return planned
+
+
 def probe_until_known(
     plant: Plant,
     identifying: Identifying,
@@ -194,31 +420,26 @@ def probe_until_known(
     on_progress: Callable[[ProbingProgress], None] | None = None,
 ) -> tuple[Probed, Look]:
     """Probe `plant` as `identify_on` says; also the last look at the record. Raises `PlantError`."""
-    from thermoforce_mpc.identification.probing.probe import Probing
-
     start_s, end_s, ahead = before.start_s - before.warmup_s - days * DAY_S, before.start_s, "the scored window"
     if start_s < 0:
         start_s, end_s, ahead = YEAR_S - days * DAY_S, YEAR_S, "the new year"
     run = Probing(plant, start_s, seed=seed, layout=identifying.testcase.layout, config=probing)
-    planned_days = days
+    until = UntilKnown(
+        identifying,
+        plant.info,
+        run.config.step_s,
+        days=days,
+        most_days=most_days,
+        room_days=(end_s - start_s) / DAY_S,
+        before=ahead,
+        end_early=end_early,
+    )
+    hourly = max(1, round(HOUR_S / run.config.step_s))
 
-    def progress(share: float) -> None:
-        hourly = max(1, round(HOUR_S / run.config.step_s))
+    def progress() -> None:
         if on_progress and run.record.n_steps % hourly == 0:
-            on_progress(ProbingProgress(run.days, planned_days))
+            on_progress(ProbingProgress(run.days, until.planned_days))
 
-    def enough(record: Record) -> bool:
-        if run.days < _LEAST_DAYS:
-            return False
-        quick = identifying.config.model_copy(update={"modulation": "linear"})
-        return identifying.look(record, plant.info, quick).is_well_known
-
-    look = identifying.look(run.go_on(days, enough=enough if end_early else None, on_step=progress), plant.info)
-    latest = min(most_days, (end_s - start_s) / DAY_S)
-    while look.lacks and run.days + 1.0 <= latest + 1e-9:
-        planned_days = run.days + 1.0
-        look = identifying.look(run.go_on(1.0, on_step=progress), plant.info)
-    why = "enough is known"
-    if look.lacks:
-        why = "the most days are over" if latest == most_days else f"{ahead} begins"
-    return Probed(run.record, tuple(run.blocks), plant.info, why), look
+    run.run(until, progress)
+    assert until.look is not None
+    return Probed(run.record, tuple(run.blocks), plant.info, until.why), until.look

@@ -103,7 +103,7 @@ def trajectory_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
 
 
 def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
-    """One row per plan: status, solver status, computing times, first predicted step, and reason.
+    """One row per plan: status, solver status, first predicted step, and reason.
 
     Temperatures have a column per zone and levels and what acted one per actuator, by `Names.label`.
     """
@@ -137,10 +137,6 @@ def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
                 **first("T_free_high_next_C", "T_free_high_C"),
                 **first("T_forced_next_K", "T_forced_K"),
                 "slack_sum_K": float(plan.slack_K.sum()) if plan.u.size else None,
-                "plan_seconds": step.plan_seconds,
-                **{f"{name}_seconds": value for name, value in plan.seconds.items()},
-                "boundary_seconds": step.forecast_seconds,
-                "plant_seconds": step.plant_seconds,
                 "refused": step.refused,
                 "why": plan.why,
                 "notes": "; ".join(step.notes),
@@ -153,6 +149,24 @@ def environment() -> dict[str, str]:
     """Versions of this package, Python, the platform and the packages that affect results."""
     own = {"thermoforce-mpc": VERSION, "python": platform.python_version(), "platform": platform.platform()}
     return own | installed(_PACKAGES) | {f"plugin {name}": version for name, version in plugins().items()}
+
+
+def times_frame(runs: Mapping[str, Sequence[StepRecord]]) -> pd.DataFrame:
+    """Computing times of each plan of each controller, s: of what no two runs have in common."""
+    return pd.DataFrame(
+        [
+            {
+                "controller": name,
+                "index": step.index,
+                "plan_seconds": step.plan_seconds,
+                **{f"{part}_seconds": value for part, value in step.plan.seconds.items()},
+                "boundary_seconds": step.forecast_seconds,
+                "plant_seconds": step.plant_seconds,
+            }
+            for name, steps in runs.items()
+            for step in steps
+        ]
+    )
 
 
 def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], reason: str) -> None:

@@ -8,15 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from boptest_client import safe_text
 from thermoforce_mpc.data import (
+    ACTING,
     DAY_S,
+    SAMPLED,
     SIGNALS,
     SINGLE,
     Array,
     Block,
     Boundary,
+    Layout,
     Measurement,
     Names,
     Period,
@@ -24,11 +28,14 @@ from thermoforce_mpc.data import (
     PlanStatus,
     Record,
 )
+from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S, seconds_of, words_of
+from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord, sample_of, time_rat, with_level
 from thermoforce_mpc.loop.forecasts import empty_forecast, holes
 from thermoforce_mpc.loop.kept_steps import KeptSteps
 from thermoforce_mpc.model.forecast_gaps import completed, lengthened
 from thermoforce_mpc.model.screening import ReadingLimits, screened_history
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.records import journal_values as values
 from thermoforce_mpc.records.journal import NAME, JournalEntry, JournalError, making_sense, read_run
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -46,7 +53,7 @@ class ToldStep:
     `told` is its record of kind `step`; `before` the readings it began with; `given` the forecast as the plant gave it,
     None where it gave none; `advances` what was asked of the plant in it, and its answers, in order; `done` the record
     that closed it, None while it goes on or where the run ended in it. `past` is the plant's record, where it was asked
-    for between the step before and this one.
+    for between the step before and this one; `tail` what is new or was changed of the record of a real building.
     """
 
     told: Json
@@ -56,6 +63,7 @@ class ToldStep:
     advances: tuple[Json, ...] = ()
     done: Json | None = None
     past: Json | None = None
+    tail: Json | None = None
 
     @property
     def time_s(self) -> float:
@@ -75,7 +83,8 @@ class ToldStep:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was in doubt."""
-        return () if self.done is None else tuple(safe_text(note, _MOST_SHOWN) for note in self.done["notes"])
+        notes = self.told.get("notes", ()) if self.done is None else self.done["notes"]
+        return tuple(safe_text(note, _MOST_SHOWN) for note in notes)
 
     @property
     def plan(self) -> Plan:
@@ -131,11 +140,14 @@ class ToldStep:
 def told_loops(entries: Sequence[JournalEntry]) -> dict[str, list[JournalEntry]]:
     """The records of each closed loop, by controller."""
     loops: dict[str, list[JournalEntry]] = {}
+    current: list[JournalEntry] = []
     for entry in entries:
         if entry.kind == "loop":
-            loops[safe_text(entry.content["controller"])] = []
+            name = safe_text(entry.content["controller"])
+            # A controller of a real building may take over again from another one.
+            current = loops[name] = loops[name] if entry.content.get("goes_on") and name in loops else []
         elif loops:
-            next(reversed(loops.values())).append(entry)
+            current.append(entry)
     return loops
 
 
@@ -147,6 +159,7 @@ class StepReader:
         self.before: Measurement | None = None
         """The latest readings of a step that is closed."""
         self._past: Json | None = None
+        self._tail: Json | None = None
         self._rows: Array | None = None  # of the last forecast
         self._step: Json | None = None
         self._advances: list[Json] = []
@@ -163,18 +176,22 @@ class StepReader:
             self.names = values.names_of(content["answer"]["names"])
             self.before = values.measurement_of(content["answer"], self.names)
         elif entry.kind == "past":
-            self._past = content["answer"]
+            self._past, self._tail = content["answer"], None
+        elif entry.kind == "tail":
+            self._tail = content["answer"]
         elif entry.kind == "step":
             # Texts as a terminal may show them; they name every actuator, so they may be long.
             texts = {key: content[key] for key in _TEXTS if isinstance(content.get(key), str)}
             self._step, self._advances = {**content, **{k: safe_text(v, _MOST_SHOWN) for k, v in texts.items()}}, []
             if content["forecast"] is not None:
                 self._rows = values.repeated_rows(content["forecast"], self._rows)
+            if "before" in content:
+                self.before = values.measurement_of(content["before"], self.names)
         elif entry.kind == "advance":
             self._advances.append(content)
         elif entry.kind == "done" and self._step is not None:
             step = self._told((*self._advances, *content["advances"]), content)
-            self.before, self._past, self._step = (step.after or (self.before,))[-1], None, None
+            self.before, self._past, self._tail, self._step = (step.after or (self.before,))[-1], None, None, None
             return step
         return None
 
@@ -183,7 +200,7 @@ class StepReader:
         given = None
         if self._rows is not None and self._step["forecast"] is not None:
             given = values.boundary_of(self._rows, self.names)
-        return ToldStep(self._step, self.names, self.before, given, advances, done, self._past)
+        return ToldStep(self._step, self.names, self.before, given, advances, done, self._past, self._tail)
 
 
 def told_steps(entries: Sequence[JournalEntry]) -> Iterator[ToldStep]:
@@ -207,6 +224,10 @@ def history_before(steps: Sequence[ToldStep]) -> Record:
     if (past := steps[first].past) is None:
         raise JournalError("the journal does not hold the record that the run began with")
     record = values.record_of(past, steps[first].names)
+    if any("before" in step.told or step.tail is not None for step in steps[first:]):  # of a real building
+        for step in steps[first + 1 :]:
+            record = record if step.tail is None else spliced(record, values.record_of(step.tail, step.names))
+        return screened_history(record, ReadingLimits(lowest=-1.0))[0]
     ends = []
     for step in steps[first:-1]:
         parts = [(b.duration_s, with_level(reading, b)) for b, reading in zip(step.blocks, step.after, strict=True)]
@@ -248,14 +269,79 @@ def _next_forecast(steps: Sequence[ToldStep], last: Boundary | None) -> tuple[Bo
     return forecast, forecast
 
 
+def spliced(record: Record, tail: Record) -> Record:
+    """`record`, from the begin of `tail` on as that has it; raises `ValueError` where it does not go on there."""
+    at = int(np.searchsorted(record.time_s, float(tail.time_s[0]) - CLOCK_TOLERANCE_S))
+    if at >= record.time_s.size or abs(float(record.time_s[at] - tail.time_s[0])) > CLOCK_TOLERANCE_S:
+        raise ValueError(f"a record that goes on at {float(tail.time_s[0]):.10g} s, where there is none")
+    joined = {
+        name: np.concatenate([getattr(record, name)[..., :at], getattr(tail, name)], axis=-1)
+        for name in (*SAMPLED, *ACTING)
+    }
+    return Record(**joined, origin=record.origin, names=record.names)
+
+
+@dataclass(frozen=True)
+class ToldBuilding:
+    """The building of a run: that of a test case, or a real one, whose seconds count from `origin`."""
+
+    name: str
+    layout: Layout
+    currency: str
+    area_m2: float
+    origin: pd.Timestamp | None = None
+
+    @property
+    def is_real(self) -> bool:
+        """Whether it is a building that goes on without us."""
+        return self.origin is not None
+
+    def in_words(self, time_s: float) -> str:
+        """A time for people: day from 0 and clock, at a real building the date."""
+        if self.origin is None:
+            return words_of(time_s)
+        return f"{self.origin + pd.Timedelta(seconds=time_s):%a %d %b %Y %H:%M}"
+
+    def seconds_of(self, at: str) -> float:
+        """The seconds of a time as people write it; at a real building also a date with its year.
+
+        Raises `InputError` for what is none.
+        """
+        if self.origin is not None and len(at) > 10 and at[:4].isdigit():
+            try:
+                there = pd.Timestamp(at)
+                there = there.tz_localize(self.origin.tz) if there.tz is None else there
+                return float((there - self.origin).total_seconds())
+            except ValueError as error:
+                raise InputError(f"--at {at}: not a time; write '2026-01-17 06:30'") from error
+        return seconds_of(at)
+
+
+def told_building(head: Mapping[str, Any]) -> ToldBuilding:
+    """The building of the run whose first record is `head`; raises `ConfigError` where its test case is not known."""
+    content = head.get("building")
+    if content is None:
+        testcase = load_testcase(str(head["scenario"]["testcase"]))
+        return ToldBuilding(testcase.name, testcase.layout, testcase.currency, testcase.area_m2)
+    told = dict(content["layout"])
+    names = values.names_of(told.pop("names"))
+    areas = tuple(float("nan") if area is None else float(area) for area in told.pop("floor_area_m2"))
+    exclusive = tuple(tuple(group) for group in told.pop("exclusive"))
+    others: dict[str, Any] = {key: tuple(each) for key, each in told.items()}
+    layout = Layout(names, floor_area_m2=areas, exclusive=exclusive, **others)
+    origin = pd.Timestamp(content["origin"]).tz_convert(content["zone"])
+    return ToldBuilding(safe_text(content["name"]), layout, safe_text(content["currency"]), sum(areas), origin)
+
+
 @dataclass(frozen=True)
 class ToldRun:
-    """A run: its scenario, command and version, what the plant said of itself, its models' records, and its loops.
+    """A run: its scenario, building, command and version, what the plant said of itself, models, and its loops.
 
     A loop that was cut off has no KPIs but those of its `time_rat`.
     """
 
     scenario: Scenario
+    building: ToldBuilding
     command: tuple[str, ...]
     version: str
     plant: Json
@@ -279,6 +365,7 @@ def told_run(folder: Path) -> ToldRun:
         entries = read_run(path).entries
         first = entries[0]
         scenario = validate(Scenario, dict(first.content["scenario"]), first.where)
+        building = told_building(first.content)
         windows = [Period(**entry.content["answer"]) for entry in entries if entry.kind == "period"]
         results = {}
         for name, loop in told_loops(entries).items():
@@ -286,19 +373,34 @@ def told_run(folder: Path) -> ToldRun:
                 reset = next(entry.content["answer"] for entry in loop if entry.kind == "reset")
                 kpis = next((values.kpis_of(entry.content["answer"]) for entry in loop if entry.kind == "kpis"), {})
                 kpis["time_rat"] = time_rat(steps, steps[0].boundary.step_s)
-                period = replace(windows[0], scored_s=scenario.days * DAY_S)
+                if building.is_real:
+                    last = steps[-1].samples[-1]
+                    ended_s = last.start_s + last.duration_s
+                    period = Period(name, steps[0].time_s, ended_s - steps[0].time_s, 0.0)
+                else:
+                    period = replace(windows[0], scored_s=scenario.days * DAY_S)
                 start = values.measurement_of(reset, values.names_of(reset["names"]))
                 results[name] = RunResult(period, name, kpis, steps, start)
         if not results:
             raise JournalError(f"{path}: no step has ended yet, so that there is nothing to show")
         return ToldRun(
             scenario,
+            building,
             tuple(safe_text(word) for word in first.content["command"]),
             safe_text(first.content.get("version")),
             _plant(entries),
-            next((entry.content["models"] for entry in entries if entry.kind == "models"), {}),
+            models_before(entries),
             results,
         )
+
+
+def models_before(entries: Sequence[JournalEntry]) -> Json:
+    """The models by controller that are noted in `entries`, of several times the last; empty without any."""
+    found: Json = {}
+    for entry in entries:
+        if entry.kind == "models":
+            found = {**found, **entry.content["models"]}
+    return found
 
 
 def _plant(entries: Sequence[JournalEntry]) -> Json:

@@ -125,7 +125,7 @@ def _band_C(step: StepRecord, k: int) -> Array:
     nothing = (np.nan, np.nan)
     refused = bool(step.refused) or k >= len(step.plan.blocks)
     bands = (None,) * len(step.boundary.names.actuators) if refused else step.plan.blocks[k].command
-    return np.array([nothing if band is None else band for band in bands], dtype=np.float64)
+    return np.array([band if isinstance(band, tuple) else nothing for band in bands], dtype=np.float64)
 
 
 def _averaged(course: RunCourse, together: int) -> RunCourse:

@@ -243,12 +243,17 @@ def figures_of(
         "scored_days": result.period.scored_s / DAY_S,
         "price": scenario.price,
         "controller": result.controller,
-        "kpis": result.kpis,
-        "baselines": {name: baseline.kpis for name, baseline in baselines.items()},
+        "kpis": without_times(result.kpis),
+        "baselines": {name: without_times(baseline.kpis) for name, baseline in baselines.items()},
         "equal_comfort": equal,
         "gate": {name: asdict(gate) for name, gate in gates_held(result, baselines).items()},
         "power_cap": capped_figures(scenario, result, baselines),
     }
+
+
+def without_times(kpis: Mapping[str, float]) -> dict[str, float]:
+    """KPIs without that of the computing time, which no two runs have in common."""
+    return {key: value for key, value in kpis.items() if key != "time_rat"}
 
 
 def most_comparable_Kh(least_Kh: float) -> float:

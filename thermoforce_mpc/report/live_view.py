@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 
 from boptest_client import safe_text
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Measurement, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Record
+from thermoforce_mpc.data.clock import words_of
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.loop.closed_loop import in_force, with_level
 from thermoforce_mpc.loop.forecasts import holes, price_paid
 from thermoforce_mpc.model.forecast_gaps import completed
-from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.records.journal import FORMAT, NAME, JournalEntry, JournalError, JournalTail, making_sense
 from thermoforce_mpc.records.journal_values import planned_of
 from thermoforce_mpc.records.plain_files import check_plain
 from thermoforce_mpc.records.run_folder import is_complete, plain_json
-from thermoforce_mpc.records.told_steps import StepReader, ToldStep
+from thermoforce_mpc.records.told_steps import StepReader, ToldBuilding, ToldStep, told_building
 
 # Past shown, and steps of it at most.
 _PAST_H, _MOST_POINTS = 24.0, 288
@@ -58,10 +58,11 @@ class WatchPoint:
 class RunView:
     """A run at an instant.
 
-    `state`: running, finished, or ended early, and `said` why; `levels`: mean level of each actuator in the step under
-    way, NaN under its own control; `cost` by metered power and prices in force (currency), `energy_kWh` and
-    `discomfort_Kh` (mean over zones) since the begin of the loop, NaN where no power was metered yet, or prices or
-    bounds are not known; `counts`: steps by status; `past` and `plan` by step.
+    `state`: running, finished, ended, or ended early, and `said` why; `at`: `time_s` for people; `levels`: mean level
+    of each actuator in the step under way, NaN under its own control; `cost` by metered power and prices in force
+    (currency), `energy_kWh` and `discomfort_Kh` (mean over zones) since the begin of the loop, NaN where no power was
+    metered yet, or prices or bounds are not known; `counts`: steps by status; `past` and `plan` by step, `until`: the
+    ends of the steps of the plan for people.
     """
 
     run: str
@@ -70,6 +71,7 @@ class RunView:
     state: str
     said: str
     time_s: float
+    at: str
     days: float
     days_in_all: float
     outdoor_C: float
@@ -86,6 +88,7 @@ class RunView:
     counts: Mapping[str, int]
     past: tuple[WatchPoint, ...]
     plan: tuple[WatchPoint, ...]
+    until: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
         """All of it in JSON types; null where a number is not known."""
@@ -109,7 +112,9 @@ class LiveRun:
         self._tail = JournalTail(folder / NAME)
         self._scenario: Mapping[str, Any] = {}
         self._loops: list[str] = []
-        self._layout: Layout | None = None
+        self._head: Mapping[str, Any] = {}
+        self._building: ToldBuilding | None = None
+        self._ended = ""
         self._begin("")
 
     def _begin(self, controller: str) -> None:
@@ -141,7 +146,9 @@ class LiveRun:
         if entry.kind == "run":
             if entry.content.get("format") != FORMAT:
                 raise JournalError(f"{entry.path}: is not of format {FORMAT}, which this release reads")
-            self._scenario = entry.content["scenario"]
+            self._scenario, self._head = entry.content["scenario"], entry.content
+        if entry.kind in ("begun", "ended"):
+            self._ended = str(entry.content["why"]) if entry.kind == "ended" else ""
         if entry.kind == "loop":
             self._loops.append(safe_text(entry.content["controller"]))
             if self._wanted == self._loops[-1] or (self._wanted is None and (self._latest or len(self._loops) == 1)):
@@ -191,9 +198,13 @@ class LiveRun:
         price, heating = boundary.price_per_kWh[:, [i]], boundary.heating_price_per_kWh[:, [i]]
         if np.array_equal(price, heating):
             return price[:, 0]
-        if self._layout is None:
-            self._layout = load_testcase(str(self._scenario.get("testcase"))).layout
-        return price_paid(u[:, None], price, heating, self._layout)[:, 0]
+        return price_paid(u[:, None], price, heating, self._told().layout)[:, 0]
+
+    def _told(self) -> ToldBuilding:
+        """The building, found out where it is asked for."""
+        if self._building is None:
+            self._building = told_building(self._head)
+        return self._building
 
     def _zones(self, at: Measurement) -> tuple[ZoneNow, ...]:
         lower = upper = np.full(len(at.names.zones), np.nan)
@@ -212,16 +223,19 @@ class LiveRun:
         u = [[np.nan if level is None else level for level in block["u"]] for block in blocks]
         levels = np.average(u, axis=0, weights=[block["duration_s"] for block in blocks])
         time_s = step.time_s if at is None else at.time_s
+        real, plan = "building" in self._head, self._planned(decision)
+        in_words = self._told().in_words if real else words_of
         since_s = time_s - _PAST_H * HOUR_S
         return RunView(
             run=str(self._folder),
-            testcase=str(self._scenario.get("testcase", "")),
+            testcase=self._told().name if real else str(self._scenario.get("testcase", "")),
             controller=self._controller,
             state=state,
             said=explanation,
             time_s=time_s,
+            at=in_words(time_s),
             days=(time_s - self._start_s) / DAY_S,
-            days_in_all=float(self._scenario.get("days") or np.nan),
+            days_in_all=np.nan if real else float(self._scenario.get("days") or np.nan),
             outdoor_C=float("nan") if at is None else at.T_out_C,
             zones=() if at is None else self._zones(at),
             actuators=names.actuators,
@@ -235,7 +249,8 @@ class LiveRun:
             discomfort_Kh=self._Kh,
             counts=dict(self._counts),
             past=tuple(point for point in self._past if point.time_s > since_s),
-            plan=self._planned(decision),
+            plan=plan,
+            until=tuple(in_words(point.time_s) for point in plan),
         )
 
     def _planned(self, decision: Mapping[str, Any]) -> tuple[WatchPoint, ...]:
@@ -257,6 +272,8 @@ class LiveRun:
             others = [name for name in self._loops if name != self._controller]
             more = f"; --controller shows another that ran: {', '.join(others)}" if others else ""
             return "finished", f"results and report are in the folder{more}"
+        if self._ended:
+            return "ended", self._ended
         early = self._folder / "INCOMPLETE.txt"
         # One that is older than the journal is of a run that was resumed.
         if early.is_file() and early.stat().st_mtime >= self._tail.path.stat().st_mtime:

@@ -11,17 +11,14 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, J_PER_KWH
-from thermoforce_mpc.data.clock import words_of
 from thermoforce_mpc.errors import ArtifactError, InputError
 from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.loop.closed_loop import RunResult
-from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.records.own_kpis import own_of
 from thermoforce_mpc.records.plain_files import check_plain
 from thermoforce_mpc.records.run_folder import is_complete, kept_model, write_json
-from thermoforce_mpc.records.told_steps import ToldRun, told_run
+from thermoforce_mpc.records.told_steps import ToldBuilding, ToldRun, told_run
 from thermoforce_mpc.report.findings import figures_of
-from thermoforce_mpc.scenario.testcase import TestCase
 
 _MOST_BYTES = 10_000_000
 
@@ -43,10 +40,10 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
         raise InputError(f"{folder}: no such folder; give the folder of a run")
     check_plain(folder)
     run = told_run(folder)
-    testcase = load_testcase(run.scenario.testcase)
+    building = run.building
     notes = _cut_off(folder, run)
     told = _json(folder / "kpis.json")
-    results = {name: _so_far(result, testcase, told) for name, result in run.results.items()}
+    results = {name: _so_far(result, building, told) for name, result in run.results.items()}
     result, *baselines = results.values()
     entry: Mapping[str, Any] = run.models.get(result.controller, {})
     model, why = None, str(entry.get("refused") or "")
@@ -65,16 +62,19 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
     }
     beside = {baseline.controller: baseline for baseline in baselines}
     kpis = figures_of(run.scenario, manifest["plant"], result, beside, str(told.get("equal_comfort", "")))
+    if building.is_real:
+        since = building.in_words(result.period.start_s)
+        kpis |= {"testcase": building.name, "period": f"since {since}", "price": "the map's"}
     if path is None and not is_complete(folder):
         write_json(folder / "incomplete_kpis.json", {**kpis, "said": notes})
     file = write_report(
         folder,
-        currency=testcase.currency,
+        currency=building.currency,
         kpis=kpis,
         result=result,
         baselines=beside,
-        layout=testcase.layout,
-        area_m2=testcase.area_m2,
+        layout=building.layout,
+        area_m2=building.area_m2,
         model=model,
         manifest=manifest,
         said=notes,
@@ -84,7 +84,9 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
 
 
 def _cut_off(folder: Path, run: ToldRun) -> list[str]:
-    """What is told of a run that has not ended."""
+    """What is told of a run that has not ended, or of a real building, whose run has no end."""
+    if run.building.is_real:
+        return _at_a_building(run)
     notes = []
     for name in run.cut_off:
         result = run.results[name]
@@ -92,8 +94,8 @@ def _cut_off(folder: Path, run: ToldRun) -> list[str]:
         end_s, days = last_sample.start_s + last_sample.duration_s, result.period.scored_s / DAY_S
         days_done = (end_s - result.period.start_s) / DAY_S
         notes.append(
-            f"{name} was cut off after {days_done:.3g} of {days:g} days, at {words_of(end_s)}. Its figures are those "
-            "until then, from metered power and the temperatures at the ends of blocks."
+            f"{name} was cut off after {days_done:.3g} of {days:g} days, at {run.building.in_words(end_s)}. Its "
+            "figures are those until then, from metered power and the temperatures at the ends of blocks."
         )
         b = result.steps[0].boundary
         if (b.heating_price_per_kWh != b.price_per_kWh).any():
@@ -111,7 +113,21 @@ def _cut_off(folder: Path, run: ToldRun) -> list[str]:
     return notes
 
 
-def _so_far(result: RunResult, testcase: TestCase, told: Mapping[str, Any]) -> RunResult:
+def _at_a_building(run: ToldRun) -> list[str]:
+    notes = []
+    for name, result in run.results.items():
+        first, last = result.samples[0], result.samples[-1]
+        begun, ended = (run.building.in_words(at) for at in (first.start_s, last.start_s + last.duration_s))
+        notes.append(
+            f"{name} at {run.building.name}, {begun} to {ended}. Cost is that of metered power at the prices in force, "
+            "discomfort that of the readings at the ends of blocks."
+        )
+    if not run.building.area_m2 > 0.0:
+        notes.append("Figures per m² are not known: the map has no floor_area_m2.")
+    return notes
+
+
+def _so_far(result: RunResult, building: ToldBuilding, told: Mapping[str, Any]) -> RunResult:
     """A result with figures of its own where the plant's are not there: until the last step that ended.
 
     The user's own KPIs are those that the run had `told`: a report runs no code of a run's folder.
@@ -122,11 +138,11 @@ def _so_far(result: RunResult, testcase: TestCase, told: Mapping[str, Any]) -> R
         return replace(result, kpis=result.kpis | {key: float("nan" if v is None else v) for key, v in own.items()})
     from thermoforce_mpc.report.courses import course_of
 
-    course = course_of(result, testcase.layout, testcase.area_m2, len(result.steps) * 1000)
+    course = course_of(result, building.layout, building.area_m2, len(result.steps) * 1000)
     energy_J = np.nansum(course.power_W * course.duration_s)
     kpis = {
         "cost_tot": float(course.cost[-1]),
-        "ener_tot": float(energy_J / J_PER_KWH / testcase.area_m2),
+        "ener_tot": float(energy_J / J_PER_KWH / building.area_m2),
         "tdis_tot": float(course.discomfort_Kh[:, -1].mean()),
     }
     return replace(result, kpis={**kpis, **result.kpis})

@@ -39,7 +39,8 @@ class Counterfactual:
     measured. `effect_K` (Z, N): what the other levels change; `sd_K` its standard deviation by the identification, NaN
     where the model's card has none (the errors of all steps are taken to have one sign, so it is rather too wide);
     `certified_low_K`, `certified_high_K`: proven bounds in any weather and state. `energy_kWh`, `energy_other_kWh`
-    (M,): by the model's power, NaN where a machine has none, or heats and cools and feeds several actuators.
+    (M,): by the model's power, `power_W`, `power_other_W` (M, N), NaN where a machine has none, or heats and cools
+    and feeds several actuators.
     `energy_low_kWh`, `energy_high_kWh` (M,): 90 % band of the latter. Where levels followed the rooms' demand the
     record does not tell what they do to power by themselves: the band then reaches from what the law of power says to
     what the rooms' temperatures ask for.
@@ -59,6 +60,8 @@ class Counterfactual:
     energy_other_kWh: Array
     energy_low_kWh: Array
     energy_high_kWh: Array
+    power_W: Array
+    power_other_W: Array
 
     @property
     def other_C(self) -> Array:
@@ -128,7 +131,8 @@ def counterfactual(
     effect = context.effect(levels, applied)
     levels = levels if levels.ndim == 2 else levels[None]
     low, high = _certified_bounds(model, levels - applied, record.step_s)
-    was, other = _energy_kWh(model, applied, stretch), _energy_kWh(model, levels, stretch)
+    power_W, power_other_W = _power_W(model, applied, stretch), _power_W(model, levels, stretch)
+    was, other = (power.sum(axis=1) * record.step_s / J_PER_KWH for power in (power_W, power_other_W))
     energy_low, energy_high = _energy_band(model, record, stretch, effect, was, other)
     return Counterfactual(
         time_s=stretch.time_s[:-1],
@@ -145,6 +149,8 @@ def counterfactual(
         energy_other_kWh=other,
         energy_low_kWh=energy_low,
         energy_high_kWh=energy_high,
+        power_W=power_W,
+        power_other_W=power_other_W,
     )
 
 
@@ -230,13 +236,13 @@ def _identified_sd(model: ThermalModel, change: Array, step_s: float) -> Array:
     return out
 
 
-def _energy_kWh(model: ThermalModel, u: Array, stretch: Record) -> Array:
-    energy_kWh = np.full(len(model.machines), np.nan)
+def _power_W(model: ThermalModel, u: Array, stretch: Record) -> Array:
+    """Power of each machine (M, N), W, by the model, NaN where it has none."""
+    power_W = np.full((len(model.machines), u.shape[1]), np.nan)
     for m, power in enumerate(model.power):
         fed = [a for a, machine in enumerate(model.machine_of) if machine == m]
         if power is None or (len(fed) > 1 and power.cooling is not None):
             continue
         T_out_C, weights = stretch.T_out_C[:-1], model.layout.weights[fed]
-        watts = power(u[fed[0]], T_out_C) if len(fed) == 1 else power.of_actuators(u[fed], weights, T_out_C)
-        energy_kWh[m] = float(watts.sum()) * stretch.step_s / J_PER_KWH
-    return energy_kWh
+        power_W[m] = power(u[fed[0]], T_out_C) if len(fed) == 1 else power.of_actuators(u[fed], weights, T_out_C)
+    return power_W

@@ -20,6 +20,8 @@ from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
+Modulation = Literal["always", "auto", "linear"]
+
 
 class SuperpositionPredictor:
     """`Predictor`: thermal model plus free response (paper eq:compose); the input of the model is v(u)."""
@@ -61,7 +63,7 @@ def identified(
     training: Training,
     order: int,
     *,
-    modulation: Literal["auto", "linear"] = "auto",
+    modulation: Modulation = "auto",
     gamma: float = 0.75,
     exponent: float = 1.0,
 ) -> ThermalModel:
@@ -88,15 +90,15 @@ def build_thermoforce(
     free_response: FreeResponse,
     *,
     orders: tuple[int, ...],
-    modulation: Literal["auto", "linear"] = "auto",
+    modulation: Modulation = "auto",
     gamma: float = 0.75,
     exponents: tuple[float, ...] = (1.0,),
     doubt_network: bool = True,
 ) -> SuperpositionPredictor:
     """Identify with each order and exponent, and keep the best on the validation windows.
 
-    The choice is made with m = 1. If requested, a neural m(x) is then trained at the chosen setting. It is kept only if
-    it is also clearly better on the validation windows; without `doubt_network` this check is skipped.
+    The choice is made with m = 1. If requested, a neural m(x) is then trained at the chosen setting. By `auto` it is
+    kept only if it is also clearly better on the validation windows; without `doubt_network` this check is skipped.
     """
     candidates = {}
     settings = {}
@@ -107,14 +109,15 @@ def build_thermoforce(
     name = best(candidates, training.validation)
     linear, exponent = candidates[name], candidates[name].exponent
     model = linear.model
-    if modulation == "auto":
-        trained = identified(training, settings[name], gamma=gamma, exponent=exponent)
+    if modulation != "linear":
+        trained = identified(training, settings[name], modulation=modulation, gamma=gamma, exponent=exponent)
         network = SuperpositionPredictor(trained, free_response, name, exponent)
-        if network.modulated and (not doubt_network or clearly_better(network, linear, training.validation)):
+        believed = modulation == "always" or not doubt_network
+        if network.modulated and (believed or clearly_better(network, linear, training.validation)):
             model = trained
     chosen = SuperpositionPredictor(model, free_response, "", exponent)
     chosen.note = describe(model.only.operator)
-    if modulation == "auto":
+    if modulation != "linear":
         chosen.note += ", m(x) trained" if chosen.modulated else ", m(x) = 1"
     if len(exponents) > 1:
         chosen.note += f", exponent {exponent:g}"

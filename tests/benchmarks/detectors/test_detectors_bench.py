@@ -13,8 +13,7 @@ from benchmarks.detectors.rules import RULES
 from thermoforce_mpc.data import DAY_S, Layout, PlantInfo
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import LocalEngine
-from thermoforce_mpc.identification.probing.probe import Probing
-from thermoforce_mpc.loop.probing import Probed
+from thermoforce_mpc.loop.probing import Probed, Probing
 from thermoforce_mpc.scenario.settings import StrictModel
 
 NAMES = [rule.name for rule in RULES]

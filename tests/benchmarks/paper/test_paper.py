@@ -7,14 +7,18 @@ import pytest
 from click.testing import CliRunner
 
 from benchmarks.paper import tables
-from benchmarks.paper.parts import PARTS
+from benchmarks.paper.closed_loop import closed_loop_tests
+from benchmarks.paper.parts import PARTS, Table
 from benchmarks.paper.printed import BACKBONES, CLOSED_LOOP, COVARIATES
+from benchmarks.paper.run import markdown
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import InputError
 
 
 def test_a_days_closed_loop_stands_beside_the_papers(tmp_path):
-    done = CliRunner().invoke(cli, ["paper", "--quick", "--only", "closed-loop", "--out", str(tmp_path / "p")])
+    done = CliRunner().invoke(
+        cli, ["paper", "--quick", "--seeds", "1", "--only", "closed-loop", "--out", str(tmp_path / "p")]
+    )
     assert done.exit_code == 0, done.output
     with (tmp_path / "p" / "tables.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -22,11 +26,41 @@ def test_a_days_closed_loop_stands_beside_the_papers(tmp_path):
     assert float(native["paper"]) == 3.478
     kpis = json.loads((tmp_path / "p" / "closed-loop" / "peak-A" / "kpis.json").read_text())
     assert float(native["here"]) == pytest.approx(kpis["baselines"]["native"]["ener_tot"])
-    ours = {r["row"] for r in rows}
-    assert ours == {f"{window}: {name}" for window, name in CLOSED_LOOP}
+    ours = {r["row"] for r in rows if not r["row"].startswith("Wilcoxon")}
+    beside = {f"{window}: rc_mpc" for window, _ in CLOSED_LOOP}
+    assert ours == {f"{window}: {name}" for window, name in CLOSED_LOOP} | beside
     text = (tmp_path / "p" / "tables.md").read_text()
     assert f"{float(native['here']):.3g} (3.48)" in text
     assert (tmp_path / "p" / "closed-loop" / "pareto.png").stat().st_size > 10_000
+
+
+def test_seeds_are_shown_each_with_their_mean_and_its_interval():
+    """Student's t over seeds; RC-MPC with the paper's operator and today's stand in rows of their own."""
+    names = {"native": [8.0], "rc_mpc_paper": [6.0, 7.0, 8.0], "thermoforce_paper": [1.0, 2.0, 3.0], "rc_mpc": [0.5]}
+    rows = [
+        {
+            "window": window,
+            "seed": seed,
+            "controller": name,
+            "energy_kWh_m2": 3.0,
+            "discomfort_Kh": K_h,
+            "cost_EUR_m2": 1,
+        }
+        for window in ("peak A", "peak B", "typical")
+        for name, each in names.items()
+        for seed, K_h in enumerate(each, start=1)
+    ]
+    found = tables.closed_loop({"rows": [*rows, *closed_loop_tests(rows)]})
+    assert found["peak A: thermoforce_paper"]["discomfort, K·h"] == (1.726, 2.0, (1.0, 2.0, 3.0))
+    assert found["peak A: rc_mpc"]["discomfort, K·h"] == (None, 0.5), "one run, and no figure of the paper"
+    assert found["peak A: rc_mpc_paper"]["discomfort against native, %"][2] == (-25.0, -12.5, 0.0)
+    test = found["Wilcoxon: discomfort of thermoforce_paper below rc_mpc_paper, windows and seeds"]
+    assert (test["lower in"][1], test["of"][1]) == (9, 9)
+    assert test["p"][1] < 0.01
+    assert found["Wilcoxon: energy of thermoforce_paper below native, windows and seeds"]["p"][1] == 1.0
+    table = Table("tab:closedloop", "Closed loop", lambda result: found)
+    text = markdown("closed-loop", table, found, {"minutes": 1.0, "differs": "ours", "missing": ""})
+    assert "2 [-0.484, 4.48] (1.73): 1 2 3 |" in text, "mean ± 4.303 · 1 / √3"
 
 
 def test_what_cannot_be_measured_is_said_in_its_tables(tmp_path):

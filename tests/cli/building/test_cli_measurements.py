@@ -16,8 +16,8 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.building.plan import drawn_plan, plan_table
 from thermoforce_mpc.data import DAY_S, Boundary, Layout, Names, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
-from thermoforce_mpc.identification.probing.probe import probe
 from thermoforce_mpc.identification.validation import competence
+from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 MAP = """\

@@ -98,3 +98,14 @@ def test_the_manifest_tells_of_every_actuator():
         "floor": False,
     }
     assert origin["pairs"] == 3
+
+
+def test_the_folder_of_a_run_shows_its_model(tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "journal.jsonl").touch()
+    told = CliRunner().invoke(cli, ["inspect", str(run)])
+    assert "this run identified no model" in str(told.exception)
+    building(GOOD, POOR).save(run / "model")
+    shown = CliRunner().invoke(cli, ["inspect", str(run)], catch_exceptions=False).output
+    assert shown == CliRunner().invoke(cli, ["inspect", str(run / "model")], catch_exceptions=False).output

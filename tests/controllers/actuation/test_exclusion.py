@@ -21,8 +21,9 @@ from controllers.rules.pi import PIController
 from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Layout, Measurement, Names, Observation, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
+from thermoforce_mpc.identification.probing.probe import ProbingConfig
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model

@@ -34,9 +34,9 @@ from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Observation, Period, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.pipeline import identify
-from thermoforce_mpc.identification.probing.probe import probe
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.loop.loop import checked_blocks
+from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters

@@ -13,7 +13,7 @@ from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc.config import DeadlineConfig
 from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.data import DAY_S, Boundary, Observation, Plan, PlanStatus, Record
-from thermoforce_mpc.identification.probing.probe import Probing
+from thermoforce_mpc.loop.probing import Probing
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
 from thermoforce_mpc.state_file import StateFormat
 

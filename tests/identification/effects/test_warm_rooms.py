@@ -7,7 +7,7 @@ import pytest
 
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.probing.probe import probe
+from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.plants.rooms import house_of_rooms
 
 pytestmark = pytest.mark.slow

@@ -15,7 +15,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Observation, Reco
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.network.sensor import sun_on_sensor
 from thermoforce_mpc.identification.pipeline import identify
-from thermoforce_mpc.identification.probing.probe import Probing
+from thermoforce_mpc.loop.probing import Probing
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor, facade_W_m2, sensor_lag, sun_at
 from thermoforce_mpc.model.thermal_model import load_model

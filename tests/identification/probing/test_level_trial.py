@@ -6,7 +6,8 @@ from simple_house import SimpleHouse
 
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.identification.probing.excitation import LevelTrial
-from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
+from thermoforce_mpc.identification.probing.probe import ProbingConfig
+from thermoforce_mpc.loop.probing import probe
 
 
 def applied(trial: LevelTrial, drawn: list[float]) -> list[float]:

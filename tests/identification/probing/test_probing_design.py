@@ -13,7 +13,8 @@ from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.probing.design import information
 from thermoforce_mpc.identification.probing.excitation import Excitation
-from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
+from thermoforce_mpc.identification.probing.probe import ProbingConfig
+from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.settings import validate
 

@@ -13,10 +13,10 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Measurement, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig
 from thermoforce_mpc.identification.probing.politeness import Foresight
-from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig, probe
+from thermoforce_mpc.identification.probing.probe import ProbingConfig
 from thermoforce_mpc.identification.validation import competence
 from thermoforce_mpc.identification.validation.competence import SETTLED_SD
-from thermoforce_mpc.loop.probing import Identifying, probe_until_known
+from thermoforce_mpc.loop.probing import Identifying, Probing, probe, probe_until_known
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_testcase
 

@@ -9,6 +9,7 @@ from forecasting import boundary_of, history_of
 from controllers.mpc.config import FreeResponseConfig
 from controllers.registry import controller_config
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.experiment.outside import python_of
 from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.rc import RcParameters
@@ -105,3 +106,41 @@ def test_a_wrong_choice_is_found_when_the_scenario_is_read(chosen: dict[str, obj
     """Not days later, when the building has been probed and the controller is built."""
     with pytest.raises(ConfigError, match=words):
         controller_config("thermoforce_mpc", {"free_response": chosen}, load_testcase("bestest_hydronic_heat_pump"))
+
+
+def test_a_class_in_a_file_is_a_free_response_with_its_parameters_as_options(tmp_path, monkeypatch) -> None:
+    (tmp_path / "mine.py").write_text(MINE, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    config = FreeResponseConfig(name="mine.py:Yesterday", options={"spread_K": 0.5})
+    built = build_free_response(config.name, **config.options)
+    free = 20.0 + np.sin(np.arange(49) / 4.0)
+    found = built.forecast(free, history_of(free), boundary_of(48, 3))
+    np.testing.assert_allclose(found.quantiles_C[2] - found.quantiles_C[0], 1.0)
+    for name, options, why in (
+        ("mine.py:Yesterday", {"spread": 1}, "did you mean 'spread_K'"),
+        ("mine.py:Tomorrow", {}, "has no 'Tomorrow'; it has Yesterday, bare"),
+        ("mine.py:bare", {}, "its parameters x have no default"),
+    ):
+        with pytest.raises(ConfigError, match=why):
+            check_free_response(name, options)
+    # As code of a file it is asked for wherever a file names it.
+    assert python_of({"controller": {"options": {"free_response": {"name": "mine.py:Yesterday"}}}}) == ["mine.py"]
+
+
+MINE = """
+import numpy as np
+from thermoforce_mpc.data import FreeForecast
+
+class Yesterday:
+    name = "yesterday"
+
+    def __init__(self, spread_K: float = 0.1):
+        self.spread_K = spread_K
+
+    def forecast(self, free_C, history, boundary):
+        ahead = np.full(boundary.n_steps, free_C[-1])
+        return FreeForecast(np.array([0.1, 0.5, 0.9]), np.stack([ahead - self.spread_K, ahead, ahead + self.spread_K]))
+
+def bare(x):
+    return Yesterday()
+"""

@@ -22,9 +22,9 @@ _MARKS = {"ok": "ok      ", "warning": "WARNING ", "failed": "FAILED  ", "skippe
 def doctor(url: str | None, testcase: str, out: Path, only: str | None, json_file: Path | None) -> None:
     """Check what a run needs, by using it, and say what to do where something is wrong.
 
-    Packages, what they would report to others, the embedded plant, each solver on a small problem, the forecaster, a
-    service (--url), the clock, and the disk where runs are written. Exit code 1 where a check failed; warnings do not
-    count.
+    Packages, what they would report to others, the embedded plant, each solver on a small problem, the forecaster,
+    memory and time of a loop at a real building, a service (--url), the clock, and the disk where runs are written.
+    Exit code 1 where a check failed; warnings do not count.
 
     \b
     Examples:

@@ -20,7 +20,6 @@ from thermoforce_mpc.experiment.explaining import (
     alternatives_of,
     decision_at,
     hour_ends,
-    words_of,
 )
 from thermoforce_mpc.records.run_folder import write_json
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole
@@ -46,7 +45,7 @@ _RUNGS = {
 @click.command()
 @click.argument("run", type=PATH)
 @click.option(
-    "--at", metavar="TIME", help="'16 06:30' (day from 0), '01-17 06:30' or '1405800s'.  [default: last step]"
+    "--at", metavar="TIME", help="'16 06:30' (day from 0), '01-17 06:30', '1405800s', or a date.  [default: last step]"
 )
 @click.option("--controller", metavar="NAME", help="Which of the run.  [default: the scenario's own]")
 @click.option("--hours", type=FiniteRange(0.1), default=12.0, help="Hours of the plan to show.")
@@ -116,7 +115,8 @@ def _reason(decision: ExplainedStep, alternatives: Alternatives) -> str:
 def _lines(decision: ExplainedStep) -> list[str]:
     step = decision.step
     record, names = step.told, step.names
-    lines = [f"{decision.controller}, step {record['index']}: {words_of(step.time_s)} ({step.time_s:.0f} s)"]
+    begun = decision.building.in_words(step.time_s)
+    lines = [f"{decision.controller}, step {record['index']}: {begun} ({step.time_s:.0f} s)"]
     if step.before is not None:
         zones = ", ".join(f"{zone} {_C(T)}" for zone, T in zip(names.zones, step.before.T_zone_C, strict=True))
         lines.append(f"measured: {zones}; outdoors {_C(step.before.T_out_C)}, sun {step.before.solar_W_m2:.0f} W/m²")
@@ -145,7 +145,7 @@ def _lines(decision: ExplainedStep) -> list[str]:
         planned = ""
         if decision.plan:
             planned = f" (planned {', '.join(_C(float(T)) for T in decision.T_zone_C[:, 0])})"
-        lines.append(f"came: {zones}{planned} at {words_of(end.time_s)}")
+        lines.append(f"came: {zones}{planned} at {decision.building.in_words(end.time_s)}")
     else:
         lines.append("came: nothing is recorded, the run ended here")
     return lines
@@ -168,7 +168,7 @@ def _table(decision: ExplainedStep, hours: float) -> Table:
     for end in ends:
         step = slice(end - every, end)
         row = [
-            words_of(boundary.time_s[end]),
+            decision.building.in_words(boundary.time_s[end]),
             f"{np.mean(boundary.T_out_C[step]):.1f}",
             f"{np.mean(boundary.solar_W_m2[step]):.0f}",
             f"{np.mean(boundary.price_per_kWh[0, step]):.3f}",

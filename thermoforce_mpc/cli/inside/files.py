@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from thermoforce_mpc.cli.inside.homes import KINDS as HOMES
 from thermoforce_mpc.cli.options import PATH, code_option
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import storage_errors, write_whole
@@ -39,8 +40,14 @@ _KIND_OF = {
 @click.option("--copy-testcase", is_flag=True, help="Copy that test case to testcase.yaml, to make it yours.")
 @click.option("--data", metavar="FILE", help="Write map.yaml too, guessed from this table of measurements.")
 @click.option("--from-url", metavar="URL", help="Write testcase.yaml, proposed from the points of a BOPTEST service.")
-def init(folder: Path, testcase: str | None, copy_testcase: bool, data: str | None, from_url: str | None) -> None:
+@click.option("--for", "home", type=click.Choice(HOMES), help="Of a real building behind this, or a BOPTEST service.")
+def init(
+    folder: Path, testcase: str | None, copy_testcase: bool, data: str | None, from_url: str | None, home: str | None
+) -> None:
     """Write a commented scenario to DIR, with every key, its meaning and its default, ready to run.
+
+    With --for the files of a real building: map.yaml, connection.yaml, a systemd unit, and for Home Assistant the timer
+    and automation that give the house back without us. With --for boptest the scenario of a service.
 
     Nothing is overwritten. The schemas of the files are written beside them, so that editors complete keys.
 
@@ -50,24 +57,36 @@ def init(folder: Path, testcase: str | None, copy_testcase: bool, data: str | No
       tf-mpc init my_house --testcase bestest_hydronic --copy-testcase
       tf-mpc init my_house --data house.csv
       tf-mpc init my_study --testcase my_office --from-url http://127.0.0.1:8000
+      tf-mpc init my_house --for home-assistant
     """
+    from thermoforce_mpc.cli.inside.homes import home_files
     from thermoforce_mpc.measurements.map.starting_map import starting_map
     from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
     from thermoforce_mpc.scenario.settings import find_config, is_config
 
     if from_url is not None:
-        if copy_testcase or data is not None:
-            raise ConfigError("--from-url: writes a test case itself; leave --copy-testcase and --data out")
+        if copy_testcase or data is not None or home is not None:
+            raise ConfigError("--from-url: writes a test case itself; leave --copy-testcase, --data and --for out")
         _init_of_service(folder, testcase or _DEFAULT, from_url)
+        return
+    if home not in (None, "boptest"):
+        if copy_testcase:
+            raise ConfigError(f"--for {home}: a real building has no test case to copy")
+        texts = home_files(home, None if data is None else _headed("map", starting_map(data)))
+        _write_new({folder / name: text for name, text in texts.items()})
+        for name in texts:
+            click.echo(f"Wrote {folder / name}")
+        click.echo("Replace the names in them, then: tf-mpc validate map.yaml && tf-mpc connections")
         return
     testcase = testcase or _DEFAULT
     building = load_testcase(testcase)
     implemented = building.embedded or building.energyplus or building.plant
     reference = str(Path(testcase).absolute()) if Path(testcase).suffix in (".yaml", ".yml") else testcase
     overrides = {"testcase": "testcase.yaml" if copy_testcase else reference}
-    scenario = load_scenario(
-        None, overrides | {"testcase": testcase, "plant": {"kind": "embedded" if implemented else "boptest"}}
-    )
+    plant = {"kind": "embedded" if implemented and home is None else "boptest"}
+    if home == "boptest":
+        plant["url"] = "http://127.0.0.1:80"
+    scenario = load_scenario(None, overrides | {"testcase": testcase, "plant": plant})
     texts = {"scenario": _headed("scenario", scenario_text(scenario.model_copy(update=overrides)))}
     if copy_testcase:
         if building.name == testcase and not is_config("testcases", testcase):
@@ -79,7 +98,7 @@ def init(folder: Path, testcase: str | None, copy_testcase: bool, data: str | No
     enter = _written(folder, texts)
     what = " (the simulated test case, not your measurements)" if data is not None else ""
     click.echo(f"Run it:   {enter}tf-mpc run --config scenario.yaml{what}")
-    if not implemented:
+    if not implemented and home is None:
         click.echo("The plant is a BOPTEST service: set plant.url, or plant.kind: fmu and plant.path.")
     if data is not None:
         table = shlex.quote(str(Path(data).absolute()))
@@ -109,17 +128,20 @@ def _written(folder: Path, texts: Mapping[str, str]) -> str:
     from thermoforce_mpc.cli.inside.schemas import schema_text
 
     files = {folder / f"{kind}.yaml": text for kind, text in texts.items()}
-    existing = [str(path) for path in files if path.exists()]
-    if existing:
-        raise ConfigError(f"{', '.join(existing)}: there already, and never overwritten; choose another folder")
-    files |= {folder / _SCHEMAS / f"{kind}.json": schema_text(kind) for kind in texts}
-    for path, text in files.items():
-        with storage_errors(path.parent):
-            path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, text)
+    _write_new(files, {folder / _SCHEMAS / f"{kind}.json": schema_text(kind) for kind in texts})
     for kind in texts:
         click.echo(f"Wrote {folder / kind}.yaml")
     return "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
+
+
+def _write_new(files: Mapping[Path, str], beside: Mapping[Path, str] | None = None) -> None:
+    """Write `files`, and those `beside` them; raises `ConfigError` where one of `files` is there already."""
+    if existing := [str(path) for path in files if path.exists()]:
+        raise ConfigError(f"{', '.join(existing)}: there already, and never overwritten; choose another folder")
+    for path, text in {**files, **(beside or {})}.items():
+        with storage_errors(path.parent):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, text)
 
 
 def _headed(kind: str, text: str) -> str:
@@ -160,7 +182,7 @@ def schema(kind: str, out: Path | None) -> None:
 @click.argument("file", type=PATH)
 @code_option
 def validate_file(file: Path, code: tuple[str, ...]) -> None:
-    """Check FILE, a scenario, test case, comparison, fleet or map; an error names file, key and allowed values.
+    """Check FILE, a scenario, test case, comparison, fleet, map or connection; an error names file, key and values.
 
     A comparison has the key `variants`, a fleet `buildings`, a map `outdoor`, a test case `actuator`, `zones` or
     `measurements`. Of a scenario, weather, prices, model and forecaster are loaded too. Whether a map fits a table
@@ -177,6 +199,13 @@ def validate_file(file: Path, code: tuple[str, ...]) -> None:
     from thermoforce_mpc.scenario.settings import read_yaml, validate
 
     data = read_yaml(file)
+    if set(data) == {"name", "options"}:
+        from thermoforce_mpc.connections.registry import build_connection, connection_settings
+
+        name, options = connection_settings(str(file), {})
+        build_connection(name, options).close()
+        click.echo(f"{file}: valid connection, {name}")
+        return
     kind = next((kind for key, kind in _KIND_OF.items() if key in data), "scenario")
     if kind != "scenario":
         content = validate(KINDS[kind], data, str(file)).model_dump()

@@ -37,7 +37,7 @@ _UNITS = {"T_zone_C": "zone, °C", "T_out_C": "outdoors, °C", "solar_W_m2": "su
 @click.command()
 @click.argument("model", type=PATH)
 def inspect(model: Path) -> None:
-    """Show the saved MODEL (a folder): operator parameters, certificate, power model, scores and data ranges.
+    """Show the saved MODEL (its folder, or a run's): parameters, certificate, power model, scores and data ranges.
 
     The certificate is recomputed from the weights; a model that fails it is refused with exit code 2.
     """
@@ -45,7 +45,22 @@ def inspect(model: Path) -> None:
 
     from thermoforce_mpc.model.thermal_model import load_model
 
-    show_model(str(model), load_model(model), Console(highlight=False, markup=False))
+    console = Console(highlight=False, markup=False)
+    for folder in _models_in(model):
+        show_model(str(folder), load_model(folder), console)
+
+
+def _models_in(folder: Path) -> list[Path]:
+    """The folder of a model itself, or those of the models in a run's; raises `InputError` where a run has none."""
+    from thermoforce_mpc.errors import InputError
+    from thermoforce_mpc.model.saved import JSON_NAME
+
+    if (folder / JSON_NAME).exists() or not (folder / "journal.jsonl").exists():
+        return [folder]
+    found = sorted(path.parent for path in folder.glob(f"model*/{JSON_NAME}"))
+    if not found:
+        raise InputError(f"{folder}: this run identified no model, or took one of --model; its controllers: kpis.csv")
+    return found
 
 
 def show_model(name: str, thermal: ThermalModel, console: Console) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
@@ -38,6 +39,9 @@ _PACKAGE = "thermoforce-mpc"
 _LITTLE_SPACE_GB, _NO_SPACE_GB = 2.0, 0.2
 _CLOCK_OFF_S = 60.0
 _SLOW_SYNC_S = 0.2
+# From where a running loop takes much, MB and s of one core a step: it took 310 MB and 0.14 s on 2026-11-28, 370 MB
+# where pyarrow is installed, which pandas loads. How long it may be tried, s.
+_MEMORY_MB, _STEP_S, _LOOP_S = 450.0, 1.0, 300.0
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,7 @@ def examine(
         "plant": _plant,
         **{f"solver {name}": lambda name=name: _solver(name) for name in ("ipopt", "qp", "sqp", "milp")},  # type: ignore[misc]
         "backbone": _backbone,
+        "live loop": _live_loop,
         "serving": _serving,
         "service": lambda: _service(testcase, url),
         "clock": lambda: _clock(url),
@@ -202,6 +207,25 @@ def _backbone() -> _Found:
     if not np.isfinite(forecast.quantiles_C).all():
         return "failed", "the shipped forecaster returns no numbers", "pip install --force-reinstall torch"
     return "ok", f"shipped forecaster: {forecast.note}"
+
+
+def _live_loop() -> _Found:
+    """Memory and time of some steps at a building that is not there, in a process of its own."""
+    command = [sys.executable, "-m", "thermoforce_mpc.cli.inside.loop_load"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=_LOOP_S, check=False)
+    if done.returncode:
+        return "failed", (done.stderr.strip().splitlines() or ["it ended"])[-1], "see the message"
+    load = json.loads(done.stdout)
+    summary = f"{load['MB']:.0f} MB of memory, {load['step_s']:.2f} s of one core a step"
+    if not load["planned"]:
+        return "failed", f"{summary}, but no plan", "report it"
+    if load["MB"] > _MEMORY_MB or load["step_s"] > _STEP_S:
+        return (
+            "warning",
+            f"{summary}: more than usual",
+            "a machine with 1 GB and an idle core is enough; is another busy?",
+        )
+    return "ok", summary
 
 
 def _serving() -> _Found:

@@ -15,7 +15,6 @@ from rich.text import Text
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.data.clock import words_of
 from thermoforce_mpc.experiment.explaining import hour_ends
 from thermoforce_mpc.report.live_view import LiveRun, RunView
 from thermoforce_mpc.report.whole_tables import plain_table, width_of
@@ -74,8 +73,8 @@ def watch(run: Path, controller: str | None, hours: float, every: float, once: b
 def shown(view: RunView, hours: float, console: Console) -> RenderableType:
     """The view as tables and lines, no wider than the console as long as figures fit."""
     days = f"day {view.days:.2f}" + (f" of {view.days_in_all:g}" if math.isfinite(view.days_in_all) else "")
-    head = Text(f"{view.testcase} · {view.controller} · {words_of(view.time_s)} ({days}) · ", style="bold")
-    head.append(view.state, style="green" if view.state != "ended early" else "red")
+    head = Text(f"{view.testcase} · {view.controller} · {view.at} ({days}) · ", style="bold")
+    head.append(view.state, style="green" if view.state in ("running", "finished") else "red")
     lines: list[RenderableType] = [head, *([Text(view.said)] if view.said else [])]
     least = _zones(view, 1)
     lines.append(_zones(view, min(max(console.width - width_of(least, console) + _HEAD, _HEAD), _WIDTH)))
@@ -141,7 +140,7 @@ def _plan_table(view: RunView, hours: float, parts: list[list[str]], which: rang
         last, part = view.plan[end - 1], view.plan[end - every : end]
         cells = [[f"{sum(point.u[a] for point in part) / every:.2f}"] for a in range(len(view.actuators))]
         cells += [[f"{last.T_C[z]:.2f}", f"{last.lower_C[z]:g}–{last.upper_C[z]:g}"] for z in range(len(view.zones))]
-        table.add_row(words_of(last.time_s), *(text for i in which for text in cells[i]))
+        table.add_row(view.until[end - 1], *(text for i in which for text in cells[i]))
     return table
 
 

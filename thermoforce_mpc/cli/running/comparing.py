@@ -84,6 +84,13 @@ _axes_options = added(
     ),
     click.option("--tariff-file", "prices", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
 )
+_seeds_option = click.option(
+    "--seeds",
+    type=click.IntRange(1),
+    default=1,
+    show_default=True,
+    help="Seeds of probing, training and forecast errors, from the scenario's on; differences are over them too.",
+)
 _result_options = added(
     click.option("--out", type=PATH, help="Result folder; finished cells in it are reused.  [default: runs/...]"),
     click.option(
@@ -95,7 +102,13 @@ _result_options = added(
     click.option("--quiet", is_flag=True, help="Print only the final tables."),
 )
 comparison_options = added(
-    base_options, _axes_options, learned_options, _result_options, equal_comfort_option, execution_options()
+    base_options,
+    _axes_options,
+    _seeds_option,
+    learned_options,
+    _result_options,
+    equal_comfort_option,
+    execution_options(),
 )
 
 
@@ -143,14 +156,14 @@ def compare(**options: Any) -> None:
     "--over",
     default="comfort_weight_per_m2",
     metavar="KEY",
-    help="Numeric option (dotted name, or its last part if unique).",
+    help="Numeric option (dotted name, or its last part if unique), or key of the scenario.",
 )
 @click.option("--values", default=_VALUES, metavar="X,Y", help="Values of the option.")
 @click.option(
     "--beside", default="thermostat,native", metavar="A,B", help="Controllers run for comparison; '' for none."
 )
 def sweep(**options: Any) -> None:
-    """Run one controller for several values of one option and plot cost against discomfort.
+    """Run one controller for several values of one option or key and plot cost against discomfort.
 
     As `tf-mpc compare`: parallel processes, resumable, one identification per window.
 
@@ -159,6 +172,7 @@ def sweep(**options: Any) -> None:
       tf-mpc sweep --testcase bestest_hydronic_heat_pump
       tf-mpc sweep --testcase bestest_hydronic_heat_pump --controller pi --over kp --values 0.2,0.5,1,2
       tf-mpc sweep --testcase bestest_hydronic_heat_pump --over horizon_h --values 12,24,48 --windows 44
+      tf-mpc sweep --testcase bestest_hydronic_heat_pump --over identification.days --values 1,3,7 --seeds 5
 
     \b
     Exit codes: 0 all cells have a result, 2 bad input, 3 a cell failed (the others are stored), 7 the cluster is gone,
@@ -243,7 +257,7 @@ def _run_comparison(
 ) -> None:
     """Run the cells without a stored result, then write and print the outcome; exits with 3 where a cell has none."""
     inputs = Inputs()
-    cells = expand(base, variants, axes.windows, axes.prices, axes.uncertainties, inputs)
+    cells = expand(base, variants, axes.windows, axes.prices, axes.uncertainties, inputs, options["seeds"])
     testcase = load_testcase(base.testcase)
     store = Store(options["out"] or Path("runs") / f"{name}-{testcase.name}")
     console = Console(highlight=False, markup=False)
@@ -255,7 +269,8 @@ def _run_comparison(
     note_other_code((record["source"] for record in stored.values()), say)
     run_cells(tasks_of(todo), store, console, options["engine"], quiet, stored)
     # With the names of this comparison: two may refer to the same run.
-    records: list[dict[str, Any]] = [{**stored[cell.key], "variant": cell.variant} for cell in cells]
+    named = [{"variant": cell.variant, "window": cell.window} for cell in cells]
+    records: list[dict[str, Any]] = [stored[cell.key] | names for cell, names in zip(cells, named, strict=True)]
     asked = base.equal_comfort  # a cell does not have it, so that its result is found again with and without
     if Experiment.of(cells[0].scenario).equal_comfort if asked is None else asked:
         search = EqualComfort(store, inputs, testcase, lambda text: say(f"searching a thermostat: {text}"))

@@ -4,8 +4,9 @@ set-points inside the comfort band, by which the plant's own loops heat and cool
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,13 @@ _NEAREST_K, _FARTHEST_K = 0.5, 3.0
 _APART_K = 0.5
 # Shares of draws that heat and that cool; the rest let the zone float.
 _HEAT, _COOL = 0.4, 0.4
+
+
+def drawing(state: Mapping[str, Any]) -> np.random.Generator:
+    """The random numbers that stood at `state`, of `Generator.bit_generator`."""
+    rng = np.random.default_rng(0)
+    rng.bit_generator.state = dict(state)
+    return rng
 
 
 class Draws(NamedTuple):
@@ -90,6 +98,16 @@ class LevelTrial:
         return self.levels[(self.done - 1) // 2]
 
 
+@dataclass(frozen=True, eq=False)
+class RoomsState:
+    """Where the excitation of a zone by room set-points stands: random numbers, steps left, direction and target."""
+
+    draws: Mapping[str, Any]
+    left: int
+    sign: int
+    target_C: float
+
+
 @dataclass
 class RoomExcitation:
     """Excites a zone by room set-points, equal ones for equal seeds and readings. `lowest`: level of full cooling."""
@@ -118,6 +136,16 @@ class RoomExcitation:
         if self.sign < 0 and T_zone_C > lower + _APART_K:
             return Block(self.lowest, step_s, (lower, max(target, lower + _APART_K)))
         return Block(0.0, step_s, (lower, upper))
+
+    def state(self) -> RoomsState:
+        """All that the next steps depend on."""
+        return RoomsState(self.rng.bit_generator.state, self.left, self.sign, self.target_C)
+
+    def restore(self, state: object) -> None:
+        """Go on from `state`, one of rooms."""
+        assert isinstance(state, RoomsState)
+        self.rng = drawing(state.draws)
+        self.left, self.sign, self.target_C = state.left, state.sign, state.target_C
 
     def withheld(self) -> None:
         """Room set-points exclude nothing, and nothing excludes them."""

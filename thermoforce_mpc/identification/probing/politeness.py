@@ -26,26 +26,38 @@ _MEAN_H = 3.0
 class Foresight:
     """Running estimate of what a level does to the zone within a step.
 
+    Attributes:
+        weights, covariance: of the effects of the level and what else moves the zone, (4,) and (4, 4).
+        mean_C: recent mean of the zone, °C.
+
     Args:
-        past: native control before the probing, at the step of the probing; may be one instant.
+        past: native control before the probing, at its step; may be one instant; None: `restore` follows.
         sign: +1 heating, −1 cooling.
     """
 
-    def __init__(self, past: Record, sign: float, step_s: float) -> None:
+    def __init__(self, past: Record | None, sign: float, step_s: float) -> None:
         self._sign = sign
         self._keep = float(np.exp(-step_s / (_MEAN_H * HOUR_S)))
+        self.weights: Array = np.zeros(4)
+        self.covariance: Array = np.zeros((4, 4))
+        self.mean_C = float("nan")
+        if past is None:
+            return
         bound = _bound_K(past)
         # In the direction of the actuator: mean + standard deviation of the effect is the bound.
-        self._weights: Array = np.array([0.5 * bound, 0.0, 0.0, 0.0])
-        self._covariance: Array = np.diag([0.5 * bound, *_REST_SD]) ** 2
-        self._mean_C = float("nan")
+        self.weights[0] = 0.5 * bound
+        self.covariance = np.diag([0.5 * bound, *_REST_SD]) ** 2
         for T in past.T_zone_C[0]:
             self._remember(float(T))
+
+    def restore(self, weights: Array, covariance: Array, mean_C: float) -> None:
+        """Go on from what another one had learned."""
+        self.weights, self.covariance, self.mean_C = weights, covariance, mean_C
 
     @property
     def effect_K(self) -> float:
         """Effect of full level over a step, on the safe side, K: mean plus standard deviation."""
-        return float(self._weights[0] + np.sqrt(self._covariance[0, 0]))
+        return float(self.weights[0] + np.sqrt(self.covariance[0, 0]))
 
     def learn(self, record: Record) -> None:
         """Learn from the last step of `record`, where its readings are complete."""
@@ -53,9 +65,9 @@ class Foresight:
         x = np.concatenate([[record.u[0, -1]], self._other_inputs(start, record.T_out_C[-2], record.solar_W_m2[-2])])
         change = self._sign * (end - start)
         if np.isfinite(x).all() and np.isfinite(change):
-            gain = self._covariance @ x / (x @ self._covariance @ x + _NOISE_K**2)
-            self._weights = self._weights + gain * (change - self._weights @ x)
-            self._covariance = self._covariance - np.outer(gain, x @ self._covariance)
+            gain = self.covariance @ x / (x @ self.covariance @ x + _NOISE_K**2)
+            self.weights = self.weights + gain * (change - self.weights @ x)
+            self.covariance = self.covariance - np.outer(gain, x @ self.covariance)
         self._remember(float(end))
 
     def polite(
@@ -67,21 +79,21 @@ class Foresight:
         """
         if not np.isfinite(T_zone_C):
             return level
-        rest = float(self._weights[1:] @ self._other_inputs(T_zone_C, T_out_C, solar_W_m2))
+        rest = float(self.weights[1:] @ self._other_inputs(T_zone_C, T_out_C, solar_W_m2))
         towards, behind = (high, low) if self._sign > 0 else (-low, -high)
         room_K = towards - self._sign * T_zone_C - rest
         least_K = behind - self._sign * T_zone_C - rest
-        raised = max(level, least_K / max(float(self._weights[0]), 1e-6))
+        raised = max(level, least_K / max(float(self.weights[0]), 1e-6))
         return float(np.clip(min(raised, room_K / max(self.effect_K, 1e-6)), 0.0, highest))
 
     def _other_inputs(self, T: float, T_out: float, solar: float) -> Array:
         """Regressors besides the level, (3,), in the direction of the actuator."""
-        mean = self._mean_C if np.isfinite(self._mean_C) else T
+        mean = self.mean_C if np.isfinite(self.mean_C) else T
         return self._sign * np.array([mean - T, T_out - T, solar / 100.0])
 
     def _remember(self, T: float) -> None:
         if np.isfinite(T):
-            self._mean_C = self._keep * self._mean_C + (1 - self._keep) * T if np.isfinite(self._mean_C) else T
+            self.mean_C = self._keep * self.mean_C + (1 - self._keep) * T if np.isfinite(self.mean_C) else T
 
 
 def _bound_K(past: Record) -> float:

@@ -1,4 +1,4 @@
-"""Probing: days of excitation within comfort limits, from which an operator can be identified.
+"""Probing as a controller: days of excitation within comfort limits, from which an operator can be identified.
 
 Levels are drawn at random and held for random times, 15 min to 4 h, to excite fast and slow parts of the response. The
 draws depend on the temperature, so that the zone stays near its comfort band (paper sec:identification: one to three
@@ -9,17 +9,41 @@ band, levels are changed so that the temperature keeps the limits until the step
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Literal, cast
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Record
+from thermoforce_mpc.data import (
+    CONDITIONS,
+    DAY_S,
+    HOUR_S,
+    SAMPLED,
+    Array,
+    Block,
+    Boundary,
+    Layout,
+    Observation,
+    Plan,
+    PlanStatus,
+    Record,
+)
+from thermoforce_mpc.data.series import interpolated
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.probing.design import choose
-from thermoforce_mpc.identification.probing.excitation import EXCURSION_K, Draws, Excitation, LevelTrial, RoomExcitation
+from thermoforce_mpc.identification.probing.excitation import (
+    EXCURSION_K,
+    Draws,
+    Excitation,
+    LevelTrial,
+    RoomExcitation,
+    RoomsState,
+    drawing,
+)
 from thermoforce_mpc.identification.probing.politeness import Foresight
-from thermoforce_mpc.protocols import Plant, RoomSetpointPlant
+from thermoforce_mpc.model.forecast_gaps import completed
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Horizon over which the tightest comfort bound is taken, so that the zone can meet the occupied bounds.
@@ -75,140 +99,178 @@ class ProbingConfig(StrictModel):
         return max(1, round(_BLOCK_H * HOUR_S / self.step_s))
 
 
-def probe(
-    plant: Plant,
-    start_s: float,
-    days: float,
-    *,
-    seed: int,
-    layout: Layout | None = None,
-    config: ProbingConfig | None = None,
-) -> Record:
-    """Probe `plant` for `days` from `start_s`, after a reset with native warm-up.
-
-    Args:
-        seed: seed of the draws; the same seed on the same plant gives the same record.
-        layout: what acts where, by default one heating actuator; one whose levels are signed is probed by room
-            set-points instead of levels.
-        config: options of the probing.
-
-    Returns:
-        The record at `config.step_s`, without the warm-up.
-
-    Raises:
-        PlantError: the plant or service failed.
+@dataclass(frozen=True, eq=False)
+class LevelsState:
+    """Where the excitation of an actuator by levels stands: its random numbers, the level that is held and for how many
+    steps more, the trial of part load, the level `applied` last, and what `Foresight` has learned.
     """
-    return Probing(plant, start_s, seed=seed, layout=layout, config=config).go_on(days)
+
+    draws: Mapping[str, Any]
+    hold_steps: tuple[int, ...]
+    level: float
+    left: int
+    trial_left: int
+    trial_done: int
+    applied: float
+    stays_C: float
+    weights: Array
+    covariance: Array
+    mean_C: float
 
 
-class Probing:
-    """A probing that can be continued; `record` is what was measured so far, `blocks` what was asked for, one a step.
+@dataclass(frozen=True, eq=False)
+class ProbingState:
+    """Where a probing stands: begun at `begin_s`, `steps` of the record at the last plan (−1: none yet), steps after
+    which it ends as far as is known, the levels `asked` (A, n) for in each step (NaN: own control), and `of` each
+    actuator.
+    """
+
+    begin_s: float
+    steps: int
+    planned_steps: int
+    asked: Array
+    of: tuple[LevelsState | RoomsState, ...]
+
+
+EndRule = Callable[[Record, int], tuple[int, str]]
+"""When a probing ends: from its record so far and the steps that are planned (0 at the begin), the steps that it is to
+have and why it ends now ('' where it goes on). Asked where a block of draws ends, and where all steps are over."""
+
+
+class ProbingController:
+    """`Controller` that excites a building within its comfort limits, until a rule says that it ends.
 
     Each actuator has draws of its own, so that their effects can be told apart, and follows the comfort band of the
-    zone that it serves.
+    zone that it serves. One whose levels are signed is probed by room set-points instead of levels. All that it knows
+    is in the state of its plans: a probing that was killed goes on with the draws, holds and trials it was in.
     """
 
-    def __init__(
-        self,
-        plant: Plant,
-        start_s: float,
-        *,
-        seed: int,
-        layout: Layout | None = None,
-        config: ProbingConfig | None = None,
-    ) -> None:
-        """Reset `plant` with native warm-up to `start_s`; arguments as for `probe`.
+    name = "probing"
 
-        Raises:
-            PlantError: the plant or service failed.
-        """
-        self.config = c = config or ProbingConfig()
-        self._plant, self._layout = plant, layout or Layout.single()
-        now = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
-        self.record, self.blocks = Record.beginning(now), list[Block]()
-        # The past bounds the effect of a level; rooms need none.
-        past = plant.past(c.step_s) if any(lowest >= 0.0 for lowest in self._layout.lowest) else self.record
-        self._excites: list[_Levels | RoomExcitation] = []
-        for a, (zone, lowest) in enumerate(zip(self._layout.home, self._layout.lowest, strict=True)):
-            draws = (seed,) if a == 0 else (seed, a)
-            if lowest < 0.0:
-                rng = np.random.default_rng(_seed(draws))
-                self._excites.append(RoomExcitation(rng, c.hold_steps, lowest, c.step_s))
-            else:
-                own = past.part(zone, [a])
-                self._excites.append(_Levels(c, draws, self._layout.signs[a], own))
+    def __init__(self, layout: Layout, config: ProbingConfig, seed: int, until: EndRule) -> None:
+        """`seed` of the draws: the same seed on the same plant gives the same record."""
+        self.layout, self.config, self._seed, self._until = layout, config, seed, until
+        self.horizon_s = max(_BAND_AHEAD_S, config.block_steps * config.step_s)
 
     @property
-    def days(self) -> float:
-        """Days probed so far."""
-        return self.record.n_steps * self.config.step_s / DAY_S
+    def step_s(self) -> float:
+        """Step of the record, s."""
+        return self.config.step_s
 
-    def go_on(
+    def plan(self, observation: Observation, state: object = None) -> Plan:
+        """See `Controller.plan`; raises `DataError` where a zone's temperature was not measured since the begin."""
+        c, history = self.config, observation.history
+        names, before = history.names, state if isinstance(state, ProbingState) else None
+        begin_s = float(history.time_s[-1]) if before is None else before.begin_s
+        measured = _since(history, begin_s)
+        record = _whole(measured)
+        excites = self._excites(_whole(history) if before is None else None)
+        done = round((float(history.time_s[-1]) - begin_s) / c.step_s)
+        last, planned = (-1, 0) if before is None else (before.steps, before.planned_steps)
+        block_ends = last < 0 or done // c.block_steps > last // c.block_steps
+        if before is not None:
+            for one, of in zip(excites, before.of, strict=True):
+                one.restore(of)
+        for i in range(max(record.n_steps - (done - max(last, 0)), 0), record.n_steps):
+            for a, (zone, one) in enumerate(zip(self.layout.home, excites, strict=True)):
+                one.learn(record.slice(i, i + 1).part(zone, [a]))
+        why = ""
+        if block_ends or done >= planned:
+            planned, why = self._until(measured, planned)
+        asked = np.full((len(names.actuators), done + 1), np.nan)
+        if before is not None:
+            asked[:, : before.asked.shape[1]] = before.asked[:, : done + 1]
+        if why:
+            states = tuple(one.state() for one in excites)
+            ended = ProbingState(begin_s, done, planned, asked[:, :done], states)
+            return Plan((), PlanStatus.RULE, f"probing ended: {why}", names=names, ends=why, state=ended)
+        block = self._next(record, excites, observation.boundary, block_ends, done, planned)
+        asked[:, done] = block.as_array()
+        new = ProbingState(begin_s, done, planned, asked, tuple(one.state() for one in excites))
+        days = f"{done * c.step_s / DAY_S:.2f} of {planned * c.step_s / DAY_S:.3g} days"
+        return Plan((block,), PlanStatus.RULE, f"probing, {days}", names=names, state=new)
+
+    def _excites(self, past: Record | None) -> list[_Levels | RoomExcitation]:
+        """What excites each actuator; `past` at the begin, it bounds the effect of a level."""
+        c, excites = self.config, list[_Levels | RoomExcitation]()
+        for a, (zone, lowest) in enumerate(zip(self.layout.home, self.layout.lowest, strict=True)):
+            draws = (self._seed,) if a == 0 else (self._seed, a)
+            if lowest < 0.0:
+                excites.append(RoomExcitation(np.random.default_rng(_seed(draws)), c.hold_steps, lowest, c.step_s))
+            else:
+                own = None if past is None else past.part(zone, [a])
+                excites.append(_Levels(c, draws, self.layout.signs[a], own))
+        return excites
+
+    def _next(
         self,
-        days: float,
-        *,
-        enough: Callable[[Record], bool] | None = None,
-        on_step: Callable[[float], None] | None = None,
-    ) -> Record:
-        """Probe for `days` more; returns the record from the start of the probing.
-
-        Args:
-            days: days to probe, from where the last call stopped.
-            enough: called at the end of every block; True ends the probing.
-            on_step: called after every step with the completed fraction of `days`.
-
-        Raises:
-            PlantError: the plant or service failed.
-        """
-        first = self.record.n_steps
-        n = round(days * DAY_S / self.config.step_s)
-        for done in range(first, first + n):
-            if done > first and done % self.config.block_steps == 0 and enough and enough(self.record):
-                break
-            self._step(first + n)
-            if on_step:
-                on_step((done + 1 - first) / n)
-        return self.record
-
-    def _step(self, end: int) -> None:
-        """Apply the next step to all actuators; `end`: steps after which probing ends."""
-        c, plant, done = self.config, self._plant, self.record.n_steps
-        by_rooms = [isinstance(excites, RoomExcitation) for excites in self._excites]
+        record: Record,
+        excites: list[_Levels | RoomExcitation],
+        boundary: Boundary,
+        block_ends: bool,
+        done: int,
+        planned: int,
+    ) -> Block:
+        """The next step of all actuators; `planned`: steps after which probing ends."""
+        c = self.config
+        if any(not np.isfinite(np.asarray(getattr(boundary, name))).all() for name in CONDITIONS[1:]):
+            boundary = completed(boundary, record, None)[0]
         # What holds during the step decides set-points of rooms, the tightest band of a day the levels.
-        soon = plant.forecast(c.step_s, c.step_s) if any(by_rooms) else None
-        day = plant.forecast(_BAND_AHEAD_S, HOUR_S) if not all(by_rooms) else None
-        chooses = c.design == "informative" and done % c.block_steps == 0 and day is not None
-        ahead = plant.forecast(min(c.block_steps, end - done) * c.step_s, c.step_s) if chooses else None
+        soon, day = boundary.head(1), _hourly(boundary.head(round(_BAND_AHEAD_S / c.step_s)))
+        ahead = None
+        if c.design == "informative" and block_ends:
+            ahead = boundary.head(min(c.block_steps, planned - done))
         blocks = []
-        for a, (zone, excites) in enumerate(zip(self._layout.home, self._excites, strict=True)):
-            own = self.record.part(zone, [a])
-            coming = ahead.part(zone) if ahead is not None else None
-            band = soon if by_rooms[a] else day
-            assert band is not None
-            blocks.append(excites.next(own, band.part(zone), coming))
-        acted = self.record.u[:, -1] > 0.0 if done else np.zeros(len(blocks), dtype=bool)
+        for a, (zone, one) in enumerate(zip(self.layout.home, excites, strict=True)):
+            band = soon if isinstance(one, RoomExcitation) else day
+            coming = None if ahead is None else ahead.part(zone)
+            blocks.append(one.next(record.part(zone, [a]), band.part(zone), coming))
+        acted = record.u[:, -1] > 0.0 if record.n_steps else np.zeros(len(blocks), dtype=bool)
         # Of equal levels of actuators that exclude one another, the one that acts goes on.
-        for a in self._layout.excluded(
+        for a in self.layout.excluded(
             [(block.u[0] or 0.0) * (1 + on) for block, on in zip(blocks, acted, strict=True)]
         ):
             blocks[a] = Block(0.0, c.step_s)
-            self._excites[a].withheld()
+            excites[a].withheld()
         levels = tuple(block.u[0] for block in blocks)
-        commands = tuple(block.command[0] for block in blocks)
-        self.blocks.append(Block(levels, c.step_s, commands))
-        if any(command is not None for command in commands):
-            now = cast(RoomSetpointPlant, plant).advance(levels, c.step_s, commands)
-        else:
-            now = plant.advance(levels, c.step_s)
-        self.record = self.record.extended(now)
-        for a, (zone, excites) in enumerate(zip(self._layout.home, self._excites, strict=True)):
-            excites.learn(self.record.last(1).part(zone, [a]))
+        return Block(levels, c.step_s, tuple(block.command[0] for block in blocks))
+
+
+def _since(history: Record, begin_s: float) -> Record:
+    """`history` from `begin_s` on, as far back as it goes."""
+    first = int(np.searchsorted(history.time_s, begin_s - 1.0))
+    return history.slice(min(first, history.n_steps), history.n_steps)
+
+
+def _whole(record: Record) -> Record:
+    """`record` without gaps in what is sampled, on which draws cannot be made: straight lines.
+
+    What was not measured at all stays so. Raises `DataError` where that is the temperature of a zone now.
+    """
+    filled: dict[str, Any] = {}
+    for name in SAMPLED[1:]:
+        rows = getattr(record, name)
+        if not np.isfinite(rows).all():
+            whole = np.array([interpolated(row) if np.isfinite(row).any() else row for row in np.atleast_2d(rows)])
+            filled[name] = whole.reshape(rows.shape)
+    record = replace(record, **filled) if filled else record
+    if record.n_steps and not np.isfinite(record.T_zone_C[:, -1]).all():
+        silent = record.names.zones[int(np.argmin(np.isfinite(record.T_zone_C[:, -1])))]
+        raise DataError(f"{silent}: its temperature is not measured, and probing keeps no comfort without")
+    return record
+
+
+def _hourly(boundary: Boundary) -> Boundary:
+    """`boundary` at every full hour from its begin on."""
+    stride = max(1, round(HOUR_S / boundary.step_s))
+    columns = {name: getattr(boundary, name)[..., ::stride] for name in CONDITIONS}
+    return Boundary(**columns, names=boundary.names)
 
 
 class _Levels:
-    """Excites a zone by the levels of an actuator; `past`: its record before the probing."""
+    """Excites a zone by the levels of an actuator; `past`: its record before the probing, None where it is restored."""
 
-    def __init__(self, c: ProbingConfig, seed: tuple[int, ...], sign: int, past: Record) -> None:
+    def __init__(self, c: ProbingConfig, seed: tuple[int, ...], sign: int, past: Record | None) -> None:
         self._config, self._seed = c, seed
         self._sign = float(sign)
         self._foresight = Foresight(past, self._sign, c.step_s)
@@ -216,6 +278,37 @@ class _Levels:
         self._trial = LevelTrial(c.trial_levels, c.trial_steps)
         self._applied = 0.0
         self._stays_C = float("nan")
+
+    def state(self) -> LevelsState:
+        """All that the next steps depend on."""
+        e, trial, foresight = self._excitation, self._trial, self._foresight
+        return LevelsState(
+            draws=e.rng.bit_generator.state,
+            hold_steps=tuple(e.hold_steps),
+            level=e.level,
+            left=e.left,
+            trial_left=trial.left,
+            trial_done=trial.done,
+            applied=self._applied,
+            stays_C=self._stays_C,
+            weights=foresight.weights,
+            covariance=foresight.covariance,
+            mean_C=foresight.mean_C,
+        )
+
+    def restore(self, state: LevelsState | RoomsState) -> None:
+        """Go on from `state`."""
+        assert isinstance(state, LevelsState)
+        self._excitation = replace(
+            self._excitation,
+            hold_steps=tuple(state.hold_steps),
+            rng=drawing(state.draws),
+            level=state.level,
+            left=state.left,
+        )
+        self._trial.left, self._trial.done = state.trial_left, state.trial_done
+        self._applied, self._stays_C = state.applied, state.stays_C
+        self._foresight.restore(state.weights, state.covariance, state.mean_C)
 
     def next(self, record: Record, band: Boundary, ahead: Boundary | None) -> Block:
         """The level of the next step.
@@ -232,7 +325,8 @@ class _Levels:
         centre = self._centre_C(band)
         if ahead is not None:
             candidates = _candidates(c, self._seed, record.n_steps)
-            chosen, _ = choose(record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign)
+            known = replace(record, u=np.nan_to_num(record.u))  # where the building's own control acted
+            chosen, _ = choose(known, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign)
             self._excitation = self._excitation.resumed(chosen)
         # Positive if the zone is too cold (heating) or too warm (cooling).
         level = self._excitation.next(self._sign * (centre - float(record.T_zone_C[0, -1])))

@@ -56,7 +56,7 @@ def starting_map(files: str | Path | Sequence[str | Path]) -> str:
 def _columns(taken: Recognised) -> list[Column]:
     """First readings of all signals of files."""
     if taken.table.point is not None:
-        units = {}
+        units: dict[str, str] = {}
         for path in taken.paths:
             units |= units_of_points(head_of(path, _ROWS, taken.csv), taken.table, taken.csv.decimal)
         return [

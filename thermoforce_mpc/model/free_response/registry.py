@@ -1,8 +1,9 @@
 """Registry of free responses by name. A new method needs one file and one entry here.
 
-Each name stands for a function or class whose parameters are the method's options, all with defaults, and that returns
-a `FreeResponse`. A keyword `rc` gets the identified linear free part, None where there is none. Other distributions
-announce theirs in the group `thermoforce_mpc.free_responses`, see docs/how-to/plugins.md.
+Each name, or a `file.py:name` of the user's, stands for a function or class whose parameters are the method's options,
+all with defaults, and that returns a `FreeResponse`. A keyword `rc` gets the identified linear free part, None where
+there is none. Other distributions announce theirs in the group `thermoforce_mpc.free_responses`, see
+docs/how-to/plugins.md.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.registry import Registry
-from thermoforce_mpc.scenario.own_code import unfit
+from thermoforce_mpc.scenario.own_code import is_own_code, own_code, unfit
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.free_response.rc import RcParameters
@@ -90,37 +91,50 @@ def options_of(build: Callable[..., FreeResponse]) -> dict[str, Any]:
     return {key: parameter.default for key, parameter in inspect.signature(build).parameters.items() if key != "rc"}
 
 
+def find_free_response(name: str) -> Callable[..., FreeResponse]:
+    """What makes a free response: by name, or the class or function `file.py:name` of the user's.
+
+    Raises `ConfigError` where there is none, or its parameters cannot be options.
+    """
+    if not is_own_code(name):
+        return REGISTRY.find(name)
+    found: Callable[..., FreeResponse] = own_code(name, "free_response.name", ConfigError)
+    if wrong := unfit(found, ("rc",)):
+        raise ConfigError(f"free_response.name: {name}: {wrong}")
+    return found
+
+
 def build_free_response(name: str, *, rc: RcParameters | None = None, **options: Any) -> FreeResponse:
     """Build a free response by name; `rc` is the identified linear free part, needed by 'rc' and used by 'residual'.
 
     Raises `ConfigError` for an unknown name or option, or no linear free part, and `BackboneError` by the weights.
     """
     check_free_response(name, options)
-    build = REGISTRY.find(name)
+    build = find_free_response(name)
     return build(rc=rc, **options) if "rc" in inspect.signature(build).parameters else build(**options)
 
 
 def needs_identified(name: str) -> bool:
     """Whether a free response cannot be built without the identified linear free part."""
-    rc = inspect.signature(REGISTRY.find(name)).parameters.get("rc")
+    rc = inspect.signature(find_free_response(name)).parameters.get("rc")
     return rc is not None and rc.default is inspect.Parameter.empty
 
 
 def may_be_file(name: str, key: str, value: object) -> bool:
     """Whether the option `key` of a free response may name a file or folder by `value`; raises `ConfigError`.
 
-    Of ours a backbone that has no registered name, of a plugin's every text but the default.
+    Of ours a backbone that has no registered name, of a plugin's or a file's every text but the default.
     """
     from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as BACKBONES
 
     if not isinstance(value, str) or value in BACKBONES:
         return False
-    return key == "backbone" if name in REGISTRY.own else value != options_of(REGISTRY.find(name)).get(key)
+    return key == "backbone" if name in REGISTRY.own else value != options_of(find_free_response(name)).get(key)
 
 
 def check_free_response(name: str, options: dict[str, Any]) -> None:
     """Check a name and its options without loading weights; raises `ConfigError` naming what is allowed."""
-    allowed = options_of(REGISTRY.find(name))
+    allowed = options_of(find_free_response(name))
     for key, value in options.items():
         if key not in allowed:
             raise ConfigError(

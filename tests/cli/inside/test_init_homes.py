@@ -1,0 +1,82 @@
+"""`tf-mpc init --for`: files of a real building that are valid as they are, and what they say."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.cli.inside.homes import KINDS
+from thermoforce_mpc.connections.registry import connection_settings
+from thermoforce_mpc.errors import ConfigError
+
+
+def told(*words, env=None):
+    return CliRunner().invoke(cli, list(map(str, words)), env=env)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_its_files_are_valid_and_never_overwritten(kind, tmp_path):
+    folder = tmp_path / kind
+    assert told("init", folder, "--for", kind).exit_code == 0
+    secrets = {"HOME_ASSISTANT_TOKEN": "x", "MQTT_PASSWORD": "x"}
+    for name in [] if kind == "boptest" else ["map.yaml", "connection.yaml"]:
+        result = told("validate", folder / name, env=secrets)
+        assert result.exit_code == 0, result.output
+        assert "valid" in result.output
+    again = told("init", folder, "--for", kind)
+    assert "never overwritten" in str(again.exception)
+    for path in folder.glob("*.yaml"):
+        assert max(map(len, path.read_text().splitlines())) <= 120
+
+
+def test_a_scenario_of_a_service_names_its_address(tmp_path):
+    assert told("init", tmp_path, "--for", "boptest").exit_code == 0
+    assert yaml.safe_load((tmp_path / "scenario.yaml").read_text())["plant"] == {
+        **yaml.safe_load((tmp_path / "scenario.yaml").read_text())["plant"], "kind": "boptest", "url": "http://127.0.0.1:80"
+    }  # fmt: skip
+
+
+def test_the_automation_of_home_assistant_gives_back_what_the_connection_releases(tmp_path):
+    told("init", tmp_path, "--for", "home-assistant")
+    options = yaml.safe_load((tmp_path / "connection.yaml").read_text())["options"]
+    package = yaml.safe_load((tmp_path / "package.yaml").read_text())
+    (automation,) = package["automation"]
+    released = options["actuators"]["heat_pump"]
+    assert automation["triggers"][0]["event_data"]["entity_id"] == options["watchdog"]
+    assert options["watchdog"].removeprefix("timer.") in package["timer"]
+    assert automation["actions"][0]["data"]["temperature"] == released["release"]
+    assert automation["actions"][0]["target"]["entity_id"] == released["entity"]
+
+
+def test_no_file_holds_a_secret_and_a_missing_one_is_named(tmp_path):
+    told("init", tmp_path, "--for", "mqtt")
+    result = told("validate", tmp_path / "connection.yaml", env={"MQTT_PASSWORD": ""})
+    assert "MQTT_PASSWORD" in str(result.exception)
+
+
+def test_wrong_connection_files_are_refused(tmp_path):
+    file = tmp_path / "connection.yaml"
+    for text, said in (
+        ("name: mqtt\noptions: {hots: a}\n", "hots"),
+        ("name: mqt\noptions: {}\n", "mqtt"),
+        ("name: 1\noptions: 2\n", "options"),
+    ):
+        file.write_text(text)
+        with pytest.raises(ConfigError, match=said):
+            raise told("validate", file).exception
+    with pytest.raises(ConfigError, match="no such file"):
+        connection_settings("none.yaml", {})
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze")
+def test_systemd_knows_every_key_of_the_unit(tmp_path):
+    told("init", tmp_path, "--for", "files")
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", str(tmp_path / "tf-mpc.service")], capture_output=True, text=True
+    )
+    assert "Unknown" not in done.stderr

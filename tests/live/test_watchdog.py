@@ -1,0 +1,90 @@
+"""The watchdog gives a building back where its controller is stopped or killed, and leaves it to the next one."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from waiting import wait_for
+
+from thermoforce_mpc.connections.sole import sole_control
+from thermoforce_mpc.connections.watchdog import Watchdog
+
+# A controller that sets a level for a second, says so, and then does nothing more.
+_SETS = """
+import sys, time
+from pathlib import Path
+from thermoforce_mpc.connections.files import FilesConnection
+from thermoforce_mpc.connections.sole import sole_control
+from thermoforce_mpc.connections.watchdog import Watchdog
+levels = Path("levels.json")
+with sole_control(levels):
+    house, dog = FilesConnection(levels=levels), Watchdog("files", {"levels": "levels.json"}, levels, 0.5, Path("dog"))
+    dog.sets(["pump"], 1.0)
+    house.write({"pump": 0.7}, 1.0)
+    dog.set(["pump"], 1.0)
+    print("set", flush=True)
+    time.sleep(600)
+"""
+
+
+def level(folder):
+    return json.loads((folder / "levels.json").read_text())["levels"]["pump"]
+
+
+@pytest.fixture
+def controller(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-c", _SETS], cwd=tmp_path, stdout=subprocess.PIPE, text=True, env=os.environ
+    ) as process:
+        assert process.stdout.readline() == "set\n"
+        yield process
+        process.kill()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sent", [signal.SIGSTOP, signal.SIGKILL])
+def test_a_building_is_given_back_where_its_controller_is_stopped_or_killed(tmp_path, controller, sent):
+    controller.send_signal(sent)
+    assert level(tmp_path) == 0.7
+    wait_for("the building is given back", lambda: level(tmp_path) is None)
+    wait_for("the log", lambda: "gave back pump" in (tmp_path / "dog").read_text())
+    assert ("has died" in (tmp_path / "dog").read_text()) == (sent is signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_a_building_that_another_controller_took_over_is_left_to_that_one(tmp_path, controller, monkeypatch):
+    controller.kill()
+    controller.wait()
+    monkeypatch.chdir(tmp_path)
+    with sole_control(tmp_path / "levels.json"):
+        time.sleep(2.0)
+    time.sleep(1.0)
+    assert level(tmp_path) == 0.7
+    assert "gave back" not in (tmp_path / "dog").read_text()
+
+
+@pytest.mark.slow
+def test_what_is_released_is_not_given_back_again_and_a_watchdog_that_died_is_started_anew(tmp_path, caplog):
+    levels = tmp_path / "levels.json"
+    levels.write_text('{"levels": {"pump": 0.3}}')
+    dog = Watchdog("files", {"levels": str(levels)}, levels, 0.0, tmp_path / "dog")
+    dog.set(["pump"], 0.2)
+    dog.released()
+    dog.close()
+    assert level(tmp_path) == 0.3
+    dog = Watchdog("files", {"levels": str(levels)}, levels, 0.0, tmp_path / "dog")
+    os.kill(dog.pid, signal.SIGKILL)
+    time.sleep(0.2)
+    with sole_control(levels):
+        dog.set(["pump"], 0.2)
+        dog.set(["pump"], 0.2)
+    assert "started again" in caplog.text
+    with sole_control(levels):
+        wait_for("the building is given back", lambda: level(tmp_path) is None)
+    dog.close()

@@ -1,0 +1,187 @@
+"""A watchdog outside the loop: a process of its own that gives a building back when no action came for a set time.
+
+What holds a building is a deadline, which each action that was taken moves. It passes where the controller hangs, is
+stopped or killed, or sets nothing any more; the watchdog then writes that everything is the building's own again, until
+that was taken. It ends with the controller, or once that was done after it died; where another controller took over in
+between (the lock of `sole_control` tells), it leaves the building to that one.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import selectors
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import Any
+
+from thermoforce_mpc.connections.registry import build_connection
+from thermoforce_mpc.connections.sole import last_to_set, sole_control
+from thermoforce_mpc.errors import ConfigError
+
+_LOG = logging.getLogger(__name__)
+# How often the deadline is looked at, and a building asked again that does not take its levels back, s.
+_LOOK_S, _AGAIN_S = 0.5, 5.0
+# How long the end of the process is waited for, s.
+_END_S = 5.0
+
+
+class Watchdog:
+    """The controller's side: starts the process, and tells it of each action. One that dies is started again."""
+
+    def __init__(
+        self, connection: str, options: Mapping[str, Any], sets: Path | str, grace_s: float, log: Path | None = None
+    ) -> None:
+        """`grace_s`: how long after the end of what was set the building is given back, s; `log`: file it writes to."""
+        of = {"path": str(sets.resolve())} if isinstance(sets, Path) else {"text": sets}
+        self._told = {
+            "connection": connection,
+            "options": dict(options),
+            "sets": of,
+            "grace_s": grace_s,
+            "controller": os.getpid(),
+        }
+        self._log = log
+        self._process: subprocess.Popen[str] | None = None
+        self._start()
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        assert self._process is not None
+        return self._process.pid
+
+    def sets(self, names: Sequence[str], seconds: float) -> None:
+        """Something is about to be set: should it fail, or this process end in it, it may have been."""
+        self._tell({"names": list(names), "attempt": float(seconds)})
+
+    def set(self, names: Sequence[str], seconds: float) -> None:
+        """Something was set, to hold for `seconds` s."""
+        self._tell({"names": list(names), "seconds": float(seconds)})
+
+    def released(self) -> None:
+        """The building has everything back."""
+        self._tell({"names": [], "seconds": None})
+
+    def close(self) -> None:
+        """End the process; what is still set then is given back when its time is over."""
+        process, self._process = self._process, None
+        if process is None or process.stdin is None:
+            return
+        with suppress(OSError):
+            process.stdin.close()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_END_S)
+
+    def _start(self) -> None:
+        with open(os.devnull if self._log is None else self._log, "a", encoding="utf-8") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "thermoforce_mpc.connections.watchdog"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=log,
+                text=True,
+                start_new_session=True,  # Ctrl-C and a closed terminal are the controller's to answer
+            )
+        self._tell(self._told, again=False)
+
+    def _tell(self, what: Mapping[str, Any], again: bool = True) -> None:
+        assert self._process is not None
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps(what) + "\n")
+            self._process.stdin.flush()
+        except OSError:
+            if not again:
+                _LOG.warning("the watchdog cannot be started: what is set ends at its time, by the connection alone")
+                return
+            _LOG.warning("the watchdog ended, and is started again")
+            self.close()
+            self._start()
+            self._tell(what, again=False)
+
+
+def _now_s() -> float:
+    """A clock that nobody sets, and that goes on while the machine sleeps, s."""
+    return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
+
+
+def watch(told: int) -> None:
+    """Read from the descriptor `told` what is watched, and then what is set, a line of JSON each, until it ends."""
+    head: dict[str, Any] = {}
+    names: list[str] = []
+    deadline_s: float | None = None
+    alive, rest = True, b""
+    with selectors.DefaultSelector() as waiting:
+        waiting.register(told, selectors.EVENT_READ)
+        while alive or deadline_s is not None:
+            if not alive:
+                time.sleep(_LOOK_S)
+                if not _is_ours(head):
+                    return
+            elif waiting.select(_LOOK_S):
+                part = os.read(told, 65536)  # not by lines: what a buffer holds back is not seen by `select`
+                alive = bool(part)
+                *lines, rest = (rest + part).split(b"\n")
+                for line in lines:
+                    beat = json.loads(line)
+                    if not head:
+                        head = beat
+                        continue
+                    names = beat["names"] or names
+                    if "attempt" in beat:
+                        deadline_s = deadline_s or _now_s() + beat["attempt"] + head["grace_s"]
+                    else:
+                        deadline_s = None if beat["seconds"] is None else _now_s() + beat["seconds"] + head["grace_s"]
+            if deadline_s is not None and _now_s() >= deadline_s:
+                done = _given_back(head, names, alive)
+                deadline_s = None if done else _now_s() + _AGAIN_S
+
+
+def _what(head: Mapping[str, Any]) -> Path | str:
+    return Path(head["sets"]["path"]) if "path" in head["sets"] else str(head["sets"]["text"])
+
+
+def _is_ours(head: Mapping[str, Any]) -> bool:
+    """Whether nobody set the building after our controller, which has died."""
+    with suppress(ConfigError, OSError):
+        return last_to_set(_what(head)).startswith(f"process {head['controller']} ")
+    return True
+
+
+def _given_back(head: Mapping[str, Any], names: Sequence[str], alive: bool) -> bool:
+    """Give everything back; whether that is done, or another controller's. `alive`: our controller holds the lock."""
+    try:
+        if alive:
+            _give_back(head, names)
+        else:
+            with sole_control(_what(head)):
+                _give_back(head, names)
+    except ConfigError as error:
+        _say(f"not given back: {error}")
+        return not alive  # another controller took over
+    except Exception as error:  # somebody's connection may raise anything
+        _say(f"{', '.join(names)} could not be given back ({type(error).__name__}: {error}): tried again")
+        return False
+    _say(f"no action came in time{'' if alive else ', and the controller has died'}: gave back {', '.join(names)}")
+    return True
+
+
+def _give_back(head: Mapping[str, Any], names: Sequence[str]) -> None:
+    with closing(build_connection(head["connection"], head["options"])) as connection:
+        connection.write(dict.fromkeys(names), 0.0)
+
+
+def _say(text: str) -> None:
+    at = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+    print(json.dumps({"at": at, "level": "warning", "from": __name__, "message": text}), file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    with suppress(KeyboardInterrupt):
+        watch(sys.stdin.fileno())
