@@ -71,8 +71,8 @@ class LiveBuilding:
 
     def command_of(self, name: str) -> Command | None:
         """What is set in the place of the level of an actuator, by the map; None where its level is."""
-        actuator = self._rules.actuators.get(name)
-        return None if actuator is None else actuator.command
+        found = self._rules.command_of(name)
+        return None if found is None else found[1]
 
     @property
     def layout(self) -> Layout:
@@ -169,9 +169,18 @@ class LiveBuilding:
             raise NoForecast(str(error)) from error
 
     def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
-        """Set levels, see `Connection.write`; raises what the connection raises, and where it does not answer."""
+        """Set levels, see `Connection.write`; raises what the connection raises, and where it does not answer.
+
+        One command of a machine is set once, under its name; it is left alone where one of what it feeds is.
+        """
+        told: dict[str, float | None] = {}
+        for name, value in levels.items():
+            found = self._rules.command_of(name)
+            kind, _, of = found[0].partition(".") if found else ("", "", "")
+            key = of if kind == "machines" else name
+            told[key] = None if key in told and told[key] is None else value
         try:
-            self._calls(self._writer, lambda: self.connection.write(levels, seconds), self._answer_s)
+            self._calls(self._writer, lambda: self.connection.write(told, seconds), self._answer_s)
         except Crashed as crashed:  # such as an interrupt
             raise (crashed.__cause__ or crashed) from None
 
