@@ -149,3 +149,21 @@ def test_a_sweep_refuses_what_it_cannot_vary(tmp_path, monkeypatch):
         done = tf_mpc("sweep", "--testcase", TESTCASE, *words)
         assert message in str(done.exception), words
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("option", "searched"), [((), True), (("--no-equal-comfort",), False)])
+def test_a_thermostat_as_comfortable_is_searched_unless_it_is_refused(option, searched, tmp_path, monkeypatch):
+    asked = []
+
+    class Search:
+        def __init__(self, *_):
+            asked.append(True)
+
+        def beside(self, cells, records):
+            return records
+
+    monkeypatch.setattr("thermoforce_mpc.cli.running.comparing.EqualComfort", Search)
+    words = ("--controllers", "thermostat", "--windows", "44", "--days", "0.1", "--jobs", "1", "--quiet")
+    done = tf_mpc("compare", "--testcase", TESTCASE, *words, "--out", str(tmp_path / "c"), *option)
+    assert done.exit_code == 0, done.output
+    assert bool(asked) is searched
