@@ -1,4 +1,5 @@
-"""Write an export to practise on: history.csv, 30 days of a house as Home Assistant's history download has it.
+"""Write an export to practise on: history.csv, 30 days of a house as Home Assistant's history download has it, and
+tomorrow.csv, the weather and prices of the two days after it.
 
 One row per reading, stored when the state changes, in UTC; with restarts, a radio that was away, and entities that are
 no measurements. Usage: python practice_export.py [FOLDER]
@@ -69,4 +70,13 @@ for entity, told in states.items():
 export = pd.concat(rows)
 export.to_csv(folder / "history.csv", index=False)
 print(f"{folder / 'history.csv'}: {len(export)} rows of {len(states)} entities, 30 days from {minutes[0]:%Y-%m-%d} on")
+ahead = pd.date_range(minutes[-1] + pd.Timedelta("1min"), periods=49, freq="1h")
+at = ahead.hour.to_numpy()
+forecast = {
+    "time": ahead.strftime("%Y-%m-%dT%H:%M:%SZ"),
+    "temperature": (outdoor[-1] + 3 * np.sin((at - 9) / 12 * np.pi)).round(1),
+    "ghi": np.maximum(0, 230 * np.sin((at - 7) / 9 * np.pi)).round(),
+    "price": np.select([(at >= 6) & (at < 9) | (at >= 17) & (at < 21), (at >= 11) & (at < 15)], [0.38, 0.19], 0.26),
+}
+pd.DataFrame(forecast).to_csv(folder / "tomorrow.csv", index=False)
 print("next: tf-mpc data map history.csv > map.yaml")

@@ -160,7 +160,8 @@ def fallback_command(quick: bool, json_file: Path | None) -> None:
 @click.option(
     "--against",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="JSON of an earlier run: tell the weeks that got dearer by more than 0.3 % or less comfortable by 0.1 K·h.",
+    help="JSON of an earlier run: tell the weeks that got dearer by more than 0.3 %, less comfortable by 0.1 K·h, or "
+    "have more steps without a plan.",
 )
 @click.option(
     "--keep",

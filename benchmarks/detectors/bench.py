@@ -8,6 +8,7 @@ counts as the controller counts it, so that cost and discomfort are one figure.
 from __future__ import annotations
 
 import re
+import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -105,7 +106,18 @@ def run_detectors_bench(
 
     outcomes = [_outcome(value) for value in run_all(run_case, cases, engine, on_done, keep)]
     rows = rule_rows(outcomes) + [_row(one) for one in outcomes] + _compared(outcomes, before)
-    return results_json("detectors", rows, targets(outcomes))
+    result = results_json("detectors", rows, targets(outcomes))
+    result["environment"] |= {"revision": _revision()}
+    return result
+
+
+def _revision() -> str:
+    """The commit of the checkout, marked where files differ from it; '' where there is none."""
+    asked = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    try:
+        return subprocess.run(asked, capture_output=True, text=True, timeout=10.0, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return ""
 
 
 def run_case(case: PanelCase) -> dict[str, Any]:
@@ -239,20 +251,22 @@ def _earlier(path: Path) -> dict[str, Row]:
 
 
 def _compared(outcomes: Sequence[WeekOutcome], before: Mapping[str, Row]) -> list[Row]:
-    """Weeks that are dearer or less comfortable than before by more than noise."""
+    """Weeks that are dearer or less comfortable than before by more than noise, or have more steps without a plan."""
     rows = []
     for one in outcomes:
         then = before.get(one.case.in_words)
         if then is None or one.failed or then["cost"] is None:
             continue
         dearer, colder = one.cost / max(then["cost"], 1e-9) - 1.0, one.K_h - then["K_h"]
-        if dearer > _DEARER or colder > _COLDER_KH:
+        idle = one.not_planned - (then.get("not planned") or 0)
+        if dearer > _DEARER or colder > _COLDER_KH or idle > 0:
             rows.append(
                 {
                     "worse than before": one.case.in_words,
                     "then": f"{then['cost']:.4f} / {then['K_h']:.2f}",
                     "now": f"{one.cost:.4f} / {one.K_h:.2f}",
                     "dearer": f"{dearer:+.1%}",
+                    "steps not planned": f"{idle:+d}",
                 }
             )
     return rows

@@ -75,9 +75,12 @@ class ControlledWeek:
         return found
 
     def left_unused(self) -> list[str]:
-        """The first step with a share of a machine that plans leave unused."""
+        """The first step with a share of a shared machine that plans leave unused."""
+        layout = getattr(self.model, "layout", None)
+        shared = [m for m in range(len(layout.names.machines)) if len(layout.fed_by(m)) > 1] if layout else []
         for step in self.result.steps:
-            share = float(max(step.plan.margins.get(_UNUSED, [0.0])))
+            unused = step.plan.margins.get(_UNUSED)
+            share = max((float(unused[m]) for m in shared), default=0.0) if unused is not None else 0.0
             if share > _LEFT:
                 return [f"{self.day(step.time_s)}: {share:.0%} of a machine is left unused"]
         return []

@@ -18,13 +18,17 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 
+import numpy as np
+
 from controllers.actuation.actuator import Actuation, ActuationState
 from controllers.actuation.power_limit import PowerLimit, PowerRoom
-from thermoforce_mpc.data import Block, Layout, Record
+from thermoforce_mpc.data import Array, Block, Layout, Record
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
 
 # Two instants nearer than this are one, s.
 _SAME_S = 1e-6
+# Least capacity of a machine, so that nothing is divided by 0.
+_LEAST = 1e-6
 
 Demand = float | None | tuple[Block, ...]
 """What one actuator is to do in a step: a mean level, native control (None), or blocks of its own (commands)."""
@@ -83,15 +87,21 @@ class Actuators:
         step_s: float,
         states: Sequence[ActuationState],
         limit: PowerLimit | None = None,
+        capacity: Array | None = None,
     ) -> ActuatorBlocks:
-        """Blocks of length `step_s` that come as near to `demands` (A,) as the limits allow, and the states after."""
+        """Blocks of length `step_s` that come as near to `demands` (A,) as the limits allow, and the states after.
+
+        `capacity` (M,): what the actuators of each machine take together at most in this weather, in the unit of their
+        shares; None: 1.
+        """
         wanted = [self._demand_size(a, demand, states[a]) for a, demand in enumerate(demands)]
         excluded = self.layout.excluded(wanted)
         native = {a for a in excluded if demands[excluded[a]] is None}
         exclusions = {a: by for a, by in excluded.items() if a in native or demands[a]}
         demands = [None if a in native else 0.0 if a in excluded else demand for a, demand in enumerate(demands)]
         room = PowerRoom(limit)
-        realised = self._realise_each(demands, step_s, states, excluded, room)
+        loads = [share / most for share, most in zip(self.layout.shares, self._capacity(capacity), strict=True)]
+        realised = self._realise_each(demands, step_s, states, excluded, room, loads)
         # Exclusion comes before minimum times, for which one may be on without a demand.
         acts = [
             None if demands[a] is None else any(block.u[0] for block in blocks) * (1.0 + (wanted[a] or 0.0))
@@ -106,6 +116,12 @@ class Actuators:
             tuple(state for _, state in realised),
             exclusions,
             room.over_in_words(self.layout.names),
+        )
+
+    def _capacity(self, capacity: Array | None) -> Array:
+        """That of the machine of each actuator (A,)."""
+        return (
+            np.ones(len(self.each)) if capacity is None else np.maximum(capacity, _LEAST)[list(self.layout.machine_of)]
         )
 
     def excluded_in_words(self, acted: ActuatorBlocks) -> list[str]:
@@ -132,10 +148,12 @@ class Actuators:
         states: Sequence[ActuationState],
         excluded: Collection[int],
         room: PowerRoom,
+        loads: Sequence[float],
     ) -> list[tuple[tuple[Block, ...], ActuationState]]:
         """Blocks and states of all actuators (A,), one after another where power is limited.
 
         First those that the limit does not move, then those that must stay on, then those to which most is owed.
+        `loads` (A,): what full level of each takes of its machine's capacity.
         """
         levels = {a: float(level) for a, level in enumerate(demands) if isinstance(level, float | int)}
         shared = [{a: levels[a] for a in fed if a in levels and not self.each[a].modulates} for fed in self._shared]
@@ -157,7 +175,7 @@ class Actuators:
                 realised[a] = self.each[a].realise(demand, step_s, states[a], water.get(a, 0.0), most)
             room.take(a, _mean_level(realised[a][0]), most)
         for of_machine in shared:
-            realised |= self._realise_shared(of_machine, step_s, states, excluded, room)
+            realised |= self._realise_shared(of_machine, step_s, states, excluded, room, loads)
         return [realised[a] for a in range(len(demands))]
 
     def _realise_shared(
@@ -167,6 +185,7 @@ class Actuators:
         states: Sequence[ActuationState],
         excluded: Collection[int],
         room: PowerRoom,
+        loads: Sequence[float],
     ) -> dict[int, tuple[tuple[Block, ...], ActuationState]]:
         """Blocks of the actuators of one machine at mean `levels`, beside those of the one that is on longest."""
         wanted_s = {
@@ -189,10 +208,10 @@ class Actuators:
             if within_s < on_s[a]:
                 on_s[a] = math.floor(within_s / block_s[a]) * block_s[a]
             room.take(a, on_s[a] / step_s * full)
-        slots, load = self._assign_slots(lead, on_s, runs_s)
+        slots, load = self._assign_slots(lead, on_s, runs_s, loads)
         acting = [lead, *(a for a, seconds in on_s.items() if seconds)]
         if load > 1.0 and all(self.each[a].part_levels for a in acting):
-            return self._at_part_levels(levels, step_s, running, lead, most)
+            return self._at_part_levels(levels, step_s, running, lead, most, loads)
         starts_on, idle = bool(blocks[0].u[0]), Block(0.0, step_s - runs_s)
         for a, of_run in slots.items():
             level, slot_s = self.each[a].config.level, runs_s / len(of_run)
@@ -203,14 +222,15 @@ class Actuators:
             realised[a] = own_blocks, replace(after, owed_s=owed_s)
         return realised
 
-    def _assign_slots(self, lead: int, on_s: Mapping[int, float], runs_s: float) -> tuple[dict[int, list[bool]], float]:
+    def _assign_slots(
+        self, lead: int, on_s: Mapping[int, float], runs_s: float, shares: Sequence[float]
+    ) -> tuple[dict[int, list[bool]], float]:
         """Whether each actuator beside the `lead` is on in each slot of a run, and the largest load of a slot.
 
         The load is a share of the machine's capacity. Actuators that take most choose first: the first slots in which
         the machine can feed them too, since a machine that cycles at a low load runs least where all are on together,
         then those with the least excess.
         """
-        shares = self.layout.shares
         loads = [shares[lead]] * max(1, round(runs_s / self.each[lead].config.block_s))
         is_on: dict[int, list[bool]] = {}
         for a in sorted(on_s, key=lambda a: -shares[a] * on_s[a]):
@@ -222,13 +242,19 @@ class Actuators:
         return is_on, max(loads)
 
     def _at_part_levels(
-        self, levels: Mapping[int, float], step_s: float, running: ActuationState, lead: int, most: float
+        self,
+        levels: Mapping[int, float],
+        step_s: float,
+        running: ActuationState,
+        lead: int,
+        most: float,
+        loads: Sequence[float],
     ) -> dict[int, tuple[tuple[Block, ...], ActuationState]]:
         """One run for all actuators of a machine, each at the level that gives its mean of `levels`.
 
         The run is as long as the `lead` is to be on, and as the load of all needs at full capacity.
         """
-        load = min(sum(self.layout.shares[a] * level for a, level in levels.items()), 1.0)
+        load = min(sum(loads[a] * level for a, level in levels.items()), 1.0)
         on = max(levels[lead], load * self.each[lead].config.level)
         blocks, after = self.each[lead].realise(on, step_s, running, most=most)
         runs_s = sum(block.duration_s for block in blocks if block.u[0])

@@ -3,7 +3,8 @@
 The plan is made in heat. Before it, the level that the commands of each step can bring is worked out from the maps of
 the loops and the predicted temperatures, and bounds the plan; where the plan's own temperatures say otherwise, it is
 made anew. After it, levels become commands, and what counts is what the loops answer: temperatures, power and cost of
-the plan are those of its commands. A building left alone is the same model under the commands of the record's week.
+the plan are those of its commands, which are then searched for cheaper ones. A building left alone is the same model
+under the commands of the record's week.
 """
 
 from __future__ import annotations
@@ -11,18 +12,21 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 
 from controllers.actuation.actuator import ActuationConfig, ActuationState
 from controllers.actuation.commands import CommandedLoop, CommandState, Turns
+from controllers.mpc.command_search import Knob, better_commands
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.state import MPCState
 from controllers.optimisation.plan_model import Evaluator
 from controllers.optimisation.problem import MPCProblem
+from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand
-from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving
+from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving, PlanStatus
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -33,30 +37,43 @@ _BEYOND, MOST_SOLVES = 0.05, 3
 NOT_BETTER = "commands that were found are not better than leaving the building alone: its own control acts"
 """What a plan says that is not carried out."""
 # Rounds in which level and temperature of a step are made to agree.
-_ROUNDS = 8
+_ROUNDS, _CLOSE = 8, 2e-3
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
-# Error of a change of power, as a share, below which its law alone counts.
-_EXACT = 0.05
+# Error of a change of power, as a share, from which its law may be as wrong as the demand of the rooms says.
+_UNKNOWN = 0.3
+# What a change of a command must save, as a share of what the building costs when it is left alone.
+_PER_CHANGE = 0.002
+# What the scatter of a level costs, as a share of that level's cost: a search takes what is judged too well (see
+# `bench commands`, seed 100, 2026-11-28: without it power was 5 % more than the first steps of plans said).
+_SCATTER = 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class Commanded:
-    """A plan in commands: levels `u` (A, N) that the loops answer with, and of each step the `turns` of each actuator.
+    """A plan in commands: levels `u` (A, N) that the loops answer with, and the command of each part of each step.
 
-    `turns[a]` is None where an actuator has no command, or is in `left_alone`; `states` (A,): what is set after the
-    first step.
+    `values[a]` (N, n) is None where an actuator has no command, or is in `left_alone`; `part_s`: length of its parts,
+    s; `states` (A,): what is set after the first step; `most`: least and largest command of the first step of those
+    that have one of their own and may change it now.
     """
 
     u: Array
-    turns: tuple[tuple[Turns, ...] | None, ...]
+    values: tuple[Array | None, ...]
+    part_s: Mapping[int, float]
     states: tuple[CommandState | None, ...]
     left_alone: frozenset[int]
+    most: Mapping[int, tuple[float, float]]
+
+    def guard(self, step_s: float) -> dict[int, tuple[tuple[Block, ...], tuple[Block, ...]]]:
+        """The first step with the least and with the most that each actuator may be commanded, by its number."""
+        ends = {a: both for a, both in self.most.items() if self.values[a] is not None}
+        return {a: ((Block(0.0, step_s, (low,)),), (Block(1.0, step_s, (high,)),)) for a, (low, high) in ends.items()}
 
     def blocks(self, a: int) -> tuple[Block, ...]:
         """The first step of actuator `a`."""
-        steps = self.turns[a]
+        steps = self.values[a]
         assert steps is not None  # of one that has a command
-        return tuple(Block(float(self.u[a, 0]), seconds, (value,)) for value, seconds in steps[0])
+        return tuple(Block(float(self.u[a, 0]), s, (value,)) for value, s in _turns(steps[0], self.part_s[a]))
 
 
 class BuildingCommands:
@@ -86,20 +103,27 @@ class BuildingCommands:
             z, usual, age_s = self._layout.home[a], learned.usual_at(time_s), float(time_s[0]) - learned.last_s
             low, high = learned.command.limits(boundary.lower_C[z, 1:], boundary.upper_C[z, 1:], usual)
             loops[a] = CommandedLoop(learned, low, high, usual, T_out_C, boundary.step_s, age_s)
-        return CommandedPlan(operator, problem, boundary, loops, frozenset(left_alone), self._spread)
+        groups: dict[str | int, list[int]] = {}
+        for a, learned in self._learned.items():
+            groups.setdefault(learned.machine or a, []).append(a)
+        # What sets several is left alone as a whole.
+        alone = {a for group in groups.values() if set(group) & set(left_alone) for a in group} | set(left_alone)
+        together = tuple(tuple(group) for group in groups.values())
+        return CommandedPlan(operator, problem, boundary, loops, together, frozenset(alone), self._spread)
 
 
 @dataclass(frozen=True, eq=False)
 class CommandedPlan:
     """One plan in commands: `loops` by number of the actuator, of which those `left_alone` keep their usual commands.
 
-    `spread` (A,): see `BuildingCommands`.
+    `together`: the actuators of each command; `spread` (A,): see `BuildingCommands`.
     """
 
     operator: BuildingOperator
     problem: MPCProblem
     boundary: Boundary
     loops: Mapping[int, CommandedLoop]
+    together: tuple[tuple[int, ...], ...]
     left_alone: frozenset[int]
     spread: Array
 
@@ -144,37 +168,92 @@ class CommandedPlan:
             for z in [self.operator.home[a]]
         }
 
-    def realise(self, u: Array, states: Sequence[ActuationState]) -> Commanded:
+    def realise(self, u: Array, states: Sequence[ActuationState], evaluator: Evaluator) -> Commanded:
         """Commands for levels `u` (A, N) from what is set now, and what the loops answer."""
-        set_now = {
-            a: loop.begin()
-            if (state := states[a]).command is None
-            else CommandState(state.command, state.held_s, state.owed_s)
-            for a, loop in self.loops.items()
-        }
-        planned = _zone_C(self.problem, self.operator, u)
-        turns: dict[int, list[Turns]] = {a: [] for a in self.loops if a not in self.left_alone}
-        after: dict[int, CommandState] = {}
+        knobs = self._knobs(states)
+        left = [a for a in self.loops if a in self.left_alone]
+        values: dict[int, Array] = {}
+        if knobs:
+            numbers, dearest = evaluator.numbers(self.problem), self._dearest(evaluator)
 
-        def choose(a: int, k: int, T_C: Array, before: float) -> Turns:
-            if a in self.left_alone:
-                return self._usual(a, k)
-            z = self.operator.home[a]
-            # From where the commands have brought the room, the rest of the way is as planned.
-            T_end_C = planned[z, k + 1 :] + (T_C[z] - planned[z, k])
-            found, set_now[a] = self.loops[a].choose(k, u[a, k:], float(T_C[z]), T_end_C, before, set_now[a])
-            turns[a].append(found)
-            after.setdefault(a, set_now[a])
-            return found
+            def cost(rows: Array) -> Array:
+                held = {a: rows[:, i] for i, (members, _) in enumerate(knobs) for a in members}
+                found = self._brought(u, held | {a: self._usual_row(a)[None] for a in left}, len(rows))
+                each = np.array([evaluator.evaluate(numbers, levels).cost for levels in found.levels])
+                changes = (np.abs(np.diff(rows, axis=2)) > SAME).sum(axis=(1, 2))
+                # Less heat than there would be is missing after the plan; more of it earns nothing.
+                more_K = found.forced_K - self._alone.forced_K
+                worth = np.minimum(_worth(self.operator, self.problem, more_K, dearest), 0.0)
+                unsure = _SCATTER * dearest.per_used * found.scatter
+                return np.asarray(each - worth + unsure + _PER_CHANGE * dearest.cost * changes)
 
-        levels = _followed(self.operator, self.problem, self.loops, u, choose).levels[0]
-        numbers = range(len(u))
+            rows, _ = better_commands([knob for _, knob in knobs], self._starts(u, knobs), cost)
+            values = {a: rows[i] for i, (members, _) in enumerate(knobs) for a in members}
+        held = {a: row[None] for a, row in values.items()} | {a: self._usual_row(a)[None] for a in left}
+        levels, N = self._brought(u, held, 1).levels[0], self.problem.n_steps
+        after = {a: knob.after(values[a]) for members, knob in knobs for a in members}
         return Commanded(
             levels,
-            tuple(tuple(turns[a]) if a in turns else None for a in numbers),
-            tuple(after.get(a) for a in numbers),
+            tuple(values[a].reshape(N, -1) if a in values else None for a in range(len(u))),
+            {a: loop.step_s / loop.parts for a, loop in self.loops.items()},
+            tuple(after.get(a) for a in range(len(u))),
             self.left_alone & set(self.loops),
+            {members[0]: ends for members, knob in knobs if len(members) == 1 and (ends := knob.ends()) is not None},
         )
+
+    def _knobs(self, states: Sequence[ActuationState]) -> list[tuple[tuple[int, ...], Knob]]:
+        """What is set: the actuators of each command that is not left alone, and the command as it is now."""
+        out = []
+        for members in self.together:
+            if self.left_alone.intersection(members):
+                continue
+            loops, state = [self.loops[a] for a in members], states[members[0]]
+            low, high = np.max([loop.low for loop in loops], axis=0), np.min([loop.high for loop in loops], axis=0)
+            if (low > high).any():  # bounds of rooms that have no set-point in common
+                low, high = np.min([loop.low for loop in loops], axis=0), np.max([loop.high for loop in loops], axis=0)
+            now = loops[0].begin() if state.command is None else CommandState(state.command, state.held_s)
+            one = loops[0]
+            out.append((members, Knob(one.learned.command, low, high, now, one.parts, one.step_s / one.parts)))
+        return out
+
+    def _starts(self, u: Array, knobs: Sequence[tuple[tuple[int, ...], Knob]]) -> list[Array]:
+        """Commands (K, P) where the search begins: those that follow `u` (A, N) room by room, and the usual ones."""
+        out = []
+        for turn in range(max(len(members) for members, _ in knobs)):
+            lead = {members[turn % len(members)]: members for members, _ in knobs}
+            found = self._followed_levels(u, lead, {a: knob for members, knob in knobs for a in members})
+            out.append(np.stack([found[a] for a in lead]))
+        usual = [self._usual_row(members[0]) for members, _ in knobs]
+        if all(knob.keeps(row) and not knob.outside(row) for row, (_, knob) in zip(usual, knobs, strict=True)):
+            out.append(np.stack(usual))
+        return out
+
+    def _followed_levels(
+        self, u: Array, lead: Mapping[int, tuple[int, ...]], knobs: Mapping[int, Knob]
+    ) -> dict[int, Array]:
+        """Commands (P,) of the actuators `lead`, each of which sets those of its members, that follow levels `u`."""
+        planned = _zone_C(self.problem, self.operator, u)
+        set_now = {a: knobs[a].state for a in lead}
+        of = {member: a for a, members in lead.items() for member in members}
+        rows: dict[int, list[Array]] = {a: [] for a in lead}
+
+        def choose(a: int, k: int, T_C: Array, before: Array) -> Array:
+            if a not in of:
+                return self._usual_row(a).reshape(self.problem.n_steps, -1)[None, k]
+            first = of[a]
+            if len(rows[first]) == k:
+                z = self.operator.home[first]
+                # From where the commands have brought the room, the rest of the way is as planned.
+                T_end_C = planned[z, k + 1 :] + (T_C[0, z] - planned[z, k])
+                turns, set_now[first] = self.loops[first].choose(
+                    k, u[first, k:], float(T_C[0, z]), T_end_C, float(before[0, first]), set_now[first]
+                )
+                part_s = self.loops[first].step_s / self.loops[first].parts
+                rows[first].append(np.concatenate([np.full(round(s / part_s), value) for value, s in turns]))
+            return rows[first][k][None]
+
+        _followed(self.operator, self.problem, self.loops, u, choose)
+        return {a: np.concatenate(row) for a, row in rows.items()}
 
     @property
     def without(self) -> CommandedPlan:
@@ -184,12 +263,12 @@ class CommandedPlan:
     def settings(self, commanded: Commanded, time_s: Array) -> tuple[tuple[HeldCommand, ...], ...]:
         """The commands of each actuator in time, (A,); of one that is left to itself, that it is."""
         out, step_s = [], self.problem.step_s
-        for a, steps in enumerate(commanded.turns):
+        for a, steps in enumerate(commanded.values):
             found: list[HeldCommand] = []
             if steps is None and a in self.loops:
                 found = [HeldCommand(float(time_s[0]), float(time_s[-1]) + step_s, None)]
-            for at_s, turns in zip(time_s.tolist(), steps or (), strict=bool(steps)):
-                for value, seconds in turns:
+            for at_s, row in zip(time_s.tolist(), () if steps is None else steps, strict=steps is not None):
+                for value, seconds in _turns(row, commanded.part_s[a]):
                     if found and found[-1].value == value:
                         found[-1] = replace(found[-1], end_s=at_s + seconds)
                     else:
@@ -203,26 +282,19 @@ class CommandedPlan:
 
         Both are followed in houses that differ by the uncertainty of effects and maps, with what is stored at the end
         at its mean cost. `power_spread`: error of what a change of levels does to power, as a share: where the record
-        does not tell it exactly, energy lies between what the law of power says of the levels and what the rooms'
-        temperatures ask for, the figure in the middle.
+        does not tell it, energy lies between what the law of power says of the levels and what the rooms' temperatures
+        ask for, the figure in the middle; the better it tells it, the nearer to the law.
         """
-
-        def own(a: int, k: int, T_C: Array, before: float) -> Turns:
-            steps = plan.turns[a]
-            return self._usual(a, k) if steps is None else steps[k]
-
-        def usual(a: int, k: int, T_C: Array, before: float) -> Turns:
-            return self._usual(a, k)
-
+        usual = {a: self._usual_row(a)[None] for a in self.loops}
+        planned = {a: row.reshape(1, -1) for a, row in enumerate(plan.values) if row is not None}
+        own = usual | planned
         problem, A = self.problem, len(self.spread)
         rng = np.random.default_rng(_SEED)
         z = np.vstack([np.zeros(A + 2), rng.standard_normal((_DRAWS, A + 2))])
         uniform = rng.random(len(z))
         gain = np.exp(np.clip(z[:, :A] * self.spread, -1.0, 1.0))
         numbers, step_h = evaluator.numbers(problem), problem.step_s / HOUR_S
-        with_plan, alone = (
-            _followed(self.operator, problem, self.loops, plan.u, turns, gain, z[:, A]) for turns in (own, usual)
-        )
+        with_plan, alone = (self._brought(plan.u, held, len(z), gain, z[:, A]) for held in (own, usual))
         found = [[evaluator.evaluate(numbers, u) for u in one.levels] for one in (with_plan, alone)]
         cost, cost_alone = (np.array([one.energy_cost.sum() for one in of]) for of in found)
         energy, energy_alone = (np.array([one.power_W.sum() for one in of]) / 1000.0 * step_h for of in found)
@@ -230,10 +302,11 @@ class CommandedPlan:
         T_out_C = 0.5 * (self.boundary.T_out_C[:-1] + self.boundary.T_out_C[1:])
         lost_K = [float(np.maximum(one.T_bounds_C[:, 1:] - T_out_C, 1.0).mean()) for one in (with_plan, alone)]
         by_demand = energy_alone * lost_K[0] / lost_K[1] / np.maximum(energy, 1e-9)
-        demand = np.where(np.arange(len(z)) > 0, uniform, 0.5) if power_spread > _EXACT else np.zeros(len(z))
+        demand = np.where(np.arange(len(z)) > 0, uniform, 0.5) * min(power_spread / _UNKNOWN, 1.0)
         as_asked = 1.0 + demand * (by_demand - 1.0)
         cost, energy = cost * as_asked, energy * as_asked
-        worth = _worth(self.operator, problem, with_plan.forced_K - alone.forced_K, alone.levels, cost_alone)
+        dearest = _MeanCost(cost_alone, self._used(alone.levels))
+        worth = _worth(self.operator, problem, with_plan.forced_K - alone.forced_K, dearest)
         saved = cost_alone - cost + worth + (cost_alone - cost) * power_spread * z[:, A + 1]
         low, high = np.quantile(saved[1:], _QUANTILES)
 
@@ -262,10 +335,29 @@ class CommandedPlan:
     def _alone(self) -> _Followed:
         """The building under its usual commands."""
         nothing = np.zeros((len(self.spread), self.problem.n_steps))
-        return _followed(self.operator, self.problem, self.loops, nothing, lambda a, k, T_C, before: self._usual(a, k))
+        return self._brought(nothing, {a: self._usual_row(a)[None] for a in self.loops}, 1)
 
-    def _usual(self, a: int, k: int) -> Turns:
-        return ((float(self.loops[a].usual[k]), self.problem.step_s),)
+    def _usual_row(self, a: int) -> Array:
+        """What the command of actuator `a` usually is, in all parts (P,)."""
+        return np.repeat(self.loops[a].usual, self.loops[a].parts)
+
+    def _brought(
+        self, u: Array, held: Mapping[int, Array], S: int, gain: Array | None = None, z: Array | None = None
+    ) -> _Followed:
+        """S buildings under commands `held` (S or 1, P) of all parts, by actuator; see `_followed`."""
+        of_step = {a: rows.reshape(len(rows), self.problem.n_steps, -1) for a, rows in held.items()}
+        gain = np.ones((S, len(u))) if gain is None else gain
+        return _followed(self.operator, self.problem, self.loops, u, lambda a, k, T, before: of_step[a][:, k], gain, z)
+
+    def _dearest(self, evaluator: Evaluator) -> _MeanCost:
+        """What the building costs when it is left alone."""
+        levels = self._alone.levels
+        cost = evaluator.brings(self.problem, levels[0]).energy_cost.sum()
+        return _MeanCost(np.array([cost]), self._used(levels))
+
+    def _used(self, levels: Array) -> Array:
+        """Levels (S, A, N) by what their actuators take of the power, (S,)."""
+        return np.asarray((_per_u(self.problem) * levels.sum(axis=2)).sum(axis=1))
 
 
 def with_commands(config: MPCConfig, commands: Collection[str]) -> MPCConfig:
@@ -286,11 +378,14 @@ def with_command_states(plan: Plan, commanded: Commanded) -> Plan:
     """The plan, its state with what is set after its first step."""
     assert isinstance(plan.state, MPCState)
     states = tuple(
-        state
-        if told is None or state.native
-        else replace(state, command=told.value, held_s=told.held_s, owed_s=told.owed)
+        state if told is None or state.native else replace(state, command=told.value, held_s=told.held_s, owed_s=0.0)
         for state, told in zip(plan.state.actuation, commanded.states, strict=True)
     )
+    for a, status in enumerate(plan.acting):
+        told = plan.blocks[-1].command[a] if plan.blocks else None
+        if status is PlanStatus.GUARD and a in commanded.most and isinstance(told, float):
+            held = CommandState(told, sum(block.duration_s for block in plan.blocks))
+            states = (*states[:a], replace(states[a], command=held.value, held_s=held.held_s), *states[a + 1 :])
     return replace(plan, state=replace(plan.state, actuation=states))
 
 
@@ -298,12 +393,15 @@ def with_command_states(plan: Plan, commanded: Commanded) -> Plan:
 class _Followed:
     """S houses under commands: levels (S, A, N), and forced states at the end (S, Z, A, r), K.
 
+    `scatter` (S,): of the levels, summed like `CommandedPlan._used`.
+
     `T_bounds_C` (Z, N + 1): temperatures of the zones of the first house, now and at the end of each step.
     """
 
     levels: Array
     T_bounds_C: Array
     forced_K: Array
+    scatter: Array
 
 
 def _followed(
@@ -311,14 +409,15 @@ def _followed(
     problem: MPCProblem,
     loops: Mapping[int, CommandedLoop],
     u: Array,
-    turns_of: Callable[[int, int, Array, float], Turns],
+    values_of: Callable[[int, int, Array, Array], Array],
     gain: Array | None = None,
     z: Array | None = None,
 ) -> _Followed:
     """Follow a building under commands, step by step; an actuator without one has its levels `u` (A, N).
 
-    `turns_of`: of an actuator in a step, for rooms now (Z,), °C, and its last level, the commands. `gain` (S, A):
-    effect of what the actuators do from now on, as a multiple; `z` (S,): see `LoopMap.level`.
+    `values_of`: of an actuator in a step, for rooms now (S, Z), °C, and the last levels (S, A), its commands in the
+    parts of the step (S or 1, n). `gain` (S, A): effect of what the actuators do from now on, as a multiple; `z` (S,):
+    see `LoopMap.level`.
     """
     A, n = u.shape
     gain = np.ones((1, A)) if gain is None else gain
@@ -328,9 +427,9 @@ def _followed(
     T = np.repeat((problem.features[:, 0, ZONE] + old.sum(axis=(1, 2)))[None], S, axis=0)
     last = np.zeros(A) if problem.last_u is None else problem.last_u
     before, levels, course = np.repeat(last[None], S, axis=0), np.empty((S, A, n)), [T[0]]
-    nothing = np.zeros(A)
+    nothing, scatter, per_u = np.zeros(A), np.zeros(S), _per_u(problem)
     for k in range(n):
-        turns = {a: turns_of(a, k, T[0], float(before[0, a])) for a in loops}
+        values = {a: values_of(a, k, T, before) for a in loops}
         faded = operator.advance(old, nothing)
         at_rest = T_free[:, k] + faded.sum(axis=(1, 2)) + (operator.poles * new).sum(axis=(2, 3))
         per_drive = operator.gains.sum(axis=2)  # (Z, A), K in this step
@@ -346,17 +445,20 @@ def _followed(
             moved = level.copy()
             for a, loop in loops.items():
                 home = operator.home[a]
-                answer = loop.answer(turns[a], k, T[:, home], T_end[:, home], before[:, a], z)
+                answer = loop.answer(values[a], k, T[:, home], T_end[:, home], before[:, a], z)
                 moved[:, a] = 0.5 * (level[:, a] + answer)
-            if np.abs(moved - level).max(initial=0.0) < 1e-4:
+            if np.abs(moved - level).max(initial=0.0) < _CLOSE:
                 break
             level = moved
         drive = modulation * _heat(operator, problem, level, k) * gain
         old, new = faded, operator.poles * new + operator.gains * drive[:, None, :, None]
-        T = T_free[:, k] + old.sum(axis=(1, 2)) + new.sum(axis=(2, 3))
+        T_begin, T = T, T_free[:, k] + old.sum(axis=(1, 2)) + new.sum(axis=(2, 3))
+        for a, loop in loops.items():
+            z_a = operator.home[a]
+            scatter += per_u[a] * loop.scatter(values[a], k, T_begin[:, z_a], T[:, z_a])
         levels[:, :, k], before = level, level
         course.append(T[0])
-    return _Followed(levels, np.stack(course, axis=1), old + new)
+    return _Followed(levels, np.stack(course, axis=1), old + new, scatter)
 
 
 def _heat(operator: BuildingOperator, problem: MPCProblem, level: Array, k: int) -> Array:
@@ -377,16 +479,32 @@ def _zone_C(problem: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
     return np.concatenate([now[:, None], compose(problem.T_free_C, brought)], axis=1)
 
 
-def _worth(operator: BuildingOperator, problem: MPCProblem, more_K: Array, levels: Array, cost: Array) -> Array:
+@dataclass(frozen=True, eq=False)
+class _MeanCost:
+    """What S buildings cost (S,), currency, and the levels that they used for it (S,), see `CommandedPlan._used`."""
+
+    cost: Array
+    used: Array
+
+    @property
+    def per_used(self) -> Array:
+        """Mean cost of a level, (S,)."""
+        return np.where(self.used > 1e-6, self.cost / np.maximum(self.used, 1e-6), 0.0)
+
+
+def _per_u(problem: MPCProblem) -> Array:
+    """What a level of each actuator (A,) takes of the power, in any unit."""
+    per_u = np.maximum(problem.power_per_u_W.mean(axis=1), 0.0)
+    return per_u if per_u.any() else np.ones(per_u.size)
+
+
+def _worth(operator: BuildingOperator, problem: MPCProblem, more_K: Array, mean: _MeanCost) -> Array:
     """What the states at the end (S, Z, A, r) that differ by `more_K` are worth, (S,).
 
-    A kelvin of an actuator's slowest mode in its home zone took so many steps at full level; they count at the mean
-    cost of a level, by what its actuator takes of the power. `levels` (S, A, N) cost `cost` (S,).
+    A kelvin of an actuator's slowest mode in its home zone took so many steps at full level; they count at the `mean`
+    cost of a level, by what its actuator takes of the power.
     """
-    per_u = np.maximum(problem.power_per_u_W.mean(axis=1), 0.0)
-    per_u = per_u if per_u.any() else np.ones(per_u.size)
-    used = (per_u * levels.sum(axis=2)).sum(axis=1)
-    price = np.where(used > 1e-6, cost / np.maximum(used, 1e-6), 0.0)
+    per_u, price = _per_u(problem), mean.per_used
     worth, ones = np.zeros(len(more_K)), np.ones(1)
     for a, home in enumerate(operator.home):
         pair, features = operator.of_actuator(a), problem.features[home, -1]
@@ -395,3 +513,8 @@ def _worth(operator: BuildingOperator, problem: MPCProblem, more_K: Array, level
         if pair.gains[slowest] * drive:
             worth += price * per_u[a] * more_K[:, home, a, slowest] / (pair.gains[slowest] * drive)
     return worth
+
+
+def _turns(row: Array, part_s: float) -> Turns:
+    """Commands of the parts of a step (n,) as turns."""
+    return tuple((value, part_s * len(list(same))) for value, same in groupby(row.tolist()))

@@ -21,6 +21,7 @@ from controllers.safety.overrides import GateConfig, GuardConfig
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.registry import check_free_response, own_options
+from thermoforce_mpc.scenario.bill import Bill
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.strict_model import one_of
 
@@ -74,6 +75,20 @@ class ObjectiveConfig(StrictModel):
         description="price of the mean power of all machines together over a control step above the highest so far, "
         "currency/kW",
     )
+    peak_of: Literal["run", "month", "three_days"] = Field(
+        "run",
+        description="which peak is priced: the highest of the run, of the calendar month, or the mean of the highest "
+        "of three days of the month (a kW more on one day counts a third)",
+    )
+    peak_least_kW: float = Field(0.0, ge=0, description="a peak below this costs nothing more, kW")
+    exchange: bool = Field(
+        False,
+        description="own generation and other loads behind the same meter count, where the forecast has them: what "
+        "they leave over costs what it would earn when it is fed in, only what is bought costs the price",
+    )
+    keep_limits: bool = Field(
+        False, description="keep the limits of power that the forecast has (dimming by the grid), as `power_cap_kW`"
+    )
     power_cap_kW: float | None = Field(
         None,
         gt=0,
@@ -96,6 +111,18 @@ class ObjectiveConfig(StrictModel):
         """Penalty on comfort violation in zones of `floor_area_m2` (Z,), NaN where not known, currency/(K·h) (Z,)."""
         areas = np.asarray(floor_area_m2, dtype=np.float64)
         return self.comfort_weight_per_m2 * np.where(np.isnan(areas), _AREA_M2, areas)
+
+
+def objective_of(bill: Bill, peak_kW: float = 0.0) -> dict[str, Any]:
+    """Keys of `ObjectiveConfig` that say what a `bill` asks for; `peak_kW`: about what the peak of a month is."""
+    keys: dict[str, Any] = {"exchange": bill.export_per_kWh is not None, "keep_limits": bill.dimming is not None}
+    if bill.peak is not None:
+        keys |= {
+            "peak_price_per_kW": bill.peak.per_kW(peak_kW) * (1.0 + bill.vat),
+            "peak_of": "month" if bill.peak.of == "highest" else "three_days",
+            "peak_least_kW": bill.peak.least_kW,
+        }
+    return keys
 
 
 class DeadlineConfig(StrictModel):

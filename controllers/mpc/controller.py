@@ -282,7 +282,9 @@ class ThermoForceMPC(ActuatedController):
         margins = self._formulation.margins.learn(
             self.planning_operator, state.margins, state.good, readings.observation, readings.forecast
         )
-        return replace(state, margins=margins, peak_W=state.peak_after(readings.observation))
+        return replace(
+            state, margins=margins, peak_W=state.peak_after(readings.observation, self.config.objective.peak_of)
+        )
 
     def _formulate(
         self, forecast: Forecast | Failure, readings: Readings, state: MPCState, overrides: Mapping[int, Override]
@@ -335,11 +337,11 @@ class ThermoForceMPC(ActuatedController):
             if not refused:
                 u = solution.u
                 if own is not None:
-                    commanded = own.realise(u, forecast.state.actuation)
+                    commanded = own.realise(u, forecast.state.actuation, planner.evaluator)
                     saving = own.saving(commanded, planner.evaluator, self._power_spread(readings.history))
                     if not saving.gain > 0.0:
                         own = own.without
-                        commanded = own.realise(u, forecast.state.actuation)
+                        commanded = own.realise(u, forecast.state.actuation, planner.evaluator)
                     u = commanded.u
                 brought = planner.evaluator.brings(instance.problem, u, solution.own_values)
                 if planner.evaluator.structure.chosen or own is not None:  # levels become blocks, or are answers
@@ -364,7 +366,7 @@ class ThermoForceMPC(ActuatedController):
             plan = replace(plan, settings=own.settings(commanded, plan.time_s), saving=saving)
             if saving is not None and not saving.gain > 0.0:
                 plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
-        return Solved(plan, limit, commanded, instance.problem.most_u)
+        return Solved(plan, instance.problem, limit, commanded)
 
     @property
     def _in_runs(self) -> list[int]:
@@ -394,9 +396,13 @@ class ThermoForceMPC(ActuatedController):
         if isinstance(result, Failure):
             doubtful = [self._watched.doubtful(result.state, a) for a in range(len(self._fallbacks))]
             return self._realisation.fall_back(result, overrides, doubtful, readings.doubts, situation)
-        plan, limit, commanded, most_u = result
-        demands = first_demands(self.config, self._actuators, self.step_s, plan, readings, commanded, most_u)
-        realised = self._realisation.realise(plan, demands, overrides, situation, limit)
+        plan, problem, limit, commanded = result
+        demands = first_demands(
+            self.config, self._actuators, self.step_s, plan, readings, commanded, most_u=problem.most_u
+        )
+        capacity = None if problem.capacity is None else problem.capacity[:, 0]
+        by_command = commanded.guard(self.step_s) if commanded is not None else None
+        realised = self._realisation.realise(plan, demands, overrides, situation, limit, capacity, by_command)
         return realised if commanded is None else with_command_states(realised, commanded)
 
     def _power_spread(self, history: Record) -> float:

@@ -13,7 +13,7 @@ from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.margins import Bounds, MarginRules, Margins
 from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.problem import Cooling, MPCProblem, PowerCap, Weights
+from controllers.optimisation.problem import Cooling, Exchange, MPCProblem, PowerCap, Weights
 from thermoforce_mpc.data import DAY_S, J_PER_KWH, Array, Boundary, Record
 from thermoforce_mpc.model.machine.blocked_hours import Directions
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -24,6 +24,8 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # A zone's discomfort counts as at least this many times the heat that would have avoided it over a day.
 _COMFORT_OVER_HEAT = 5.0
+# Power that no building takes: no limit, W.
+_NO_LIMIT_W = 1e7
 
 
 class Instance(NamedTuple):
@@ -131,6 +133,9 @@ class Formulation:
         foreign_W = sum((other(boundary.time_s[:-1], T_out) for other in foreign), np.zeros(boundary.n_steps))
         cap_kW = math.inf if aims.power_cap_kW is None else aims.power_cap_kW
         left_W = np.maximum(1000.0 * cap_kW - foreign_W, 0.0)
+        if aims.keep_limits and boundary.limit_W.size:
+            left_W = np.minimum(left_W, boundary.limit_W[:-1])
+        exchange, sold = self._exchange(boundary, price)
         dearest = price.max(axis=1)[fed_by]
         comfort, heat, news = self._comfort_weights(operator, context.features[:, -1], dearest * highest_W)
         T_C = history.T_zone_C[:, -1]
@@ -142,16 +147,17 @@ class Formulation:
             T_free_C=context.free.median_C + margins.moved_K[:, None],
             lower_C=bounds.lower_C,
             upper_C=bounds.upper_C,
-            price_per_kWh=price,
+            price_per_kWh=sold,
             power_fixed_W=fixed_W,
             power_per_u_W=per_u_W,
             step_s=self._step_s,
             machinery=self.machinery,
-            weights=Weights(comfort, aims.curvature, aims.peak_price_per_kW / 1000.0),
+            weights=Weights(comfort, aims.curvature, self._peak_price_per_W),
             terminal_price_per_K=self._terminal_price(operator, context.features[:, -1], price[fed_by, -1] * highest_W),
-            peak_so_far_W=max(peak_W - float(foreign_W.mean()), 0.0),
+            peak_so_far_W=max(max(peak_W, 1000.0 * aims.peak_least_kW) - float(foreign_W.mean()), 0.0),
             cooling=self._cooling(boundary, np.maximum(boundary.price_per_kWh[:, :-1] + carbon, 0.0)),
             power_cap=self._cap(fixed_W, per_u_W, per_u2_W, left_W),
+            exchange=exchange,
             power_per_u2_W=per_u2_W if bent else None,
             capacity=self.margins.capacity(operator, T_out, margins.unused),
             last_u=self._last_u(history),
@@ -189,6 +195,24 @@ class Formulation:
             rows.append(np.where(T_free_C[z] < middle_C[z], ways[0], ways[-1]))
         return np.stack(rows)
 
+    @property
+    def _peak_price_per_W(self) -> float:
+        aims = self._config.objective
+        return aims.peak_price_per_kW / 1000.0 / (3.0 if aims.peak_of == "three_days" else 1.0)
+
+    def _exchange(self, boundary: Boundary, price: Array) -> tuple[Exchange | None, Array]:
+        """What the meter sees, and the price of energy (M, N): of what is fed in, where there is a surplus.
+
+        `price` (M, N): of what is bought. Nothing earns more than it costs: who fed in dearly what he bought would run
+        machines for nothing. Where others are not known they take nothing.
+        """
+        if not self._config.objective.exchange:
+            return None, price
+        others_W = np.nan_to_num(boundary.others_W[:-1]) if boundary.others_W.size else np.zeros(boundary.n_steps)
+        earns = np.nan_to_num(boundary.export_per_kWh[:-1]) if boundary.export_per_kWh.size else np.zeros(others_W.size)
+        sold = np.where(others_W < 0.0, np.minimum(price, earns), price)
+        return Exchange(others_W, (price - sold).max(axis=0)), sold
+
     def _cap(self, fixed_W: Array, per_u_W: Array, per_u2_W: Array, limit_W: Array) -> PowerCap | None:
         """The power cap over the steps, as far as blocks use it; power of machines (M, N) and actuators (A, N), W.
 
@@ -196,8 +220,9 @@ class Formulation:
         on average.
         """
         aims, each, step_s = self._config.objective, self._actuators.each, self._step_s
-        if aims.power_cap_kW is None:
+        if aims.power_cap_kW is None and not aims.keep_limits:
             return None
+        limit_W = np.minimum(limit_W, _NO_LIMIT_W)
         level = np.array([actuation.block_level for actuation in each])[:, None]
         machine_of = self.machinery.machine_of
         alone = ~self.machinery.shared[machine_of, None]

@@ -336,7 +336,7 @@ class Innovations:
 _LACKING = 0.8
 # Plans ask for all that they may from this share of it; a machine is at its limit from this share of its capacity:
 # below, a warm floor takes less than its level stands for.
-_ALL_ASKED, _AT_LIMIT = 0.85, 0.92
+_ALL_ASKED, _AT_LIMIT, _MORE_THAN_ALL = 0.85, 0.92, 1.05
 # Levels below this say nothing of heat.
 _LEAST_LEVEL = 0.1
 # Change of the share that is kept: while heat is lacking, and while none is, 1/h; and the most that is kept.
@@ -346,17 +346,22 @@ _GROWTH_1_H, _FADING_1_H, _MOST = 0.12, 0.01, 0.25
 def learned_share(
     before: float, load: float, most_W: float, heat_W: Array, expected_W: Array, u: Array, step_s: float
 ) -> float:
-    """The share kept of one machine's capacity after a step.
+    """The share kept of one machine's capacity after a step; below 0 where it has given more than that.
 
     `load`: what the actuators asked for, as a share of the capacity `most_W`. Of each (A,): `heat_W` that it got (NaN:
     not metered), `expected_W` that its level stands for, and its mean level `u`.
     """
-    if not (np.isfinite(heat_W).all() and np.isfinite(u).all()) or load < _ALL_ASKED * (1.0 - before):
+    if not (np.isfinite(heat_W).all() and np.isfinite(u).all()):
+        return before
+    given = float(np.abs(heat_W.sum())) / most_W
+    if given > _MORE_THAN_ALL * (1.0 - min(before, 0.0)):
+        return before + _TAKEN_OVER * (1.0 - given - before)
+    if load < _ALL_ASKED * (1.0 - before):
         return before
     lacking = (np.abs(heat_W) < _LACKING * np.abs(expected_W)) & (u >= _LEAST_LEVEL)
-    at_limit = np.abs(heat_W.sum()) >= _AT_LIMIT * most_W
+    at_limit = given >= _AT_LIMIT * (1.0 - min(before, 0.0))
     rate = _GROWTH_1_H if at_limit and lacking.any() else -_FADING_1_H
-    return float(np.clip(before + rate * step_s / HOUR_S, 0.0, _MOST))
+    return float(np.clip(before + rate * step_s / HOUR_S, min(before, 0.0), _MOST))
 
 
 # Power below this share of that of the level, and a zone that stays behind the plan by this, K, together say that the

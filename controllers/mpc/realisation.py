@@ -18,7 +18,7 @@ from controllers.mpc.readings import joined
 from controllers.mpc.state import MPCState
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
 from controllers.safety.overrides import ComfortGuard, Override, Situation, unplanned_status
-from thermoforce_mpc.data import Plan, PlanStatus
+from thermoforce_mpc.data import Array, Block, Plan, PlanStatus
 from thermoforce_mpc.data.plan import UNDECIDED
 
 # From the first rung to the last: of several actuators the plan is named after the lowest.
@@ -50,20 +50,31 @@ class Realisation:
         overrides: Mapping[int, Override],
         situation: Situation,
         limit: PowerLimit | None = None,
+        capacity: Array | None = None,
+        by_command: Mapping[int, tuple[tuple[Block, ...], tuple[Block, ...]]] | None = None,
     ) -> Plan:
         """The plan with its blocks.
 
         `demands` (A,): what it asks of each actuator; `overrides`: what takes its place; `situation`: what the guard
-        decides from; `limit`: power that the plan allows in its first step, to which what takes its place is not held.
+        decides from; `limit`: power that the plan allows in its first step, to which what takes its place is not held;
+        `capacity` (M,): as of `Actuators.realise`; `by_command`: what off and full level are of actuators that are set
+        by commands.
         """
-        begun = self._with_blocks(plan, demands, overrides, limit and limit.without(overrides))
+        by_command = by_command or {}
+        begun = self._with_blocks(plan, demands, overrides, limit and limit.without(overrides), capacity)
         planned = {
             a: sum((block.u[a] or 0.0) * block.duration_s for block in begun.blocks) / self._step_s
             for a, demand in enumerate(demands)
-            if a not in overrides and isinstance(demand, float)  # the plant's own control acts on the bounds
+            if a not in overrides and (isinstance(demand, float) or a in by_command)  # own control acts on the bounds
         }
         guarded = self._guard.overrides(replace(situation, planned=planned))
-        return self._with_guard(begun, plan, demands, overrides, guarded, limit) if guarded else begun
+        if not guarded:
+            return begun
+        levels: dict[int, Demand] = {
+            a: by_command[a][bool(override.level)] if a in by_command else override.level
+            for a, override in guarded.items()
+        }
+        return self._with_guard(begun, plan, demands, overrides, guarded, levels, limit, capacity)
 
     def stand_back(self, overrides: Mapping[int, Override], state: MPCState) -> Plan:
         """A step in which every actuator is overridden; nothing is planned, and the last plan is not followed later."""
@@ -118,12 +129,17 @@ class Realisation:
         return Override(u, unplanned_status(u), why)
 
     def _with_blocks(
-        self, plan: Plan, demands: Sequence[Demand], overrides: Mapping[int, Override], limit: PowerLimit | None = None
+        self,
+        plan: Plan,
+        demands: Sequence[Demand],
+        overrides: Mapping[int, Override],
+        limit: PowerLimit | None = None,
+        capacity: Array | None = None,
     ) -> Plan:
         assert isinstance(plan.state, MPCState)
         levels = [overrides[a].level if a in overrides else demand for a, demand in enumerate(demands)]
         acting = [overrides[a].status if a in overrides else status for a, status in enumerate(plan.acting)]
-        acted = self._actuators.realise(levels, self._step_s, plan.state.actuation, limit)
+        acted = self._actuators.realise(levels, self._step_s, plan.state.actuation, limit, capacity)
         excluded = self._actuators.excluded_in_words(acted)
         for a in acted.excluded:
             if acted.states[a].native:
@@ -146,15 +162,17 @@ class Realisation:
         demands: Sequence[Demand],
         overrides: Mapping[int, Override],
         guarded: Mapping[int, Override],
+        instead: Mapping[int, Demand],
         limit: PowerLimit | None,
+        capacity: Array | None,
     ) -> Plan:
-        """The plan with the guard's levels; `begun`: with its own blocks.
+        """The plan with what the guard asks for `instead`; `begun`: with its own blocks.
 
         Where the guard acts, the plan is not followed, so it must not be shifted later.
         """
         assert isinstance(plan.state, MPCState)
         guarded = dict(guarded)
-        levels = [guarded[a].level if a in guarded else demand for a, demand in enumerate(demands)]
+        levels = [instead[a] if a in guarded else demand for a, demand in enumerate(demands)]
         names, excluded = self._layout.names.actuators, []
         for a, b in self._layout.excluding():
             if (
@@ -165,7 +183,7 @@ class Realisation:
                 excluded.append(self._layout.names.of_actuator(b, f"excluded by {names[a]}"))
         state = replace(plan.state, good=None)
         limit = limit and limit.without({*overrides, *guarded})
-        redone = self._with_blocks(replace(plan, why="", state=state), levels, overrides, limit)
+        redone = self._with_blocks(replace(plan, why="", state=state), levels, overrides, limit, capacity)
         if redone.blocks == begun.blocks:  # minimum on or off time: the machine cannot do more
             return begun
         told = [self._layout.names.of_actuator(a, override.why) for a, override in guarded.items()]

@@ -41,14 +41,14 @@ _BOUGHT = 0.5
 
 
 class Solved(NamedTuple):
-    """A plan without blocks, the limit of power that they are to keep, its commands, and the highest levels that it
-    counts with; None where there is none.
+    """A plan without blocks, its problem, the limit of power that blocks are to keep, and its commands; None where
+    there is none.
     """
 
     plan: Plan
+    problem: MPCProblem
     limit: PowerLimit | None
     commanded: Commanded | None = None
-    most_u: Array | None = None
 
 
 def power_limit(instance: Instance, solution: Solution, brought: Evaluation, evaluator: Evaluator) -> PowerLimit | None:
@@ -165,7 +165,7 @@ def first_demands(
     learned, demands = plan.state.margins.learned, list[Demand]()
     for a, (actuation, z) in enumerate(zip(actuators.each, actuators.layout.home, strict=True)):
         u, boundary = float(plan.u[a, 0]), readings.observation.boundary
-        if commanded is not None and commanded.turns[a] is not None:
+        if commanded is not None and commanded.values[a] is not None:
             demands.append(commanded.blocks(a))
             continue
         if commanded is not None and a in commanded.left_alone:

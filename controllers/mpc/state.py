@@ -13,7 +13,7 @@ from controllers.monitoring.watch_state import ScaledModel, WatchState
 from controllers.monitoring.zone_sensor_state import SensorState
 from controllers.mpc.margins import Margins
 from controllers.safety.fallback_policy import GoodPlan
-from thermoforce_mpc.data import Boundary, Names, Observation
+from thermoforce_mpc.data import DAY_S, Array, Boundary, Names, Observation, Record, month_of
 from thermoforce_mpc.model.predictor import PredictorState
 
 
@@ -68,9 +68,38 @@ class MPCState:
         """Without the forced state so far, where what it was estimated from does not hold any more."""
         return self if self.predictor is None else replace(self, predictor=replace(self.predictor, forced=None))
 
-    def peak_after(self, observation: Observation) -> float:
-        """Highest mean power of the building over a step since the first plan, with the last step, W."""
-        power = observation.history.power_W
-        if power.shape[1] and observation.time_s > self.first_s and np.isfinite(power[:, -1]).all():
-            return max(self.peak_W, float(power[:, -1].sum()))
+    def peak_after(self, observation: Observation, of: str = "run") -> float:
+        """The peak power with which a higher one is compared, W: mean of the building over a step.
+
+        `of`: "run": highest since the first plan; "month": of the calendar month, by the record; "three_days": above
+        which today's highest counts among the three highest days of the month.
+        """
+        history = observation.history
+        power_W = history.power_W.sum(axis=0)
+        if of != "run":
+            return _peak_of_month(history, power_W, three_days=of == "three_days")
+        if power_W.size and observation.time_s > self.first_s and np.isfinite(power_W[-1]):
+            return max(self.peak_W, float(power_W[-1]))
         return self.peak_W
+
+
+def _peak_of_month(history: Record, power_W: Array, *, three_days: bool) -> float:
+    """See `MPCState.peak_after`; `power_W` (n,): mean power of each step."""
+    if not power_W.size:
+        return 0.0
+    if history.origin is None:  # days of simulated years count from 0
+        of_day, month = np.floor(history.time_s / DAY_S), month_of(history.time_s)
+    else:
+        import pandas as pd  # only here
+
+        from thermoforce_mpc.data.dataframes import stamps
+
+        at = pd.DatetimeIndex(stamps(history.time_s, history.origin))
+        of_day, month = np.asarray(at.day_of_year), np.asarray(at.month)
+    day, today = of_day[:-1], of_day[-1]
+    counts = np.isfinite(power_W) & (month[:-1] == month[-1])
+    highest = {one: float(power_W[counts & (day == one)].max()) for one in np.unique(day[counts])}
+    if not three_days:
+        return max(highest.values(), default=0.0)
+    third = sorted(highest.values())[-3] if len(highest) >= 3 else 0.0
+    return max(highest.get(today, 0.0), third)

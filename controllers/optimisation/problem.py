@@ -38,7 +38,8 @@ class ProblemShape:
 
     `move_of_step` (N,) numbers the move each step belongs to (0 … n_moves − 1, nondecreasing): a move is one step of
     the programme, with one level, the means of its steps, and their tightest comfort bound at its end. `machinery`:
-    actuators and machines. `peak`: peak power is in the objective; `capped`: a power cap is.
+    actuators and machines. `peak`: peak power is in the objective; `capped`: a power cap is; `exchange`: what is bought
+    costs more than what is fed in.
     `chosen_steps`: number of first steps in which it is decided which of actuators that exclude one another acts
     (rounded up to whole moves); later they share steps in time. None: all steps.
     `curved`: power has a part in u², which a price of peak power and a cap must see. `terms`: further terms of the
@@ -53,6 +54,7 @@ class ProblemShape:
     curved: bool = False
     terms: tuple[Callable[..., None], ...] = ()
     stored: bool = True
+    exchange: bool = False
 
     @property
     def n_steps(self) -> int:
@@ -122,6 +124,18 @@ class PowerCap:
 
 
 @dataclass(frozen=True, eq=False)
+class Exchange:
+    """What the meter of the building sees: `others_W` (N,), power of what is not planned less own generation.
+
+    `dearer_per_kWh` (N,): what a kWh that is bought costs more than one that is fed in earns; prices of machines are
+    those of what is fed in.
+    """
+
+    others_W: Array
+    dearer_per_kWh: Array
+
+
+@dataclass(frozen=True, eq=False)
 class MPCProblem:
     """Numbers of one instance over N steps: Z zones, A actuators, M machines, r modes per pair.
 
@@ -130,11 +144,12 @@ class MPCProblem:
     `price_per_kWh` and `power_fixed_W` (while running) of each machine (M, N), `power_per_u_W` of each actuator (A, N).
     `machinery`: levels, machines and capacities. `terminal_price_per_K` (Z, A, r): value of one kelvin of each mode at
     the end, currency/K; `peak_so_far_W`: highest mean power of the building over a step so far. `cooling`: what levels
-    below 0 cost; None where there are none. `power_cap`: None without one. `power_per_u2_W` (A, N): power over u²,
-    where it grows faster than heat; None where it does not. `capacity` (M, N): what the actuators of a machine may
-    take together, in the unit of their shares; None: 1. `last_u` (A,): levels of the step before, for terms of the
-    user. `available` (A, N): share of each step in which a level gives heat; None: all of it. `least_u`, `most_u`
-    (A, N): levels that can be brought about in each step, inside those of `machinery`; None: all of them.
+    below 0 cost; None where there are none. `power_cap`, `exchange`: None without one.
+    `power_per_u2_W` (A, N): power over u², where it grows faster than heat; None where it does not. `capacity` (M, N):
+    what the actuators of a machine may take together, in the unit of their shares; None: 1. `last_u` (A,): levels of
+    the step before, for terms of the user. `available` (A, N): share of each step in which a level gives heat; None:
+    all of it. `least_u`, `most_u` (A, N): levels that can be brought about in each step, inside those of `machinery`;
+    None: all of them.
 
     A shared machine's fixed part and power over u² earn nothing while the price is negative.
 
@@ -157,6 +172,7 @@ class MPCProblem:
     peak_so_far_W: float = 0.0
     cooling: Cooling | None = None
     power_cap: PowerCap | None = None
+    exchange: Exchange | None = None
     power_per_u2_W: Array | None = None
     capacity: Array | None = None
     last_u: Array | None = None
@@ -175,6 +191,7 @@ class MPCProblem:
             **dict.fromkeys(("power_per_u_W", "power_per_u2_W", "available", "least_u", "most_u"), actuators),
             **dict.fromkeys(("cooling.price_per_kWh", "cooling.power_per_u_W"), actuators),
             **{"features": (*zones, N_FEATURES), "power_cap.limit_W": (n,), "last_u": (A,)},
+            **dict.fromkeys(("exchange.others_W", "exchange.dearer_per_kWh"), (n,)),
         }
         if np.ndim(self.weights.comfort):
             expected["weights.comfort"] = (Z,)

@@ -137,3 +137,27 @@ def test_a_home_that_only_takes_set_points_is_heated_more_cheaply_and_kept_warm(
     changes = [(at, value) for at, value in written if value is not None]
     kept = [at for k, (at, value) in enumerate(changes) if k == 0 or value != changes[k - 1][1]]
     assert all(later - at >= pd.Timedelta(minutes=30) for at, later in pairwise(kept))
+
+
+def test_what_a_plan_is_compared_with_can_be_said(home):
+    """The record is of times under planned commands: the median of its weeks is not what people would set."""
+    saving = {usual: planned(home, with_command(usual=usual)).saving for usual in (19.0, 21.5)}
+    assert saving[21.5].cost_alone > 1.2 * saving[19.0].cost_alone
+    with_column = with_command(usual="own")
+    table = home.measurements().assign(own=21.5)
+    measured = read_measurements(table, with_column, step_s=3600.0).served()
+    assert (learned_commands(measured)["actuator"].usual == 21.5).all()
+
+
+def test_the_guard_commands_the_most_where_a_room_is_far_too_cold(home):
+    """Whatever the plan: at a price that nobody pays it would leave the room cold."""
+    measured = read_measurements(home.measurements(), with_command(maximum=24.0), step_s=3600.0).served()
+    T_zone_C = measured.record.T_zone_C.copy()
+    T_zone_C[0, -3:] = [19.5, 18.5, 17.5]
+    record = replace(measured.record, T_zone_C=T_zone_C)
+    ahead = read_forecast(home.forecast(), measured)
+    dear = ahead.at_prices(1e3 * ahead.price_per_kWh)
+    plan = controller(measured, guard={"enabled": True}).plan(Observation(record, dear))
+    assert {block.command for block in plan.blocks} == {(24.0,)}
+    plan = controller(measured, guard={"enabled": False}).plan(Observation(record, dear))
+    assert {block.command for block in plan.blocks} != {(24.0,)}

@@ -234,7 +234,7 @@ def test_an_option_is_found_by_its_last_word():
     assert numeric_option("thermoforce_mpc", "comfort_weight_per_m2") == "objective.comfort_weight_per_m2"
     assert numeric_option("thermoforce_mpc", "horizon_h") == "horizon_h"
     with pytest.raises(ConfigError, match="more than one"):
-        numeric_option("thermoforce_mpc", "tolerance")
+        numeric_option("thermoforce_mpc", "frozen_h")
     with pytest.raises(ConfigError, match="did you mean 'kp'"):
         numeric_option("pi", "kpp")
 

@@ -13,7 +13,8 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import replace
-from itertools import pairwise
+from itertools import groupby, pairwise
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -522,6 +523,23 @@ def test_a_run_that_was_killed_goes_on_as_if_it_had_not_been(tmp_path, at_h, aga
         np.testing.assert_allclose(one.plan.u, other.plan.u, atol=1e-5)
 
 
+def runs_of(decisions):
+    """How long each stretch of on and of off is, min, of decisions in order."""
+    blocks = [(block.u[0] > 0.0, block.duration_s / 60.0) for one in decisions for block in one.blocks]
+    return [(on, sum(length for _, length in each)) for on, each in groupby(blocks, key=lambda block: block[0])]
+
+
+@pytest.mark.parametrize(("at_h", "again_h"), [(5.1, 5.1), (5.999, 6.0)])
+def test_minimum_times_hold_over_a_kill(tmp_path, at_h, again_h):
+    """Two and a half hours on and off at the least, in steps of one: a restart falls into each."""
+    keeps = {"actuation": {"mode": "duty", "min_on_s": 9000.0, "min_off_s": 9000.0, "block_s": 900.0}}
+    first, again = killed_and_run_again(tmp_path, at_h, again_h, **keeps)
+    before = [one for one in first if one.instant < again[0].instant]
+    inner = runs_of([*before, *again])[1:-1]
+    assert inner, "it is switched"
+    assert min(minutes for _, minutes in inner) >= 150.0
+
+
 def test_the_state_of_another_model_is_not_gone_on_from(tmp_path, caplog):
     _, told = killed_and_run_again(tmp_path, 4.1, 4.1, of="another")
     assert [decision.plan.status for decision in told] == ["solved"] * 5
@@ -592,6 +610,16 @@ def test_a_signal_to_end_gives_the_building_back(files, sent, code):
 CONTROL = [sys.executable, "-m", "thermoforce_mpc", "control", "--model", "model", "--map", "map.yaml", *OPTIONS]
 
 
+def watchdogs(folder):
+    """Numbers of the watchdogs that were started in a folder."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if b"connections.watchdog" in (place / "cmdline").read_bytes() and (place / "cwd").readlink() == folder:
+                found.append(int(place.name))
+    return found
+
+
 @pytest.mark.slow
 def test_two_controllers_do_not_set_one_building(files):
     """With folders of their own; the second is refused, and the first goes on. One that is killed is no hindrance."""
@@ -610,13 +638,16 @@ def test_two_controllers_do_not_set_one_building(files):
             assert (files / "levels.json").read_bytes() == before
             looked = subprocess.run([*CONTROL, "--out", "other", "--dry-run"], env=env, timeout=LONG_S)
             assert looked.returncode == 0, "it sets nothing"
+            assert len(watchdogs(files)) == 1
         finally:
             first.kill()
     with subprocess.Popen([*second, "--delay", "0"], env=env, stdout=subprocess.DEVNULL) as again:
         try:
             wait_for("the second sets its level", lambda: (files / "levels.json").read_bytes() != before)
+            wait_for("that of the first leaves the building to it", lambda: len(watchdogs(files)) == 1)
         finally:
             again.terminate()
+    wait_for("no watchdog is left", lambda: not watchdogs(files))
     assert json.loads((files / "levels.json").read_text())["levels"] == {"actuator": None}
 
 

@@ -13,6 +13,7 @@ import click
 
 if TYPE_CHECKING:
     from thermoforce_mpc.execution import DaskEngine, LocalEngine
+    from thermoforce_mpc.measurements.map.mapping import MeasurementMap
     from thermoforce_mpc.scenario.scenario import Scenario
 
 Function = Callable[..., Any]
@@ -114,8 +115,24 @@ mpc_options = added(
 own_prices_option = click.option(
     "--prices",
     type=PATH,
-    help="CSV of prices for all machines (time, price per kWh; MWh or ct in the column's name) instead of the map's.",
+    help="Instead of the map's prices: CSV (time, price per kWh; MWh or ct in the column's name), or a bill (.yaml).",
 )
+
+
+def billed_objective(prices: Path | None, rules: MeasurementMap, peak_kW: float = 0.0) -> dict[str, Any]:
+    """Keys of the controller's objective that a bill in `--prices` and the map ask for.
+
+    Generation and other loads count where the map has them in its forecast, or the bill pays for what is fed in.
+    `peak_kW`: about what the peak of a month is.
+    """
+    from controllers.mpc.config import objective_of
+    from thermoforce_mpc.scenario.bill import SUFFIXES, read_bill
+
+    others = rules.forecast.load is not None or rules.forecast.generation is not None
+    keys: dict[str, Any] = {}
+    if prices is not None and prices.suffix in SUFFIXES:
+        keys = objective_of(read_bill(prices), peak_kW)
+    return keys | {"exchange": True} if others else keys
 
 
 def _forecaster(name: str) -> dict[str, Any]:

@@ -31,6 +31,11 @@ class Command(StrictModel):
 
     kind: str
     column: str = Field(description="column with what was set, in the unit of the command")
+    usual: float | str | None = Field(
+        None,
+        description="what it is when it is left alone, a number or a column: what a plan is compared with. Default: "
+        "the median at each time of the week in the record; say it where the record is of planned commands",
+    )
     hold_min: float = Field(30.0, ge=0, le=720, description="least time between two changes, min")
 
     @abstractmethod

@@ -36,10 +36,14 @@ _LEAST_R2 = 0.2
 
 @dataclass(frozen=True, eq=False)
 class CommandRecord:
-    """What was set: `at` the boundaries of n steps (n + 1,), and the `mean` over each step (n,); NaN: not known."""
+    """What was set: `at` the boundaries of n steps (n + 1,), and the `mean` over each step (n,); NaN: not known.
+
+    `usual` (n + 1,): what would have been set by people; None: what was set.
+    """
 
     at: Array
     mean: Array
+    usual: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +106,7 @@ class LearnedCommand:
 
     `last`: the command (NaN: not known) at `last_s`, s, held for `held_s`; `usual` (n,): what it is when left alone, at
     the times of a week, in equal parts, from `origin` on. Seconds count from there; None: from where a plan's do.
+    `machine`: name of the machine of whose actuators all are set by this one command; '': the actuator's own.
     """
 
     command: Command
@@ -111,6 +116,7 @@ class LearnedCommand:
     usual: Array
     last_s: float
     origin: pd.Timestamp | None = None
+    machine: str = ""
 
     @property
     def in_words(self) -> str:
@@ -154,7 +160,10 @@ def learn_command(
     changed = known[np.abs(value[known] - last) > SAME]
     since = int(changed[-1]) + 1 if changed.size else int(known[0])
     held_s, now_s = float(time_s[-1] - time_s[since]), float(time_s[-1])
-    return LearnedCommand(command, loop, last, held_s, _usual(value[:-1], time_s[:-1]), now_s)
+    usual = value if was.usual is None else was.usual
+    if not np.isfinite(usual).any():
+        raise DataError(f"{where}: usual: its column holds no value: check it, or give a number")
+    return LearnedCommand(command, loop, last, held_s, _usual(usual[:-1], time_s[:-1]), now_s)
 
 
 def _means(values: Array) -> Array:

@@ -20,6 +20,8 @@ class Setpoint(StepwiseCommand):
     name_in_words: ClassVar[str] = "its set-point"
 
     kind: Literal["setpoint"]
+    minimum: float | None = Field(5.0, ge=5, le=30, description="lowest set-point, °C")
+    maximum: float | None = Field(28.0, ge=5, le=30, description="highest set-point, °C")
     beyond_K: float = Field(
         2.0, ge=0, le=10, description="how far commands may lie outside the comfort bounds of the room, K"
     )

@@ -59,6 +59,7 @@ def sole_control(what: Path | str) -> Iterator[None]:
         ConfigError: another process sets it; names that one.
         StorageError: it cannot be locked.
     """
+    what = what.resolve() if isinstance(what, Path) else what
     place = _place(what)
     try:
         place.parent.mkdir(parents=True, exist_ok=True)

@@ -56,7 +56,7 @@ class Watchdog:
         assert self._process is not None
         return self._process.pid
 
-    def sets(self, names: Sequence[str], seconds: float) -> None:
+    def about_to_set(self, names: Sequence[str], seconds: float) -> None:
         """Something is about to be set: should it fail, or this process end in it, it may have been."""
         self._tell({"names": list(names), "attempt": float(seconds)})
 
@@ -94,7 +94,7 @@ class Watchdog:
         assert self._process is not None
         assert self._process.stdin is not None
         try:
-            self._process.stdin.write(json.dumps(what) + "\n")
+            self._process.stdin.write(json.dumps(what, default=str) + "\n")
             self._process.stdin.flush()
         except OSError:
             if not again:

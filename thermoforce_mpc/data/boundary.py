@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +25,9 @@ CONDITIONS = (
     "heating_price_per_kWh",
 )  # fmt: skip
 
+# What there may be at the meter of the building.
+_AT_THE_METER = ("others_W", "export_per_kWh", "limit_W")
+
 
 @dataclass(frozen=True)
 class Boundary:
@@ -34,6 +37,9 @@ class Boundary:
     Shape (Z, N + 1): `occupancy` persons, `lower_C` and `upper_C` comfort bounds °C.
     Shape (M, N + 1): `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg CO2/kWh of each machine's energy;
     `heating_price_per_kWh` where the heating of a machine that also cools has a carrier of its own, else the same.
+    Shape (N + 1,) or empty where there is none: `others_W`, what else the building takes behind the same meter, less
+    its own generation, W (below 0: a surplus); `export_per_kWh`, what a kWh that is fed in earns; `limit_W`, what all
+    machines together may take (inf: anything).
     `guessed`: which values of a signal, by its name and shape, nobody gave, and its source of data made up by a rule.
     Raises `DataError` for another shape, no instant, or instants that do not go up in equal steps.
     """
@@ -49,9 +55,18 @@ class Boundary:
     heating_price_per_kWh: Array = field(default_factory=lambda: np.empty(0))
     names: Names = SINGLE
     guessed: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    others_W: Array = field(default_factory=lambda: np.empty(0))
+    export_per_kWh: Array = field(default_factory=lambda: np.empty(0))
+    limit_W: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         n = np.size(self.time_s)
+        for name in _AT_THE_METER:
+            if np.size(getattr(self, name)) not in (0, n):
+                raise DataError(f"{name} has shape {np.shape(getattr(self, name))}, expected ({n},) or none")
+            values = np.array(getattr(self, name), dtype=np.float64)
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
         if n < 1:
             raise DataError("a boundary needs at least one instant")
         if not np.size(self.heating_price_per_kWh):
@@ -197,16 +212,21 @@ class Boundary:
                 name: getattr(self, name)[row[AXIS[name]]] if name in AXIS else getattr(self, name)
                 for name in CONDITIONS
             },
+            **{name: getattr(self, name) for name in _AT_THE_METER},
             names=names,
             guessed={
                 name: values[row[AXIS[name]]][None] if name in AXIS else values for name, values in self.guessed.items()
             },
         )
 
+    def at_prices(self, price_per_kWh: Array) -> Boundary:
+        """The same at other prices (M, N + 1), of heating too."""
+        return replace(self, price_per_kWh=price_per_kWh, heating_price_per_kWh=np.empty(0))
+
     def head(self, n_steps: int) -> Boundary:
         """The first `n_steps` steps."""
         return Boundary(
-            **{name: getattr(self, name)[..., : n_steps + 1] for name in CONDITIONS},
+            **{name: getattr(self, name)[..., : n_steps + 1] for name in (*CONDITIONS, *_AT_THE_METER)},
             names=self.names,
             guessed={name: values[..., : n_steps + 1] for name, values in self.guessed.items()},
         )

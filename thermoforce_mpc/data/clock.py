@@ -69,3 +69,12 @@ def words_of(time_s: float) -> str:
     """A time for people: day from 0 and clock."""
     day, minutes = divmod(round(time_s / 60.0), 24 * 60)
     return f"day {day} {minutes // 60:02d}:{minutes % 60:02d}"
+
+
+# First day after each month of a year of 365 days.
+_MONTH_ENDS = np.cumsum([31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31])
+
+
+def month_of(time_s: Array | float) -> Array:
+    """Months, 1 to 12, of `time_s`, s since 1 January, in years of 365 days."""
+    return np.asarray(np.searchsorted(_MONTH_ENDS, np.floor(np.asarray(time_s) / DAY_S) % 365, side="right") + 1)

@@ -126,8 +126,10 @@ class ExplainedStep:
                 parts.append(f"prediction moved by {offset_K:+.2f} K")
             lines.append(of + ", ".join(parts))
         for machine, unused in zip(self.step.names.machines, margins.get("unused_capacity", ()), strict=False):
-            if round(unused, 2):
-                lines.append(f"{machine}: {unused:.0%} of its capacity left unused")
+            if round(unused, 2) > 0.0:
+                lines.append(f"{machine}: {unused:.0%} of its capacity left unused, which it did not give when asked")
+            elif round(unused, 2):
+                lines.append(f"{machine}: {-unused:.0%} more than the capacity of the record, which it gave since")
         return lines
 
 

@@ -73,6 +73,10 @@ def model_of_measurements(
     record, note = telling_part(measured.record, measured.layout, days=days or MOST_DAYS)
     if note:
         say(note)
+    config = config or IdentificationConfig()
+    if any(actuator.flow is not None for actuator in measured.map.actuators.values()):
+        # Levels by the water's temperature: heat needs more power in warmer water.
+        config = config.model_copy(update={"power_curve": True})
     model = identify(
         record,
         layout=measured.layout,

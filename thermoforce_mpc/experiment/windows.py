@@ -10,11 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import DoubtfulInput, plain_number
-from thermoforce_mpc.plants.registry import windows_of
+from thermoforce_mpc.plants.registry import tariff_of, windows_of
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec
 from thermoforce_mpc.scenario.settings import suggestion
@@ -41,7 +40,7 @@ def check_prices(spec: PlantSpec, price: str, period: Period, ahead_s: float = 0
         return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtfulInput)  # said when the plant was built
-        tariff = tariff_from_file(Path(spec.prices_file))
+        tariff = tariff_of(Path(spec.prices_file))
     until_s = period.start_s + period.scored_s + ahead_s
     tariff(np.append(np.arange(period.start_s, until_s, _PRICE_STEP_S), until_s))
 

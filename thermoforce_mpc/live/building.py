@@ -89,8 +89,8 @@ class LiveBuilding:
 
     def command_of(self, name: str) -> Command | None:
         """What is set in the place of the level of an actuator, by the map; None where its level is."""
-        actuator = self._rules.actuators.get(name)
-        return None if actuator is None else actuator.command
+        found = self._rules.command_of(name)
+        return None if found is None else found[1]
 
     @property
     def layout(self) -> Layout:
@@ -192,16 +192,24 @@ class LiveBuilding:
     def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
         """Set levels, see `Connection.write`; raises what the connection raises, and where it does not answer.
 
-        What people set by hand lately stays as it is, also when the building is given back.
+        One command of a machine is set once, under its name; it is left alone where one of what it feeds is. What people
+        set by hand lately stays as it is, also when the building is given back.
         """
-        now = self._now
+        now, told, keys = self._now, dict[str, float | None](), dict[str, str]()
+        by_hand = {} if self._people is None or now is None else self._people.by_hand(now)
+        for name, value in levels.items():
+            if name in by_hand:
+                continue
+            found = self._rules.command_of(name)
+            kind, _, of = found[0].partition(".") if found else ("", "", "")
+            key = keys[name] = of if kind == "machines" else name
+            told[key] = None if key in told and told[key] is None else value
         if self._people is not None and now is not None:
-            levels = {name: value for name, value in levels.items() if name not in self._people.by_hand(now)}
-            self._note(levels, seconds, now)
-            if not levels:
+            self._note({name: told[key] for name, key in keys.items()}, seconds, now)
+            if not told:
                 return
         try:
-            self._calls(self._writer, lambda: self.connection.write(levels, seconds), self._answer_s)
+            self._calls(self._writer, lambda: self.connection.write(told, seconds), self._answer_s)
         except Crashed as crashed:  # such as an interrupt
             raise (crashed.__cause__ or crashed) from None
 

@@ -331,7 +331,7 @@ class _Building:
         anything = any(value is not None for value in levels.values())
         self._set = self._set or anything
         if self._watchdog is not None and anything:
-            self._watchdog.sets(names, seconds)
+            self._watchdog.about_to_set(names, seconds)
         try:
             self._building.write(levels, seconds)
         except Exception as error:  # somebody's connection may raise anything

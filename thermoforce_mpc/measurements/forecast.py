@@ -18,8 +18,8 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.load import Measurements, sunlight
 from thermoforce_mpc.measurements.map.entries import Signal
 from thermoforce_mpc.measurements.map.mapping import MappedMachine
-from thermoforce_mpc.measurements.prices import prices_over_steps
-from thermoforce_mpc.measurements.readings import BOUND, OUTDOOR
+from thermoforce_mpc.measurements.prices import billed, billed_over_steps, prices_over_steps
+from thermoforce_mpc.measurements.readings import BOUND, OUTDOOR, POWER
 from thermoforce_mpc.measurements.signals import SignalReader
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import timed
@@ -27,6 +27,7 @@ from thermoforce_mpc.measurements.tables.files import found_files, read_tables
 from thermoforce_mpc.measurements.tables.forms import TableForm
 from thermoforce_mpc.measurements.tables.raw_table import NoColumn, tables_of
 from thermoforce_mpc.measurements.tables.recognition import recognised
+from thermoforce_mpc.scenario.bill import SUFFIXES, read_bill
 
 # Days before now whose hours tell what a price or bound is likely to be.
 _DAYS = 7
@@ -51,8 +52,8 @@ def read_forecast(
     mean of the same hour of the last days that are known, here or in `measured`, a bound that of the week or day before
     (`Boundary.guessed`); weather is NaN (`model.forecast_gaps` bridges it), and what has no such hour.
 
-    `prices`: a file of them for all machines (`measurements.prices`), in the place of those of the map; `left_out` says
-    how it was read.
+    `prices`: a file of them for all machines (`measurements.prices`), or of a bill (`scenario.bill`), in the place of
+    those of the map; `left_out` says how it was read.
 
     With the time `now` a file that a machine writes is read: what cannot be read is left out and said in `left_out`,
     as by `read_measurements`.
@@ -67,9 +68,13 @@ def read_forecast(
     zones = [rules.zones[name] for name in names.zones]
     bounds = {name: [overrides.get(name, getattr(zone, name)) for zone in zones] for name in ("lower", "upper")}
     machines = [rules.machines.get(name, MappedMachine()) for name in names.machines]
-    tariffs = [0.0 if prices else overrides.get("price", machine.price) for machine in machines]
+    bill = read_bill(prices) if prices is not None and prices.suffix in SUFFIXES else None
+    by_file = prices is not None and (bill is None or bill.energy is not None)
+    tariffs = [0.0 if by_file else overrides.get("price", machine.price) for machine in machines]
     weather = [ours.outdoor, *([s for s in (ours.sun.signal, ours.sun.humidity) if s] if ours.sun else [])]
-    signals = [s for s in (*weather, *bounds["lower"], *bounds["upper"], *tariffs) if isinstance(s, Signal)]
+    at_meter = [rules.forecast.load, rules.forecast.generation]
+    given = (*weather, *bounds["lower"], *bounds["upper"], *tariffs, *at_meter)
+    signals = [s for s in given if isinstance(s, Signal)]
     columns = [column for signal in signals for column in signal.columns]
     clock, notes = ours.time, [] if left_out is None else left_out
     if now is not None:
@@ -145,19 +150,33 @@ def read_forecast(
             for machine, tariff in zip(names.machines, tariffs, strict=True)
         ]
     )
-    if prices is not None:
+    past_price, earns, limit_W = measured.conditions.price_per_kWh, np.empty(0), np.empty(0)
+    if bill is not None and prices is not None:
+        price, earns, read = billed_over_steps(prices, bill, price, ours.time, record.origin, grid_s, step_s)
+        limit_W = 1000.0 * bill.limit_kW(pd.DatetimeIndex(stamps(grid_s, record.origin)))
+        past_s = measured.conditions.time_s
+        past_price = np.stack([billed(bill, row, past_s, record.origin, step_s) for row in past_price])
+        notes.append(read)
+    elif prices is not None:
         of_file, read = prices_over_steps(prices, ours.time, record.origin, grid_s, step_s)
         price = np.tile(of_file, (len(names.machines), 1))
         notes.append(read)
+    others_W = np.zeros(grid_s.size) if any(at_meter) else np.empty(0)
+    for key, signal, sign in zip(("load", "generation"), at_meter, (1.0, -1.0), strict=True):
+        if signal is not None:
+            over_steps = reader.mean(f"forecast.{key}", signal, POWER)
+            others_W += sign * np.append(over_steps, over_steps[-1:])
     values, guessed = {"lower_C": lower, "upper_C": upper, "price_per_kWh": price}, {}
     for name, rows_of in values.items():
-        past = getattr(measured.conditions, name)
+        past = past_price if name == "price_per_kWh" else getattr(measured.conditions, name)
         values[name], guessed[name] = _as_days_before(grid_s, rows_of, measured.conditions.time_s, past, name, back)
     nothing = np.zeros((len(names.machines), grid_s.size - back))
     boundary = Boundary(
         grid_s[back:], outdoor[back:], solar[back:], np.zeros((len(names.zones), grid_s.size - back)),
         values["lower_C"], values["upper_C"], values["price_per_kWh"], nothing, names=names,
         guessed={name: rows_of for name, rows_of in guessed.items() if rows_of.any()},
+        others_W=others_W[back:] if others_W.size else others_W,
+        export_per_kWh=earns[back:] if earns.size else earns, limit_W=limit_W[back:] if limit_W.size else limit_W,
     )  # fmt: skip
     _check_known(boundary, measured, table.name)
     return boundary

@@ -101,6 +101,9 @@ def actuator_levels(rules: MeasurementMap, reader: SignalReader, heat: Array, po
     actuators: Mapping[str, MappedActuator] = rules.actuators
     rows = []
     for a, (name, actuator) in enumerate(actuators.items()):
+        if actuator.flow is not None:
+            rows.append(_emission(actuator, name, reader, rules, notes))
+            continue
         if actuator.level is not None:
             signed = actuator.mode == "both"
             level = reader.mean(
@@ -129,6 +132,26 @@ def actuator_levels(rules: MeasurementMap, reader: SignalReader, heat: Array, po
             f"level of {name}: metered {what}{less} over {span:.0f} W ({how}); {cut} steps above that are cut to 1"
         )
     return np.array(rows), notes
+
+
+def _emission(
+    actuator: MappedActuator, name: str, reader: SignalReader, rules: MeasurementMap, notes: list[str]
+) -> Array:
+    """Level (n,) of an emitter by its open valve and what its water is above the room."""
+    assert actuator.flow is not None
+    zone = rules.zones[actuator.zone or next(iter(rules.zones))]
+    T_zone_C = reader.sampled(f"zones.{name}.temperature", zone.temperature, readings.ZONE)
+    flow_C = reader.mean(f"actuators.{name}.flow", actuator.flow, readings.WATER)
+    valve = np.ones(flow_C.size)
+    if actuator.level is not None:
+        valve = np.clip(reader.mean(f"actuators.{name}.level", actuator.level, readings.LEVEL), 0.0, 1.0)
+    over_K = np.maximum(flow_C - 0.5 * (T_zone_C[:-1] + T_zone_C[1:]), 0.0)
+    runs = over_K[(valve > 0.0) & np.isfinite(over_K)]
+    full_K = float(np.percentile(runs, 99.0)) if runs.size else 0.0
+    if full_K <= 0.0:
+        raise DataError(f"actuators.{name}.flow: its water is never above the room: check column and unit")
+    notes.append(f"level of {name}: the valve times flow over room temperature, 1 at {full_K:.3g} K (99th percentile)")
+    return np.asarray(np.clip(valve * over_K / full_K, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -306,7 +329,8 @@ def _from_table(
     ] or unknown
     heat = np.array([reader.mean(f"actuators.{name}.heat", a.heat, readings.POWER) for name, a in actuators] or unknown)
     u, of_levels = actuator_levels(rules, reader, heat, power)
-    commands = {name: _commanded(reader, name, a.command) for name, a in actuators if a.command is not None}
+    set_by = {name: found for name, _ in actuators if (found := rules.command_of(name)) is not None}
+    commands = {name: _commanded(reader, where, command) for name, (where, command) in set_by.items()}
     record = Record(
         grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
         np.array(water), origin, names,
@@ -344,20 +368,26 @@ def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
     """The commands of the actuators with their maps, by name; raises `DataError` where the record does not tell one."""
     record, out = measured.record, {}
     for a, name in enumerate(record.names.actuators):
-        command = measured.map.actuators[name].command if name in measured.commands else None
-        if command is not None:
-            T_zone_C, was = record.T_zone_C[measured.layout.home[a]], measured.commands[name]
-            where = f"actuators.{name}.command (column {command.column})"
+        found = measured.map.command_of(name) if name in measured.commands else None
+        if found is not None:
+            (where, command), was = found, measured.commands[name]
+            kind, _, machine = where.partition(".")
+            T_zone_C, shared = record.T_zone_C[measured.layout.home[a]], kind == "machines"
+            where = f"{where}.command (column {command.column})" + (f" for {name}" if shared else "")
             learned = learn_command(command, was, T_zone_C, record.T_out_C, record.u[a], record.time_s, where)
-            out[name] = replace(learned, origin=record.origin)
+            out[name] = replace(learned, origin=record.origin, machine=machine if shared else "")
     return out
 
 
-def _commanded(reader: SignalReader, name: str, command: AnyCommand) -> CommandRecord:
+def _commanded(reader: SignalReader, where: str, command: AnyCommand) -> CommandRecord:
     """What was set: a command holds until the next reading."""
     signal = Signal(column=command.column, hold_h=_COMMAND_HOLDS_H)
-    at = reader.scheduled(f"actuators.{name}.command", signal, readings.COMMAND)
-    return CommandRecord(at, reader.again(signal, readings.COMMAND))
+    at = reader.scheduled(f"{where}.command", signal, readings.COMMAND)
+    usual = None
+    if command.usual is not None:
+        own = Signal(column=command.usual, hold_h=_COMMAND_HOLDS_H) if isinstance(command.usual, str) else command.usual
+        usual = reader.scheduled(f"{where}.command.usual", own, readings.COMMAND)
+    return CommandRecord(at, reader.again(signal, readings.COMMAND), usual)
 
 
 def _bounds_C(rules: MeasurementMap, reader: SignalReader, origin: pd.Timestamp) -> tuple[Array, Array]:

@@ -18,6 +18,7 @@ from thermoforce_mpc.measurements.tables.files import head_of, read_tables
 from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import as_numbers
 from thermoforce_mpc.measurements.tables.recognition import guessed_form, recognised
+from thermoforce_mpc.scenario.bill import Bill, file_beside
 
 # What a column of prices is called, and what its name says of the unit: prices are divided by this.
 _PRICE = re.compile(r"price|preis|prix|prijs|tarif|spot|epex|nordpool|day.?ahead", re.IGNORECASE)
@@ -68,6 +69,41 @@ def prices_over_steps(
     else:
         price = held(readings, grid_s)
     return price, f"{path}: column {unit}, per kWh"
+
+
+# Fees of a bill change at quarters of an hour.
+_QUARTER_S = 900.0
+
+
+def billed_over_steps(
+    path: Path, bill: Bill, price: Array, clock: TimeStampRules, origin: pd.Timestamp, grid_s: Array, step_s: float
+) -> tuple[Array, Array, str]:
+    """What a kWh costs by the `bill` at `path` (M, n) and what it earns (n,), and what was read, in words.
+
+    `price` (M, n): those of the map, which count where the bill names no energy. See `prices_over_steps`.
+    """
+    words = [f"{path}: {bill.source}"]
+
+    def of(source: float | str) -> Array:
+        if not isinstance(source, str):
+            return np.full(grid_s.size, source)
+        found, read = prices_over_steps(file_beside(path, source), clock, origin, grid_s, step_s)
+        words.append(read)
+        return found
+
+    energy = price if bill.energy is None else np.tile(of(bill.energy), (len(price), 1))
+    earns = np.zeros(grid_s.size) if bill.export_per_kWh is None else of(bill.export_per_kWh)
+    billed_at = np.stack([billed(bill, row, grid_s, origin, step_s) for row in energy])
+    if doubt := price_doubt(billed_at):
+        raise DataError(f"{path}: with fees and tax {doubt}")
+    return billed_at, earns, "; ".join(words)
+
+
+def billed(bill: Bill, energy: Array, time_s: Array, origin: pd.Timestamp, step_s: float) -> Array:
+    """What a kWh costs (n,) in the mean of steps that begin at `time_s` (n,), with `energy` (n,) per kWh."""
+    parts = np.arange(max(1, round(step_s / _QUARTER_S))) * _QUARTER_S
+    each = [bill.at(energy, pd.DatetimeIndex(stamps(time_s + part, origin))) for part in parts]
+    return np.asarray(np.mean(each, axis=0))
 
 
 def _of_year(path: Path, origin: pd.Timestamp, grid_s: Array) -> Array:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.boundary.tariffs import Tariff
     from thermoforce_mpc.boundary.weather import SyntheticClimate
     from thermoforce_mpc.boundary.weather.year import Weather
+    from thermoforce_mpc.data import Array
     from thermoforce_mpc.plants.embedded.emulator import Emulator
 
 WEATHER, PRICES, UNCERTAINTY, PEOPLE = "weather", "prices_file", "forecast_uncertainty", "people"
@@ -254,9 +255,29 @@ def _weather(spec: PlantSpec, climate: SyntheticClimate | None = None) -> Weathe
 
 
 def _tariff(spec: PlantSpec) -> Tariff | None:
-    from thermoforce_mpc.boundary.tariffs import tariff_from_file
+    return tariff_of(Path(spec.prices_file)) if spec.prices_file else None
 
-    return tariff_from_file(Path(spec.prices_file)) if spec.prices_file else None
+
+def tariff_of(path: Path) -> Tariff:
+    """The tariff of a file of prices (`boundary.tariffs`) or of a bill (`scenario.bill`); raises `ConfigError`."""
+    import numpy as np
+
+    from thermoforce_mpc.boundary.tariffs import tariff_from_file
+    from thermoforce_mpc.scenario.bill import SUFFIXES, file_beside, read_bill
+
+    if path.suffix not in SUFFIXES:
+        return tariff_from_file(path)
+    bill = read_bill(path)
+    if bill.energy is None:
+        raise ConfigError(f"{path}: energy: a price per kWh, or a file of them: a simulated building has no map")
+    number = bill.energy
+    of_file = tariff_from_file(file_beside(path, number)) if isinstance(number, str) else None
+
+    def tariff(time_s: Array) -> Array:
+        energy = np.full(np.shape(time_s), number) if of_file is None else of_file(time_s)
+        return bill.over_year(energy, time_s)
+
+    return tariff
 
 
 def _of_weather(spec: PlantSpec, testcase: TestCase) -> Collection[str]:

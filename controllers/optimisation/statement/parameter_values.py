@@ -9,7 +9,7 @@ import numpy as np
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.statement.problem_statement import gain_sizes, parameter_sizes
 from controllers.optimisation.statement.structure import PoleGroup, Structure, difference_equation
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import J_PER_KWH, Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import ExportedGain, network_of
@@ -80,11 +80,11 @@ class Numbers:
     def of(self, p: MPCProblem) -> Array:
         """The parameters of an instance.
 
-        Raises `DataError` where it does not fit the shape: in its steps, by a part in u² in its peak power or cap, or
+        Raises `DataError` where it does not fit the shape: in its steps, by a part in u² in peak, cap or exchange, or
         by a price of heat at the end.
         """
         s, machine_of = self._s, self._shape.machinery.machine_of
-        if p.power_per_u2_W is not None and (s.peak or s.capped or s.terms) and not s.curved:
+        if p.power_per_u2_W is not None and (s.peak or s.capped or s.exchange or s.terms) and not s.curved:
             raise DataError("MPC problem: power has a part in u², which its shape (`curved`) does not say")
         if p.n_steps != self._shape.n_steps:
             raise DataError(f"MPC problem: {p.n_steps} steps, but the shape has {self._shape.n_steps}")
@@ -116,7 +116,7 @@ class Numbers:
             "fixed_cost": self._sum(fixed_cost),
             "comfort": p.comfort_price,
             "weights": np.array([p.weights.curvature, p.weights.peak, p.cap_price_per_W]),
-            "reached": p.peak_so_far_W,
+            "reached": np.full((1, s.N), p.peak_so_far_W),
         }
         capacity = np.ones(p.power_fixed_W.shape) if p.capacity is None else p.capacity
         values["capacity"] = np.minimum.reduceat(capacity, self._firsts, axis=1)
@@ -124,6 +124,11 @@ class Numbers:
         if p.cooling is not None:
             values["cold_power"] = self._mean(p.cooling.power_per_u_W)
             values["cold_cost"] = self._sum(p.cooling_cost_per_u)
+        if p.exchange is not None:
+            others_W = self._mean(p.exchange.others_W[None])
+            values["reached"] = p.peak_so_far_W - others_W
+            values["surplus"] = np.maximum(-others_W, 0.0)
+            values["dearer"] = self._sum(p.exchange.dearer_per_kWh[None] * p.step_s / J_PER_KWH)
         if p.power_cap is not None:
             values["limit"] = self._mean(p.power_cap.limit_W[None])
         if p.last_u is not None:

@@ -9,8 +9,11 @@ For zones z, actuators a and machines m, over steps k of the plan,
                 P_mk = fixed_mk · on_mk + Σ_{a of m} (per_u_ak u_ak + bend_ak c_ak)
                 on_mk = max( min_{θ ≥ 0} θ + Σ_{a of m} w_a max(on_ak − θ, 0),  Σ_{a of m} share_a u_ak )
                 Σ_{a of m} share_a u_ak ≤ capacity_mk
-                Σ_m P_mk ≤ p_0 + p,   p ≥ 0                      p: peak power above the highest so far, p_0
+                Σ_m P_mk + n_k ≤ p_0 + p,   p ≥ 0                p: peak power above the highest so far, p_0
+                Σ_m P_mk ≤ max(−n_k, 0) + b_k,   b_k ≥ 0         b_k: bought, beyond what others (n_k) leave over
                 Σ_m P_mk ≤ cap_k + o_k,   o_k ≥ 0                soft power cap
+
+Where there is a surplus, energy costs what it would earn if it were fed in, and what is bought d_k more.
 
 Levels below 0 cool, at a price and power of their own. Below its lowest level l_a an actuator switches, on at that
 level for the share on_ak ≥ 0 of the step; above it, by e_ak ≥ max(0, u_ak − l_a), it holds the level and is on:
@@ -81,7 +84,8 @@ def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
         **dict.fromkeys(("T_free", "lower", "upper"), (s.Z, s.N)),
         **dict.fromkeys(("fixed", "fixed_cost", "capacity"), (s.M, s.N)),
         **dict.fromkeys(("share", "runs_for", "u_max", "u_min", "lowest", "on_per_v", "last_u"), (s.A, 1)),
-        **{"comfort": (s.Z, 1), "weights": (3, 1), "reached": (1, 1), "kept": (1, 1), "limit": (1, s.N)},
+        **{"comfort": (s.Z, 1), "weights": (3, 1), "kept": (1, 1)},
+        **dict.fromkeys(("reached", "limit", "surplus", "dearer"), (1, s.N)),
     }
     # The last ones: a nonlinear programme has the gain's own in its place.
     return sizes | (gain_sizes(s, s.hidden) if s.hidden else {"gain": (s.A, s.N)})
@@ -108,7 +112,6 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
         energy += ca.sum1(q["cold_cost"] * cool)
         power += _of_machines(s, q["cold_power"] * cool)
     parts = dict.fromkeys(PARTS, ca.SX(0))
-    parts["energy"] = ca.sum2(energy)
     parts["discomfort"] = ca.dot(lengths, ca.mtimes(q["comfort"].T, slack))
     if s.stored:
         parts["stored heat"] = -ca.dot(q["worth"], drive) - q["kept"]
@@ -116,6 +119,9 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
     whole = power + _of_machines(s, q["bend"] * curve)
     power = whole if s.curved else power  # rows of power are linear otherwise
     total = ca.sum1(power) / POWER_UNIT_W
+    if s.exchange:
+        energy += q["dearer"] * POWER_UNIT_W * alg.at_least("bought", total - q["surplus"] / POWER_UNIT_W)
+    parts["energy"] = ca.sum2(energy)
     if s.peak:
         parts["peak, cap"] += q["weights"][1] * POWER_UNIT_W * alg.highest("peak", total - q["reached"] / POWER_UNIT_W)
     if s.capped:

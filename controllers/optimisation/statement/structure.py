@@ -107,7 +107,8 @@ class Structure:
 
     Actuators that are `signed`, with levels below 0; `stepped`, which hold levels above their lowest and switch below
     it; in `exclusive` groups of which one acts at a time, and `chosen`, those in them: which act is decided in the
-    first `n_chosen` steps. `peak`, `capped`, `curved`: a price of peak power, a power cap, and whether the power in
+    first `n_chosen` steps. `peak`, `capped`, `exchange`, `curved`: a price of peak power, a power cap, a price of what
+    is bought that differs from that of what is fed in, and whether the power in
     them, or in a term of the user, has a part in u². `hidden`: hidden units of the gain where it sees the predicted
     temperature; 0: it does not. `stored`: heat at the end has a price. `terms`, `step_s`: further terms of the user,
     and the length of a step for them, s.
@@ -130,6 +131,7 @@ class Structure:
     n_chosen: int = 0
     peak: bool = False
     capped: bool = False
+    exchange: bool = False
     curved: bool = False
     hidden: int = 0
     stored: bool = True
@@ -204,7 +206,8 @@ def structure_of(
         n_chosen=h,
         peak=shape.peak,
         capped=shape.capped,
-        curved=shape.curved and bool(shape.peak or shape.capped or shape.terms),
+        exchange=shape.exchange,
+        curved=shape.curved and bool(shape.peak or shape.capped or shape.exchange or shape.terms),
         hidden=operator.of_actuator(0).hidden_bias.size if feedback else 0,
         stored=shape.stored,
         terms=shape.terms,

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict, replace
 
 import pytest
 
+from benchmarks.detectors import bench
 from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.detectors.bench import WeekOutcome, rule_of, rule_rows, run_detectors_bench, targets
 from benchmarks.detectors.panel import FAULTS, KINDS, PanelCase, clean, faulty
@@ -72,6 +74,24 @@ def test_an_earlier_result_that_is_none_is_refused(tmp_path):
     (tmp_path / "other.json").write_text(json.dumps({"rows": [{"rule": "watch"}]}))
     with pytest.raises(InputError, match=r"other\.json: holds no weeks of bench detectors"):
         run_detectors_bench(weeks=1, engine=LocalEngine(1), against=tmp_path / "other.json")
+
+
+def test_weeks_that_got_worse_than_in_an_earlier_result_are_told(tmp_path, monkeypatch):
+    now = [week(0, 1.0), week(1, 1.004), week(2, 1.0), week(3, 0.9)]
+    earlier = [
+        {"week": one.case.in_words, "cost": 1.0, "K_h": K_h, "not planned": idle}
+        for one, K_h, idle in zip(now, (0.5, 0.5, 0.3, 0.5), (0, 0, 0, 3), strict=True)
+    ]
+    (tmp_path / "earlier.json").write_text(json.dumps({"rows": earlier}))
+    told = [asdict(replace(one, not_planned=2 if one.case.number == 0 else 0)) for one in now]
+    monkeypatch.setattr(bench, "run_all", lambda *given: told)
+    result = run_detectors_bench(weeks=4, engine=LocalEngine(1), against=tmp_path / "earlier.json")
+    worse = {row["worse than before"]: row for row in result["rows"] if "worse than before" in row}
+    assert list(worse) == ["embedded 0", "embedded 1", "embedded 2"]
+    assert worse["embedded 0"]["steps not planned"] == "+2"
+    assert worse["embedded 1"]["dearer"] == "+0.4%"
+    assert worse["embedded 2"]["now"] == "1.0000 / 0.50"
+    assert "revision" in result["environment"]
 
 
 @pytest.mark.parametrize(

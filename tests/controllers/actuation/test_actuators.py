@@ -155,6 +155,16 @@ def test_where_turns_do_not_suffice_each_holds_a_part_level():
     assert {u for block in on_off for u in block.u} == {0.0, 1.0}, "a level in between has never been seen"
 
 
+def test_in_the_cold_a_machine_feeds_fewer_at_once():
+    """Circuits on a heating curve take more when it is cold: beyond what there is, the water cools."""
+    valves, levels = sharing((0.2, 0.1, 0.1), part_levels=True), (0.65, 0.65, 0.65)
+    mild = valves.realise(levels, STEP_S, running(3)).together()
+    assert {level for block in mild for level in block.u} == {0.0, 1.0}
+    cold = valves.realise(levels, STEP_S, running(3), capacity=np.array([0.26])).together()
+    assert [block.duration_s for block in cold] == [STEP_S], "the machine runs all the time"
+    np.testing.assert_allclose(cold[0].as_array(), levels)
+
+
 @given(
     levels=st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4),
     shares=st.lists(st.floats(0.05, 0.8), min_size=4, max_size=4),

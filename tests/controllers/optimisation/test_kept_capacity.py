@@ -52,6 +52,14 @@ def test_it_stays_between_nothing_and_a_quarter():
     assert learned([1700.0, 420.0, 720.0], [1.0, 1.0, 0.6], before=0.0) == 0.0, "not below nothing"
 
 
+def test_a_machine_that_gives_more_than_was_seen_has_more():
+    """Probing in mild weather does not reach a machine's limit."""
+    more = learned([2400.0, 600.0, 1100.0], [0.5, 0.5, 0.5], before=0.0)
+    assert -0.45 < more < -0.2
+    assert learned([2400.0, 600.0, 1100.0], [0.5, 0.5, 0.5], before=more) < more, "half of it a step"
+    assert learned([1700.0, 420.0, 720.0], [1.0, 1.0, 0.6], before=more) == more, "less is no limit"
+
+
 def test_a_capacity_of_another_shape_is_refused():
     rng = np.random.default_rng(3)
     operator = random_building(rng, 2, (1, 1))

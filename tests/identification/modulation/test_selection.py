@@ -123,3 +123,16 @@ def test_without_a_meter_the_network_starts_at_one():
     start = with_network(linear, seed=1)
     assert start.n_trained == 195
     assert start.constant_modulation == 1.0
+
+
+def test_a_circuit_on_a_heating_curve_has_the_heat_that_was_measured_in_any_weather():
+    """A network that saw mild days knows little of the heat in the cold, and would ask neighbours for it."""
+    house = House(slope_per_K=-0.04)
+    run = record(house, 3.0, u=SWITCHED, noise_K=0.01)
+    model = found(run)
+    heat_input = model.operator.heat_input
+    assert heat_input.heat is not None
+    assert any(note.endswith("per K outdoors") for note in model.card.notes)
+    T_out = run.T_out_C.min() - np.array([0.0, 5.0, 10.0])
+    full = heat_input(np.ones(3), T_out)
+    np.testing.assert_allclose(full / full[0], house.heat_W(1.0, T_out) / house.heat_W(1.0, T_out[0]), rtol=0.02)

@@ -18,6 +18,7 @@ from thermoforce_mpc.cli.building.identify import NOT_COMPETENT
 from thermoforce_mpc.cli.options import (
     PATH,
     FiniteRange,
+    billed_objective,
     map_option,
     model_option,
     out_option,
@@ -30,7 +31,7 @@ from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.map.mapping import MOST_STEP_S
 from thermoforce_mpc.report.display import RunDisplay
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole
-from thermoforce_mpc.scenario.settings import parse_overrides, validate
+from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -111,8 +112,10 @@ def plan(
             f"--forecast {forecast}: covers {there_h:g} h from {record.stamps()[-1]} on, need {hours or _LEAST_H:g}"
         )
     history = record.last(round(_BACK_DAYS * DAY_S / step_s))
-    chosen = {"step_s": step_s, "horizon_h": horizon_h, "whole_runs": True} | parse_overrides(assignments)
-    config = validate(MPCConfig, chosen, "--set")
+    peak_kW = float(np.nanmax(history.power_W.sum(axis=0), initial=0.0)) / 1000.0
+    chosen: dict[str, Any] = {"step_s": step_s, "horizon_h": horizon_h, "whole_runs": True}
+    chosen["objective"] = billed_objective(prices, measured.map, peak_kW)
+    config = validate(MPCConfig, merge(chosen, parse_overrides(assignments)), "--set")
     if commands_file is not None:
         if not measured.commands:
             raise ConfigError(f"--commands {commands_file}: --map {map_file} names no command of an actuator")
@@ -193,6 +196,12 @@ def plan_table(plan: Plan, ahead: Boundary, layout: Layout | None = None) -> pd.
     for name, values in (bounds | prices).items():
         table[name] = values
     cost = plan.power_W / 1000.0 * hours * price
+    if ahead.others_W.size:  # what others leave over costs what it would have earned
+        power_W, spare_W = plan.power_W.sum(axis=0), np.maximum(-np.nan_to_num(ahead.others_W[:-1]), 0.0)
+        earns = ahead.export_per_kWh[:-1] if ahead.export_per_kWh.size else np.zeros(power_W.size)
+        dearer = np.maximum(price.max(axis=0) - earns, 0.0)
+        table["others_W"] = ahead.others_W[:-1]
+        cost = cost - plan.power_W / np.maximum(power_W, 1e-9) * np.minimum(power_W, spare_W) / 1000.0 * hours * dearer
     table["cost"] = cost[machines].sum(axis=0) if machines.any() else np.nan
     return table
 
@@ -201,11 +210,16 @@ def command_rows(plan: Plan, commands: Mapping[str, LearnedCommand]) -> list[dic
     """The commands of a plan in the order of actuators and time, JSON types; `value` None: leave it to itself."""
     from thermoforce_mpc.data.dataframes import stamps
 
-    rows = []
-    for name, settings in zip(plan.names.actuators, plan.settings, strict=bool(plan.settings)):
+    rows, said = [], set()
+    for of_actuator, settings in zip(plan.names.actuators, plan.settings, strict=bool(plan.settings)):
+        machine = commands[of_actuator].machine if of_actuator in commands else ""
+        name = machine or of_actuator
+        if machine in said:  # one command for all that it feeds
+            continue
+        said |= {machine} - {""}
         for one in settings:
             begin, end = stamps(np.array([one.start_s, one.end_s]), plan.origin)
-            command = commands[name].command
+            command = commands[of_actuator].command
             text = "its own control" if one.value is None else command.in_words(one.value)
             row = {"actuator": name, "kind": command.kind, "from": begin.isoformat(), "until": end.isoformat()}
             rows.append(row | {"value": one.value, "unit": command.unit, "text": text})

@@ -6,7 +6,8 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass
 from datetime import timedelta
 from itertools import groupby
 from pathlib import Path
@@ -14,18 +15,21 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, own_prices_option
+from thermoforce_mpc.cli.options import PATH, FiniteRange, billed_objective, map_option, own_prices_option
 from thermoforce_mpc.errors import ConfigError, ThermoForceError
 from thermoforce_mpc.records.run_folder import write_json
 
 if TYPE_CHECKING:
+    from controllers.mpc.config import MPCConfig
     from thermoforce_mpc.commands.command import Command
     from thermoforce_mpc.commands.loop import LearnedCommand
     from thermoforce_mpc.data import CommandValue
-    from thermoforce_mpc.live import Decision
+    from thermoforce_mpc.live import Decision, LiveBuilding
+    from thermoforce_mpc.live.probing import ProbingPlan
     from thermoforce_mpc.live.shadow import ShadowBook
     from thermoforce_mpc.measurements.map.mapping import MeasurementMap
     from thermoforce_mpc.protocols import Connection
+    from thermoforce_mpc.records.live_journal import LiveJournal
 
 _LOG = logging.getLogger(__name__)
 # A note that stays the same is said again after so long.
@@ -106,50 +110,34 @@ def control(
       tf-mpc control --model my_house --map map.yaml --mode shadow
       tf-mpc control --map map.yaml --probe --set connection.measurements=logs/*.csv
     """
-    from contextlib import ExitStack
-
     from controllers.mpc.config import MPCConfig
-    from controllers.mpc.controller import ThermoForceMPC
-    from controllers.state_classes import controller_key
     from thermoforce_mpc.cli import hangup_ends
     from thermoforce_mpc.connections.registry import build_connection, connection_settings
     from thermoforce_mpc.connections.sole import set_by
     from thermoforce_mpc.connections.watchdog import Watchdog
     from thermoforce_mpc.files import storage_errors
-    from thermoforce_mpc.live import KeptState, LiveBuilding, People, control, real_run
-    from thermoforce_mpc.live.people import shared_with
-    from thermoforce_mpc.live.probing import ProbingPlan, probe_building, probing_key
-    from thermoforce_mpc.live.shadow import ShadowBook
+    from thermoforce_mpc.live.probing import ProbingPlan
     from thermoforce_mpc.measurements.map.mapping import load_map
     from thermoforce_mpc.model.thermal_model import load_model
-    from thermoforce_mpc.records.live_journal import LiveJournal
     from thermoforce_mpc.records.run_folder import sole_use
     from thermoforce_mpc.records.run_log import logging_to
     from thermoforce_mpc.report.display import RunDisplay
     from thermoforce_mpc.scenario.scenario import ProbingSpec
-    from thermoforce_mpc.scenario.settings import parse_overrides, validate
+    from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 
     chosen: Mapping[str, Any] = parse_overrides(assignments)
     mode = "probe" if probe else mode
-    if unknown := [key for key in chosen if key not in ("connection", "controller", "identification")]:
-        raise ConfigError(
-            f"--set {unknown[0]}: write connection.KEY=VALUE, controller.KEY=VALUE or identification.KEY=VALUE"
-        )
-    if (model is None) != (mode == "probe"):
-        raise ConfigError(
-            "--model: give the folder of a model" if model is None else "--model: is found by --mode probe"
-        )
-    if "identification" in chosen and mode != "probe":
-        raise ConfigError("--set identification: is for --mode probe")
+    _check_words(mode, model, chosen, dry_run)
     connection, settings = connection_settings(connection, chosen.get("connection", {}))
-    rules, options = load_map(map_file), validate(MPCConfig, chosen.get("controller", {}), "--set controller")
+    rules = load_map(map_file)
+    billed = {"objective": billed_objective(prices, rules)}
+    options = validate(MPCConfig, merge(billed, chosen.get("controller", {})), "--set controller")
     plan = None
     if mode == "probe":
-        if dry_run:
-            raise ConfigError("--dry-run: nothing is decided once with --mode probe; leave one of them out")
         spec = validate(ProbingSpec, chosen.get("identification", {}), "--set identification")
         plan = ProbingPlan.of(spec, options, rules)
-    thermal = None if model is None else load_model(model)
+    if model is not None:
+        load_model(model)
     say = _until_lost(RunDisplay().say)
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -158,73 +146,127 @@ def control(
         held.enter_context(sole_use(out))
         building = held.enter_context(closing(build_connection(connection, settings)))
         held.enter_context(logging_to(out, say))
-        sets, acts = set_by(building, connection, settings), mode in ("control", "probe")
-        watchdog = None
-        if acts and not dry_run:
-            watchdog = held.enter_context(
-                closing(Watchdog(connection, settings, sets, grace_s, out / "watchdog.jsonl"))
-            )
-
-        def run_of(folder: Path | None, name: str = "thermoforce_mpc") -> LiveJournal:
-            return LiveJournal(out, real_run(out, folder, map_file, rules, options, connection, name))
-
-        common: dict[str, Any] = {"delay_s": delay_s, "sets": sets, "watchdog": watchdog}
+        sets, watchdog = set_by(building, connection, settings), None
+        if mode in ("control", "probe") and not dry_run:
+            watchdog = Watchdog(connection, settings, sets, grace_s, out / "watchdog.jsonl")
+            held.enter_context(closing(watchdog))
+        common = {"steps": steps, "delay_s": 0.0 if dry_run else delay_s, "sets": sets, "watchdog": watchdog}
+        run = _Run(out, building, connection, map_file, rules, options, prices, say, common)
         if plan is not None:
-            model = out / "probed"
-            if not model.exists():
-                say(f"Probing of {', '.join(rules.names.actuators)} by connection {connection}; log: {out}/log.jsonl")
-                found = probe_building(
-                    LiveBuilding(building, rules, plan.probing.step_s, prices),
-                    plan,
-                    say=say,
-                    steps=steps,
-                    kept=KeptState(out / "state.npz", probing_key(plan, rules)),
-                    journal=run_of(None, "probing"),
-                    told=_told(say, {}),
-                    **common,
-                )
-                if found is None:
-                    return
-                found.save(model)
-            thermal = load_model(model)
-        assert model is not None
-        assert thermal is not None
-        commands = commands_of(building, rules, options.step_s or thermal.operator.step_s)
-        mpc = ThermoForceMPC(thermal, options, commands=commands)
+            model = run.probed(plan)
+        if model is not None:
+            run.control(model, mode, dry_run)
+
+
+def _check_words(mode: str, model: Path | None, chosen: Mapping[str, Any], dry_run: bool) -> None:
+    """Refuse what makes no sense in a mode; raises `ConfigError`."""
+    if unknown := [key for key in chosen if key not in ("connection", "controller", "identification")]:
+        raise ConfigError(
+            f"--set {unknown[0]}: write connection.KEY=VALUE, controller.KEY=VALUE or identification.KEY=VALUE"
+        )
+    if model is None and mode != "probe":
+        raise ConfigError("--model: give the folder of a model")
+    if model is not None and mode == "probe":
+        raise ConfigError("--model: is found by --mode probe")
+    if "identification" in chosen and mode != "probe":
+        raise ConfigError("--set identification: is for --mode probe")
+    if mode == "probe" and dry_run:
+        raise ConfigError("--dry-run: nothing is decided once with --mode probe; leave one of them out")
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What probing and control of a building share; `common`: arguments of `thermoforce_mpc.live.control`."""
+
+    out: Path
+    building: Connection
+    connection: str
+    map_file: Path
+    rules: MeasurementMap
+    options: MPCConfig
+    prices: Path | None
+    say: Callable[[str], None]
+    common: Mapping[str, Any]
+
+    def live(self, step_s: float) -> LiveBuilding:
+        """The building at a step, s."""
+        from thermoforce_mpc.live import LiveBuilding
+
+        return LiveBuilding(self.building, self.rules, step_s, self.prices)
+
+    def journal(self, model: Path | None, controller: str = "thermoforce_mpc") -> LiveJournal:
+        """The journal of a controller, with its model."""
+        from thermoforce_mpc.live import real_run
+        from thermoforce_mpc.records.live_journal import LiveJournal
+
+        of = real_run(self.out, model, self.map_file, self.rules, self.options, self.connection, controller)
+        return LiveJournal(self.out, of)
+
+    def probed(self, plan: ProbingPlan) -> Path | None:
+        """The model that a probing found, before or now; None where --steps ended it."""
+        from thermoforce_mpc.live import KeptState
+        from thermoforce_mpc.live.probing import probe_building, probing_key
+
+        folder = self.out / "probed"
+        if folder.exists():
+            self.say(f"Probed before: {folder}")
+            return folder
+        names = ", ".join(self.rules.names.actuators)
+        self.say(f"Probing of {names} by connection {self.connection}; log: {self.out}/log.jsonl")
+        found = probe_building(
+            self.live(plan.probing.step_s),
+            plan,
+            say=self.say,
+            kept=KeptState(self.out / "state.npz", probing_key(plan, self.rules)),
+            journal=self.journal(None, "probing"),
+            told=_told(self.say, {}),
+            **self.common,
+        )
+        return None if found is None else found.save(folder)
+
+    def control(self, model: Path, mode: str, dry: bool) -> None:
+        """Control with a model, or say what it would do."""
+        from controllers.mpc.controller import ThermoForceMPC
+        from controllers.state_classes import controller_key
+        from thermoforce_mpc.live import KeptState, LiveBuilding, People, control
+        from thermoforce_mpc.live.people import shared_with
+        from thermoforce_mpc.live.shadow import ShadowBook
+        from thermoforce_mpc.model.thermal_model import load_model
+
+        thermal, acts = load_model(model), mode in ("control", "probe")
+        commands = commands_of(self.building, self.rules, self.options.step_s or thermal.operator.step_s)
+        mpc = ThermoForceMPC(thermal, self.options, commands=commands)
         key = controller_key(thermal, mpc.config, {name: learned.command for name, learned in commands.items()})
-        does = {"control": "Control", "probe": "Control", "advise": "Advice for", "shadow": "Shadow of"}[mode]
-        does += " of" * acts
-        say(f"{does} {', '.join(thermal.names.actuators)} by connection {connection}; log: {out}/log.jsonl")
-        people = People(out / "people.json", rules.time.zone)
-        say(f"Actuation: {mpc.actuation_in_words}")
-        if acts:
-            told = _told(say, commands)
-        else:
-            book = ShadowBook(out, thermal) if mode == "shadow" and not dry_run else None
-            told = _advised(_told(say, commands), None if dry_run else out / "advice.json", book, say)
+        names = ", ".join(thermal.names.actuators)
+        does = {"advise": "Advice for", "shadow": "Shadow of"}.get(mode, "Control of")
+        self.say(f"{does} {names} by connection {self.connection}; log: {self.out}/log.jsonl")
+        self.say(f"Actuation: {mpc.actuation_in_words}")
+        told = _told(self.say, commands)
+        if not acts and not dry:
+            book = ShadowBook(self.out, thermal) if mode == "shadow" else None
+            told = _advised(told, self.out / "advice.json", book, self.say)
+        people = People(self.out / "people.json", self.rules.time.zone)
         control(
-            LiveBuilding(building, rules, mpc.step_s, prices, people),
+            LiveBuilding(self.building, self.rules, mpc.step_s, self.prices, people),
             mpc,
-            steps=steps,
-            dry=dry_run,
-            kept=None if dry_run else KeptState(out / "state.npz", key),
-            journal=None if dry_run else run_of(model),
-            told=shared_with(building, people, told, lambda decision: in_words(decision, commands)),
+            dry=dry,
+            kept=None if dry else KeptState(self.out / "state.npz", key),
+            journal=None if dry else self.journal(model),
+            told=shared_with(self.building, people, told, lambda decision: in_words(decision, commands)),
             acts=acts,
-            **(common | {"delay_s": 0.0 if dry_run else delay_s}),
+            **self.common,
         )
 
 
 def _advised(
-    told: Callable[[Decision], None], advice: Path | None, book: ShadowBook | None, say: Callable[[str], None]
+    told: Callable[[Decision], None], advice: Path, book: ShadowBook | None, say: Callable[[str], None]
 ) -> Callable[[Decision], None]:
     """Says each decision that is not set, writes it to a file, and once a day what the days so far would have saved."""
 
     def advised(decision: Decision) -> None:
         told(decision)
         try:
-            if advice is not None:
-                write_json(advice, _advice(decision), follow=True)
+            write_json(advice, _advice(decision), follow=True)
             if book is not None and (words := book.day_over(decision.instant)):
                 say(words)
         except (ThermoForceError, ValueError) as error:
@@ -266,7 +308,7 @@ def commands_of(building: Connection, rules: MeasurementMap, step_s: float) -> d
     """
     from thermoforce_mpc.live import LiveBuilding
 
-    if not any(actuator.command for actuator in rules.actuators.values()):
+    if not any(rules.command_of(name) for name in rules.actuators):
         return {}
     return LiveBuilding(building, rules, step_s).commands()
 

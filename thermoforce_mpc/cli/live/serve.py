@@ -74,13 +74,13 @@ def serve(testcase: str, host: str, weather: str, prices: Path | None, token: st
         raise ConfigError(
             f"serving needs {error.name}, which is not installed: pip install 'thermoforce-mpc[serve]'"
         ) from error
-    from thermoforce_mpc.boundary.tariffs import tariff_from_file
     from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
     from thermoforce_mpc.plants.embedded.cases import CASES
+    from thermoforce_mpc.plants.registry import tariff_of
 
     synthetic = weather == "synthetic"
     year = synthetic_weather(climate=CASES[testcase].climate) if synthetic else load_weather(Path(weather))
-    tariff = tariff_from_file(prices) if prices else None
+    tariff = tariff_of(prices) if prices else None
     check_token(host, token or None)
     if not is_loopback(host):
         click.echo(

@@ -33,6 +33,9 @@ _LEAST_SCALE = np.array([5.0, 8.0, 150.0, 0.5])
 _LARGEST_BIAS = 5.0
 # Fixed share of heat up to which it counts as in proportion to the level.
 _PROPORTIONAL = 0.1
+# Change of the heat of full level per K outdoors from which it is that of a heating curve: the circuits of
+# `office:3rooms:771300` have 0.066, the machine of `bestest_hydronic_heat_pump` 0.024 (2026-11-28).
+_STEEP_1_K = 0.04
 # Levels from which full level counts as held, and share of the steps on from which lower ones are not mere trials.
 _NEARLY_FULL, _OFTEN = 0.9, 0.25
 # Step, s, and horizon, h, of plans by default.
@@ -196,11 +199,19 @@ def _rms(residuals: Array) -> float:
 
 
 def _held_levels(heat: MachineLoad, everything: Fold, power: PowerModel | None) -> str:
-    """Why plans need the heat of levels between off and full, in words; empty where v = u will do.
+    """Why plans need the heat that was measured, in words; empty where v = u will do.
 
-    Where heat is in proportion to the level, or the machine is switched at full level, it will.
+    Where heat is in proportion to the level, or the machine is switched at full level, it will. Not so on a heating
+    curve: a network that saw days of one weather does not go on as the heat does in another.
     """
-    fixed, per_u = (float(part) for part in heat.parts(0.5 * sum(heat.T_out_range_C)))
+    middle_C = 0.5 * sum(heat.T_out_range_C)
+    fixed, per_u = (float(part) for part in heat.parts(middle_C))
+    slope = sum(
+        float(colder) - float(warmer)
+        for colder, warmer in zip(heat.parts(middle_C - 1.0), heat.parts(middle_C), strict=True)
+    )
+    if abs(slope) > _STEEP_1_K * (fixed + per_u):
+        return f"that of full level changes by {abs(slope) / (fixed + per_u):.0%} per K outdoors"
     if not heat.levels_seen or fixed <= _PROPORTIONAL * (fixed + per_u):
         return ""
     u = np.concatenate([h.u[0] for e in everything.regressions for h in e.histories])

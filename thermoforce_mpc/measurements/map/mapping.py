@@ -61,6 +61,11 @@ class MappedActuator(StrictModel):
         "heating", description="what it does; both: levels below 0 cool"
     )
     level: OfLevel | None = None
+    flow: OfTemperature | None = Field(
+        None,
+        description="flow temperature of its water: its level is then that of the valve times what this is above "
+        "the room, as a share of the 99th percentile; without a level the valve is taken as open",
+    )
     heat: OfPower | None = Field(None, description="heat that it delivers, or with mode cooling takes out, above 0")
     full_W: float | None = Field(
         None,
@@ -76,10 +81,13 @@ class MappedActuator(StrictModel):
 
     @model_validator(mode="after")
     def _heats_by_command(self) -> MappedActuator:
-        if self.command is not None and self.mode != "heating":
-            raise ValueError(
-                f"command: of an actuator with mode heating, not {self.mode}: more of it must be more heat"
-            )
+        for key in ("command", "flow"):
+            if getattr(self, key) is not None and self.mode != "heating":
+                raise ValueError(
+                    f"{key}: of an actuator with mode heating, not {self.mode}: more of it must be more heat"
+                )
+        if self.flow is not None and self.heat is not None:
+            raise ValueError("flow: not where its heat is measured, which says more")
         return self
 
 
@@ -89,6 +97,9 @@ class MappedMachine(StrictModel):
     power: OfPower | None = Field(None, description="electric power, or that of the gas; without it nothing is planned")
     return_water: OfTemperature | None = None
     price: OfPrice | None = Field(None, description="price of its energy per kWh, or a column")
+    command: AnyCommand | None = Field(
+        None, description="one command for all that it feeds, as an offset of its heating curve"
+    )
 
 
 class ForecastMap(StrictModel):
@@ -100,6 +111,8 @@ class ForecastMap(StrictModel):
     outdoor: OfTemperature | None = None
     sun: OfSun | None = None
     price: OfPrice | None = Field(None, description="price of all machines")
+    load: OfPower | None = Field(None, description="power of all that is not planned behind the same meter")
+    generation: OfPower | None = Field(None, description="power of photovoltaics behind the same meter, above 0")
     lower: Bound | None = Field(None, description="lower comfort bound of all zones")
     upper: Bound | None = Field(None, description="upper comfort bound of all zones")
 
@@ -155,7 +168,7 @@ class MeasurementMap(StrictModel):
                 raise ValueError(f"actuators.{name}.machine: say what feeds it, of {', '.join(self.machines)}")
         machine_of = self.layout.machine_of
         for a, (name, actuator) in enumerate(self.actuators.items()):
-            if actuator.level is not None or actuator.heat is not None:
+            if actuator.level is not None or actuator.heat is not None or actuator.flow is not None:
                 continue
             fed = machine_of.count(machine_of[a])
             powered = self.machines and list(self.machines.values())[machine_of[a]].power is not None
@@ -167,11 +180,21 @@ class MeasurementMap(StrictModel):
             if zone.temperature.columns == self.outdoor.columns:
                 raise ValueError(f"zones.{name}.temperature and outdoor are the same column")
         set_by: dict[str, str] = {}
+        for m, (machine_name, machine) in enumerate(self.machines.items()):
+            if machine.command is None:
+                continue
+            set_by[machine.command.column] = machine_name
+            for a, (name, actuator) in enumerate(self.actuators.items()):
+                if machine_of[a] == m and (actuator.command is not None or actuator.mode != "heating"):
+                    raise ValueError(
+                        f"machines.{machine_name}.command: {name}, which it feeds, "
+                        + ("has a command of its own: name one of the two" if actuator.command else "does not heat")
+                    )
         for name, actuator in self.actuators.items():
             if actuator.command is not None and (other := set_by.setdefault(actuator.command.column, name)) != name:
                 raise ValueError(
                     f"actuators.{name}.command: column '{actuator.command.column}' is the command of {other} too, and "
-                    "one command cannot have two values: name it at the actuator that answers to it most"
+                    "one command cannot have two values: name it once, at the machine that feeds them"
                 )
         if self.comfort is not None:
             try:
@@ -223,9 +246,24 @@ class MeasurementMap(StrictModel):
                 for key in type(item).model_fields:
                     if isinstance(signal := getattr(item, key), Signal):
                         yield f"{kind}.{name}.{key}", signal
-        for name, actuator in self.actuators.items():
-            if actuator.command is not None:
-                yield f"actuators.{name}.command", Signal(column=actuator.command.column)
+        for kind in ("actuators", "machines"):
+            for name, item in getattr(self, kind).items():
+                if item.command is not None:
+                    yield f"{kind}.{name}.command", Signal(column=item.command.column)
+                    if isinstance(item.command.usual, str):
+                        yield f"{kind}.{name}.command.usual", Signal(column=item.command.usual)
+
+    def command_of(self, actuator: str) -> tuple[str, AnyCommand] | None:
+        """Where the command of an actuator stands, its own or that of its machine, and it; None: its level is set."""
+        own = self.actuators.get(actuator)
+        if own is None:
+            return None
+        if own.command is not None:
+            return f"actuators.{actuator}", own.command
+        names = tuple(self.machines)
+        machine = own.machine or (names[0] if names else "")
+        of_machine = self.machines[machine].command if machine in self.machines else None
+        return None if of_machine is None else (f"machines.{machine}", of_machine)
 
 
 def load_map(path: Path) -> MeasurementMap:

@@ -114,7 +114,10 @@ class BuildingOperator:
                 if not np.array_equal(getattr(pair, name), getattr(home, name)):
                     raise DataError(f"{where}: {name} differs from that of its home zone")
             if pair.feedback_active and (Z > 1 or A > 1):
-                raise DataError(f"{where}: feedback of the predicted temperature is for one zone and one actuator")
+                raise DataError(
+                    f"{where}: feedback of the predicted temperature is for one zone and one actuator: with several, "
+                    "an action changes the gain of all others of its zone, which the certificate does not bound"
+                )
 
     def each(self) -> Iterator[tuple[int, int, OperatorParameters]]:
         """Zone, actuator and operator of every pair with an effect."""

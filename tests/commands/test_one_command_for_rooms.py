@@ -1,0 +1,109 @@
+"""One offset of the heating curve for two rooms: its effect on each is learned, and planned for both."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+from home_by_curve import EMITTER_W_K, ROOMS, RULES, SETPOINT_C, HomeByCurve, cop, curve_model
+
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
+from thermoforce_mpc.data import Observation
+from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.identification import IdentificationConfig
+from thermoforce_mpc.identification.effects.meters import power_of_machine
+from thermoforce_mpc.live import LiveBuilding, control
+from thermoforce_mpc.measurements.forecast import read_forecast
+from thermoforce_mpc.measurements.load import learned_commands, read_measurements
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.scenario.settings import validate
+
+
+@pytest.fixture(scope="module")
+def home():
+    return HomeByCurve()
+
+
+@pytest.fixture(scope="module")
+def measured(home):
+    return read_measurements(home.measurements(), RULES, step_s=3600.0).served()
+
+
+def controller(home, measured):
+    off = {"enabled": False}
+    options = {"step_s": 3600.0, "horizon_h": 24.0, "free_response": {"name": "persistence"}, "gate": off, "watch": off}
+    return ThermoForceMPC(curve_model(home), MPCConfig.model_validate(options), commands=learned_commands(measured))
+
+
+@pytest.fixture(scope="module")
+def plan(home, measured):
+    ahead = read_forecast(home.forecast(), measured)
+    return controller(home, measured).plan(Observation(measured.record, ahead))
+
+
+def test_what_an_offset_does_is_learned_for_each_room_from_one_record(measured):
+    learned = learned_commands(measured)
+    assert set(learned) == set(ROOMS)
+    assert {one.machine for one in learned.values()} == {"heat_pump"}
+    for name, one in learned.items():
+        room = SETPOINT_C[name], 3.0, 0.3
+        more = one.loop.level(3.0, *room) - one.loop.level(-3.0, *room)
+        assert more > 0.05
+        assert (one.usual == 0.0).all()
+
+
+def test_both_rooms_have_the_one_offset_that_is_good_for_both(plan):
+    living, bedroom = plan.settings
+    assert living == bedroom
+    assert {one.value for one in living} <= set(np.arange(-3.0, 4.0))
+    assert all(one.end_s - one.start_s >= 1800.0 for one in living[1:-1])
+    assert plan.saving.gain > 0.0
+    assert plan.saving.outside_Kh <= plan.saving.outside_alone_Kh + 0.5
+
+
+def test_the_machine_is_set_once(home, measured):
+    building = copy.deepcopy(home)
+    live = LiveBuilding(building, validate(MeasurementMap, RULES, "rules"), 3600.0)
+    control(live, controller(home, measured), clock=building, steps=2, delay_s=0.0)
+    assert building.written[-1][1] is None
+    assert any(value is not None for _, value in building.written)
+
+
+def test_a_record_of_one_offset_does_not_tell_what_another_does():
+    home = HomeByCurve(days=8, trials=0)
+    measured = read_measurements(home.measurements(), RULES, step_s=3600.0).served()
+    with pytest.raises(DataError, match=r"machines\.heat_pump\.command .* for living: it was 0 all the time"):
+        learned_commands(measured)
+
+
+def test_a_room_with_a_command_of_its_own_is_refused_beside_that_of_its_machine():
+    rules = copy.deepcopy(RULES)
+    rules["actuators"]["living"]["command"] = {"kind": "setpoint", "column": "set"}
+    with pytest.raises(ConfigError, match="living, which it feeds, has a command of its own"):
+        validate(MeasurementMap, rules, "map.yaml")
+
+
+def test_power_knows_what_a_kelvin_of_flow_costs(home, measured):
+    """Half of Carnot: heat of both rooms, valves as usual, from water of 36 and of 40 °C."""
+    valve = {name: float(np.mean([row[f"valve_{name}"] for row in home.rows])) for name in ROOMS}
+    config = IdentificationConfig(power_curve=True)
+    power = power_of_machine([measured.record], config, measured.layout, 0)
+    full_K = {
+        name: float(note.split(" 1 at ")[1].split(" K")[0])
+        for name in ROOMS
+        for note in measured.understood.assumed
+        if f"level of {name}" in note
+    }
+
+    def by_law_and_truth_W(flow_C):
+        over_K = {name: valve[name] * (flow_C - SETPOINT_C[name]) for name in ROOMS}
+        u = np.array([[over_K[name] / full_K[name]] for name in ROOMS])
+        heat_W = sum(0.8 * EMITTER_W_K[name] * over_K[name] for name in ROOMS)
+        law_W = power.of_actuators(u, measured.layout.weights, np.array([2.0]))
+        return float(law_W.item()), heat_W / cop(flow_C, 2.0)
+
+    (cool, cool_true), (warm, warm_true) = by_law_and_truth_W(36.0), by_law_and_truth_W(40.0)
+    assert cool == pytest.approx(cool_true, rel=0.1)
+    assert (warm - cool) == pytest.approx(warm_true - cool_true, rel=0.2)

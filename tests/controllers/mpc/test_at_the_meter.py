@@ -1,0 +1,149 @@
+"""Prices as billed in plans: own generation, what is fed in, dimming and peaks of a month."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from click.testing import CliRunner
+from home_by_setpoint import RULES, HomeBySetpoint
+from simple_house import simple_model
+
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
+from controllers.mpc.state import MPCState
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.data import Observation
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.measurements.forecast import read_forecast
+from thermoforce_mpc.measurements.load import read_measurements
+
+AT_METER = {"load": "load", "generation": "pv"}
+PLAIN = RULES | {"actuators": {"actuator": {"level": "u"}}, "forecast": AT_METER}
+BILL = {"source": "a contract", "energy": 0.3, "export_per_kWh": 0.05}
+
+
+@pytest.fixture(scope="module")
+def home():
+    return HomeBySetpoint(days=14)
+
+
+def forecast(home):
+    table = home.forecast()
+    noon = (table.index.hour >= 11) & (table.index.hour < 14)
+    return table.assign(load=400.0, pv=np.where(noon, 3400.0, 0.0))
+
+
+def planned(home, path, bill, *, used=1.0, **objective):
+    path.write_text(yaml.safe_dump(bill))
+    measured = read_measurements(home.measurements(), PLAIN, step_s=3600.0).served()
+    ahead = read_forecast(forecast(home), measured, prices=path).head(24)
+    options = {"step_s": 3600.0, "horizon_h": 24.0, "free_response": {"name": "persistence"}, "objective": objective}
+    options |= {
+        "gate": {"enabled": False},
+        "watch": {"enabled": False},
+        "actuation": {"mode": "modulating", "lowest_level": 0},
+    }
+    controller = ThermoForceMPC(simple_model(), MPCConfig.model_validate(options))
+    record = replace(measured.record, power_W=used * measured.record.power_W)
+    plan = controller.plan(Observation(record, ahead))
+    assert plan.u.size, plan.why
+    return plan, ahead
+
+
+def test_what_the_sun_leaves_over_is_used_before_energy_is_bought(home, tmp_path):
+    with_sun, ahead = planned(home, tmp_path / "bill.yaml", BILL, exchange=True)
+    without, _ = planned(home, tmp_path / "bill.yaml", BILL)
+    spare_W = np.maximum(-ahead.others_W[:-1], 0.0)
+    assert set(np.round(spare_W)) == {0.0, 3000.0}
+
+    def bought_kWh(plan):
+        return np.maximum(plan.power_W.sum(axis=0) - spare_W, 0.0).sum() / 1000.0
+
+    assert bought_kWh(with_sun) < bought_kWh(without) - 2.0
+    assert with_sun.solver_status == without.solver_status
+
+
+def test_the_cost_of_a_plan_is_that_of_what_is_bought_and_not_sold(home, tmp_path):
+    path = tmp_path / "bill.yaml"
+    path.write_text(yaml.safe_dump(BILL))
+    simple_model().save(tmp_path / "model")
+    home.measurements().to_csv(tmp_path / "house.csv", index=False)
+    forecast(home).to_csv(tmp_path / "tomorrow.csv")
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(PLAIN))
+    words = ["plan", "--model", "model", "--map", "map.yaml", "--data", "house.csv", "--forecast", "tomorrow.csv"]
+    words = [str(tmp_path / word) if "." in word or word == "model" else word for word in words]
+    words += ["--hours", "24", "--prices", str(path), "--out", str(tmp_path / "plan.csv")]
+    result = CliRunner().invoke(cli, words)
+    assert result.exit_code == 0, result.output
+    assert "a contract" in result.output
+    table = pd.read_csv(tmp_path / "plan.csv")
+    spare_kW, used_kW = np.maximum(-table["others_W"], 0.0) / 1000.0, table["power_W"] / 1000.0
+    cost = 0.3 * np.maximum(used_kW - spare_kW, 0.0) + 0.05 * np.minimum(used_kW, spare_kW)
+    assert (np.minimum(used_kW, spare_kW) > 0.5).any()
+    assert table["cost"].to_numpy() == pytest.approx(cost.to_numpy(), abs=1e-4)
+
+
+def test_a_dimmed_machine_takes_no_more_than_the_grid_lets_it(home, tmp_path):
+    bill = BILL | {"dimming": {"kW": 1.0, "hours": "4:00-8:00"}}
+    plan, ahead = planned(home, tmp_path / "bill.yaml", bill, keep_limits=True)
+    dimmed = np.isfinite(ahead.limit_W[:-1])
+    assert dimmed.sum() == 4
+    assert plan.power_W[0, dimmed].max() <= 1000.0 + 1e-3
+    assert plan.power_W[0, ~dimmed].max() > 1000.0
+
+
+def test_a_dear_peak_spreads_power_down_to_what_is_billed_at_least(home, tmp_path):
+    peaks = {"peak_price_per_kW": 50.0, "peak_of": "month"}
+    plain, _ = planned(home, tmp_path / "bill.yaml", BILL, used=0.3)
+    flat, _ = planned(home, tmp_path / "bill.yaml", BILL, used=0.3, **peaks)
+    kept, _ = planned(home, tmp_path / "bill.yaml", BILL, used=0.3, peak_least_kW=1.6, **peaks)
+    record = read_measurements(home.measurements(), PLAIN, step_s=3600.0).served().record
+    so_far_W = 0.3 * record.power_W.sum(axis=0).max()
+    highest_W = [plan.power_W.sum(axis=0).max() for plan in (plain, flat, kept)]
+    assert highest_W[0] > 1700.0
+    assert highest_W[1] == pytest.approx(so_far_W, rel=0.02)
+    assert highest_W[2] == pytest.approx(1600.0, rel=0.02)
+
+
+def test_peaks_are_those_of_this_month_and_three_of_distinct_days(home):
+    record = read_measurements(home.measurements(), PLAIN, step_s=3600.0).served().record
+    assert f"{record.stamps()[-1]:%d %b}" == "29 Jan"
+    power_W = np.full((1, record.n_steps), 500.0)
+    power_W[0, -30:-27] = 4000.0  # three hours of one day
+    power_W[0, -60], power_W[0, -100] = 3000.0, 2000.0
+    observation = Observation(
+        replace(record, power_W=power_W),
+        read_forecast(forecast(home), read_measurements(home.measurements(), PLAIN, step_s=3600.0).served()),
+    )
+    state = MPCState(0.0)
+    assert state.peak_after(observation, "month") == 4000.0
+    assert state.peak_after(observation, "three_days") == 2000.0
+    later = replace(record, power_W=power_W, time_s=record.time_s + 4 * 86400.0)  # 2 February
+    ahead = replace(observation.boundary, time_s=observation.boundary.time_s + 4 * 86400.0)
+    assert state.peak_after(Observation(later, ahead), "month") == 500.0
+
+
+def test_a_bill_without_energy_adds_its_fees_to_the_prices_of_the_map(home, tmp_path):
+    path = tmp_path / "bill.yaml"
+    windows = [{"hours": "17:00-19:30", "per_kWh": 0.10}]
+    bill = {"source": "a contract", "grid": {"per_kWh": 0.02, "windows": windows}, "vat": 0.5}
+    path.write_text(yaml.safe_dump(bill))
+    measured = read_measurements(home.measurements(), PLAIN, step_s=3600.0).served()
+    ahead = read_forecast(forecast(home), measured, prices=path)
+    price = dict(zip(ahead.time_s[:24] % 86400.0 / 3600.0, ahead.price_per_kWh[0, :24], strict=True))
+    assert price[2.0] == pytest.approx(1.5 * 0.22)
+    assert price[17.0] == pytest.approx(1.5 * 0.50)
+    assert price[19.0] == pytest.approx(1.5 * (0.40 + 0.06))  # the window ends within the step
+    assert ahead.heating_price_per_kWh[0, 17] == pytest.approx(1.5 * 0.50)
+
+
+def test_a_bill_in_cents_is_refused(home, tmp_path):
+    path = tmp_path / "bill.yaml"
+    path.write_text(yaml.safe_dump({"source": "a contract", "energy": 30.0}))
+    measured = read_measurements(home.measurements(), PLAIN, step_s=3600.0).served()
+    with pytest.raises(DataError, match=r"bill\.yaml: with fees and tax .* in cents"):
+        read_forecast(forecast(home), measured, prices=path)

@@ -1,0 +1,59 @@
+"""Tables of docs/evidence are as their files say, and a cell that somebody edited is found."""
+
+import json
+
+import pytest
+
+from tools import evidence
+
+
+def test_no_table_was_edited_by_hand(capsys):
+    assert evidence.main(["--check"]) == 0, capsys.readouterr().out
+
+
+@pytest.fixture
+def pages(tmp_path):
+    (tmp_path / "tables").mkdir()
+    table = {
+        "command": "tf-mpc bench x",
+        "revision": "0123456789",
+        "date": "2026-11-28",
+        "minutes": 2.0,
+        "columns": {"house": "house", "cost / discomfort": "{cost:.3f} / {tdis:.2f}"},
+        "rows": [{"house": 1, "cost": 0.5, "tdis": 2.0}],
+    }
+    (tmp_path / "tables" / "houses.json").write_text(json.dumps(table))
+    (tmp_path / "page.md").write_text("# Page\n\n<!-- evidence houses -->\n<!-- /evidence -->\n\nWords.\n")
+    return tmp_path
+
+
+def test_a_table_is_written_from_its_file_and_an_edit_is_found(pages, capsys):
+    assert evidence.main([], pages) == 0
+    text = (pages / "page.md").read_text()
+    assert "| house | cost / discomfort |\n|---|---|\n| 1 | 0.500 / 2.00 |\n" in text
+    assert "2026-11-28, `01234567`, 2 min." in text
+    assert text.endswith("<!-- /evidence -->\n\nWords.\n")
+    assert evidence.main(["--check"], pages) == 0
+    (pages / "page.md").write_text(text.replace("0.500", "0.400"))
+    assert evidence.main(["--check"], pages) == 1
+    assert "page.md: houses" in capsys.readouterr().out
+
+
+def test_the_rows_of_a_result_are_taken_with_its_command_and_today(pages):
+    result = pages / "result.json"
+    rows = [{"house": 2, "cost": 0.25, "tdis": 1.0, "more": 3}, {"summary": "another table's"}]
+    result.write_text(json.dumps({"command": "tf-mpc bench x --quick", "rows": rows}))
+    evidence.main(["--take", "houses", str(result)], pages)
+    table = json.loads((pages / "tables" / "houses.json").read_text())
+    assert table["rows"] == [{"house": 2, "cost": 0.25, "tdis": 1.0}]
+    assert table["command"] == "tf-mpc bench x --quick"
+    assert table["revision"] != "0123456789"
+    assert "| 2 | 0.250 / 1.00 |" in (pages / "page.md").read_text()
+    result.write_text(json.dumps({"command": "x", "rows": [{"house": 2}]}))
+    with pytest.raises(SystemExit, match="no row of the result has cost, house, tdis"):
+        evidence.main(["--take", "houses", str(result)], pages)
+
+
+def test_what_a_revision_does_not_hold_is_stale():
+    assert evidence.is_older("0" * 40, "HEAD"), "a revision that is not known"
+    assert not evidence.is_older("HEAD", "HEAD")

@@ -1,0 +1,147 @@
+"""Tables of docs/evidence, each from a JSON file in docs/evidence/tables that says what measured it, when, and at which
+revision.
+
+    python -m tools.evidence                        (write the tables into the pages)
+    python -m tools.evidence --check                (say which were edited by hand; exit code 1)
+    python -m tools.evidence --take NAME RESULT     (take the rows of a bench's --json as those of a table)
+    python -m tools.evidence --stale REVISION       (run what is older than a revision, say how long it takes, take it)
+
+A page holds a table between `<!-- evidence NAME -->` and `<!-- /evidence -->`. Its file has `command`, `revision`,
+`date`, `minutes` (null where nobody timed it), `columns` (heading and key of the rows, or a format of several keys) and
+`rows`. A command that a bench's JSON does not answer is shown by --stale, not run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = ROOT / "docs" / "evidence"
+_BLOCK = re.compile(r"(<!-- evidence (\S+) -->\n)(.*?)(<!-- /evidence -->)", re.DOTALL)
+
+Table = dict[str, Any]
+
+
+def main(words: Sequence[str] | None = None, pages: Path = PAGES) -> int:
+    """Do what the words say; the exit code is 1 where something was edited by hand, or could not be run."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--check", action="store_true", help="say which tables were edited by hand, and write nothing")
+    how.add_argument("--take", nargs=2, metavar=("NAME", "RESULT"), help="take the rows of a bench's JSON")
+    how.add_argument("--stale", metavar="REVISION", help="run the commands of tables older than this, and take them")
+    given = parser.parse_args(words)
+    if given.check:
+        edited = [f"{page.name}: {name}" for page, text in _pages(pages) for name in edited_in(text, pages)]
+        end = f"{len(edited)} tables differ from their files, from which python -m tools.evidence writes them"
+        print("\n".join([*edited, end]))
+        return int(bool(edited))
+    if given.take:
+        name, result = given.take
+        take(pages / "tables" / f"{name}.json", json.loads(Path(result).read_text()))
+    code = _run_stale(given.stale, pages) if given.stale else 0
+    for page, text in _pages(pages):
+        page.write_text(rendered(text, pages), encoding="utf-8")
+    return code
+
+
+def _pages(pages: Path) -> Iterator[tuple[Path, str]]:
+    for page in sorted(pages.glob("*.md")):
+        yield page, page.read_text(encoding="utf-8")
+
+
+def rendered(text: str, pages: Path = PAGES) -> str:
+    """The text of a page with its tables as their files say."""
+    return _BLOCK.sub(lambda found: found[1] + table_lines(_read(pages, found[2])) + found[4], text)
+
+
+def edited_in(text: str, pages: Path = PAGES) -> list[str]:
+    """Names of the tables of a page's text that are not as their files say."""
+    return [name for _, name, lines, _ in _BLOCK.findall(text) if lines != table_lines(_read(pages, name))]
+
+
+def _read(pages: Path, name: str) -> Table:
+    return dict(json.loads((pages / "tables" / f"{name}.json").read_text(encoding="utf-8")))
+
+
+def table_lines(table: Mapping[str, Any]) -> str:
+    """A table in Markdown, then the date and revision of what it shows; its command stands in its file."""
+    titles, keys = zip(*table["columns"].items(), strict=True)
+    lines = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
+    lines += [f"| {' | '.join(_cell(key, row) for key in keys)} |" for row in table["rows"]]
+    took = "" if table["minutes"] is None else f", {table['minutes']:.0f} min"
+    return "\n".join([*lines, "", f"{table['date']}, `{table['revision'][:8]}`{took}.", ""])
+
+
+def _cell(key: str, row: Mapping[str, Any]) -> str:
+    """A value by its key, or several in a format such as '{cost_tot:.3f} / {tdis_tot:.2f}'."""
+    if "{" in key:
+        return key.format(**row)
+    value = row[key]
+    return "–" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def take(file: Path, result: Mapping[str, Any], minutes: float | None = None) -> None:
+    """Take the rows of a bench's result as those of a table, with its command, this revision and today's date."""
+    table = json.loads(file.read_text(encoding="utf-8"))
+    needed = {name for key in table["columns"].values() for name in re.findall(r"{(\w+)", key) or [key]}
+    rows = [row for row in result["rows"] if needed <= row.keys()]
+    if not rows:
+        raise SystemExit(f"{file.name}: no row of the result has {', '.join(sorted(needed))}")
+    kept = [{key: value for key, value in row.items() if key in needed} for row in rows]
+    table |= {"rows": kept, "command": _plain(result["command"]), "minutes": minutes}
+    table |= {"revision": _git("rev-parse", "HEAD"), "date": datetime.now(UTC).date().isoformat()}
+    file.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _plain(command: object) -> str:
+    return command if isinstance(command, str) else shlex.join(map(str, command if isinstance(command, list) else []))
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(["git", *words], cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def is_older(revision: str, than: str) -> bool:
+    """Whether a revision does not hold another."""
+    command = ["git", "merge-base", "--is-ancestor", than, revision]
+    return subprocess.run(command, cwd=ROOT, check=False, capture_output=True).returncode != 0
+
+
+def _run_stale(revision: str, pages: Path) -> int:
+    code = 0
+    for file in sorted((pages / "tables").glob("*.json")):
+        table = json.loads(file.read_text(encoding="utf-8"))
+        if not is_older(table["revision"], revision):
+            continue
+        took = "not timed" if table["minutes"] is None else f"{table['minutes']:.0f} min"
+        print(f"{file.stem}: {table['command']} ({took})", flush=True)
+        words = shlex.split(table["command"])
+        if words[:2] != ["tf-mpc", "bench"]:
+            print("  by hand: its result is no bench's JSON")
+            code = 1
+            continue
+        began = time.monotonic()
+        with tempfile.TemporaryDirectory() as folder:
+            result = Path(folder) / "result.json"
+            ran = subprocess.run([*words, "--json", str(result)], cwd=ROOT, check=False)
+            if result.exists():
+                take(file, json.loads(result.read_text()), (time.monotonic() - began) / 60.0)
+            else:
+                print(f"  failed with exit code {ran.returncode}")
+                code = 1
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
