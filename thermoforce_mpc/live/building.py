@@ -192,8 +192,8 @@ class LiveBuilding:
     def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
         """Set levels, see `Connection.write`; raises what the connection raises, and where it does not answer.
 
-        One command of a machine is set once, under its name; it is left alone where one of what it feeds is. What people
-        set by hand lately stays as it is, also when the building is given back.
+        One command of a machine is set once, under its name; it is left alone where one of what it feeds is. What
+        people set by hand lately stays as it is, also when the building is given back.
         """
         now, told, keys = self._now, dict[str, float | None](), dict[str, str]()
         by_hand = {} if self._people is None or now is None else self._people.by_hand(now)
