@@ -90,8 +90,8 @@ class CoreHome:
         table = table[keep].set_axis(pd.to_datetime(sim_s, unit="s", utc=True), axis=0)
         present = table.iloc[-1].copy()
         present[COLUMNS["T"]] = self.home.T if np.isfinite(present[COLUMNS["T"]]) else np.nan
-        table.loc[self.home.at] = present
-        whole = pd.concat([self._before.rename(columns=COLUMNS), table])
+        now = pd.DataFrame([present.to_dict()], index=pd.DatetimeIndex([self.home.at]))
+        whole = pd.concat([self._before.rename(columns=COLUMNS), table, now])
         whole = whole[~whole.index.duplicated(keep="last")].sort_index()
         # As the logger of a house: a row for each time that it was read.
         return whole.groupby(whole.index.floor("1min")).last().rename_axis("time").reset_index()
@@ -133,7 +133,8 @@ def main() -> None:
             flush=True,
         )
         check_commands(house.home)
-        failed += not (abs(dearer) < 0.02 and abs(discomfort) < 0.2)
+        # Above it: its readings lie a moment behind, and the plans are not the same.
+        failed += not (dearer < 0.02 and discomfort < 0.2)
     with running_core(options.folder) as core:
         house = CoreHome(core)
 

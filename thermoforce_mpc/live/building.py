@@ -195,18 +195,19 @@ class LiveBuilding:
         One command of a machine is set once, under its name; it is left alone where one of what it feeds is. What
         people set by hand lately stays as it is, also when the building is given back.
         """
-        now = self._now
-        if self._people is not None and now is not None:
-            levels = {name: value for name, value in levels.items() if name not in self._people.by_hand(now)}
-            self._note(levels, seconds, now)
-            if not levels:
-                return
-        told: dict[str, float | None] = {}
+        now, told, keys = self._now, dict[str, float | None](), dict[str, str]()
+        by_hand = {} if self._people is None or now is None else self._people.by_hand(now)
         for name, value in levels.items():
+            if name in by_hand:
+                continue
             found = self._rules.command_of(name)
             kind, _, of = found[0].partition(".") if found else ("", "", "")
-            key = of if kind == "machines" else name
+            key = keys[name] = of if kind == "machines" else name
             told[key] = None if key in told and told[key] is None else value
+        if self._people is not None and now is not None:
+            self._note({name: told[key] for name, key in keys.items()}, seconds, now)
+            if not told:
+                return
         try:
             self._calls(self._writer, lambda: self.connection.write(told, seconds), self._answer_s)
         except Crashed as crashed:  # such as an interrupt
