@@ -12,6 +12,7 @@ sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import pytest  # noqa: E402
+from here import Here  # noqa: E402
 from hypothesis import HealthCheck, settings  # noqa: E402
 from places import SHARED  # noqa: E402
 
@@ -34,6 +35,12 @@ settings.load_profile("same")
 def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
     """What is built is kept in a folder of the run, not among the user's."""
     os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.getbasetemp().parent / "cache")
+
+
+@pytest.fixture
+def computed_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tasks of commands run in this process: a new one imports everything first, for seconds."""
+    monkeypatch.setattr("thermoforce_mpc.execution.open_engine", lambda *_, **options: Here())
 
 
 @pytest.fixture(scope="session")

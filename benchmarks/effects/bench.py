@@ -1,6 +1,7 @@
-"""`tf-mpc bench effects`: what models from probing say of six hours at full level, beside what these do.
+"""`tf-mpc bench effects`: what models say of six hours at full level, beside what these do.
 
-On generated houses, the embedded plant and a zone on EnergyPlus. The truth is the difference of two runs of the same
+From probing on generated houses, the embedded plant and a zone on EnergyPlus; from ordinary operation on houses of
+several rooms (`operated`). The truth is the difference of two runs of the same
 building, one with the block and one without (paper eq:paired).
 """
 
@@ -15,9 +16,18 @@ import numpy as np
 
 from benchmarks.cases import run_all
 from benchmarks.effects.asking import GENERATED, Answer, Case, ask, probed_days
+from benchmarks.effects.operated import (
+    DAYS,
+    HouseAnswer,
+    OperatedCase,
+    ask_operated,
+    operated_rows,
+    operated_targets,
+)
 from benchmarks.effects.plot import plot_answers
 from benchmarks.effects.windows import LONGEST, WINDOWS
 from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.energyplus import engine as energyplus
 
@@ -26,6 +36,8 @@ EMBEDDED, ENERGYPLUS = "bestest_hydronic_heat_pump", "energyplus:heating_chicago
 # embedded plant's bias.
 _MEDIAN, _MEAN_SIZE, _COVERED, _EMBEDDED = 0.05, 0.12, (0.85, 0.95), 0.05
 _QUICK_HOUSES = 2
+# Days of operation, least and most.
+_LEAST_DAYS, _MOST_DAYS = 7.0, 35.0
 
 Row = dict[str, Any]
 
@@ -73,6 +85,36 @@ def run_effects_bench(
     result["answers"] = [asdict(answer) for answer in answers]
     if out is not None:
         progress(f"plot: {plot_answers(answers, out)}")
+    return result
+
+
+def run_operated_bench(
+    *,
+    seed: int = 1,
+    houses: int = 12,
+    days: float = DAYS,
+    engine: Engine,
+    quick: bool = False,
+    progress: Callable[[str], None] = lambda line: None,
+) -> dict[str, Any]:
+    """Run the houses of rooms 0 to `houses` − 1 of population `seed` in ordinary operation for `days`; `quick`: one.
+
+    Raises `InputError` for no houses, or days out of range.
+    """
+    if not _LEAST_DAYS <= days <= _MOST_DAYS:
+        raise InputError(f"{days:g} days of operation: expected {_LEAST_DAYS:g} to {_MOST_DAYS:g}")
+    if houses < 1:
+        raise InputError(f"{houses} houses: expected at least one")
+    cases = [OperatedCase(seed, n, days) for n in range(1 if quick else houses)]
+
+    def told(done: int, answer: HouseAnswer) -> None:
+        (cells, *_) = operated_rows([answer])
+        held = "; ".join(f"{of}: {cells[f'{of} in_90_band']} in their bands" for of in ("own", "cross"))
+        progress(f"{done} of {len(cases)}: {answer.building}, {answer.refused or held}, {cells['competent']} competent")
+
+    answers = run_all(ask_operated, cases, engine, told)
+    result = results_json("effects", operated_rows(answers), operated_targets(answers))
+    result["answers"] = [asdict(answer) for answer in answers]
     return result
 
 

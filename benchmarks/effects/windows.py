@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.modes import BAND, STEP_RESPONSE_H
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.whatif.identified import BAND
+from thermoforce_mpc.whatif.identified import step_response_of
 
 STEP_S = 900.0
 # Hours off, then at full level, and hours from the start of the block that are scored.
@@ -42,17 +42,18 @@ def block() -> Array:
     return u
 
 
-def band_K(model: ThermalModel, window: Window, effect_K: float) -> tuple[float, float]:
+def band_K(model: ThermalModel, window: Window, effect_K: float, z: int = 0, a: int = 0) -> tuple[float, float]:
     """The model's 90 % band, K, of the number of a window, which it says is `effect_K`; NaN where it knows none.
 
-    As wide, relative to the effect, as that of a step to full level after the hours of the window.
+    As wide, relative to the effect of actuator `a` on zone `z`, as that of a step to full level after the hours of the
+    window; of an effect that the model leaves out as wide as that of a step.
     """
-    known = model.cards[0].uncertainty
-    names = [f"step_response_{hours}h" for hours in STEP_RESPONSE_H]
-    if not all(f"{name}_K" in known and f"{name}_sd_K" in known for name in names):
+    mean, sd = step_response_of(model, z, a)
+    if not mean.size:
         return float("nan"), float("nan")
-    relative = [known[f"{name}_sd_K"] / abs(known[f"{name}_K"]) for name in names]
-    half = BAND * abs(effect_K) * float(np.interp(window.hours, STEP_RESPONSE_H, relative))
+    hours = np.array([0.0, *STEP_RESPONSE_H])
+    relative = np.interp(window.hours, hours[1:], sd[1:] / np.maximum(np.abs(mean[1:]), 1e-9))
+    half = BAND * float(abs(effect_K) * relative if effect_K else np.interp(window.hours, hours, sd))
     return effect_K - half, effect_K + half
 
 

@@ -42,7 +42,7 @@ def test_names_are_those_of_the_registries():
         (completion.CONNECTIONS, CONNECTIONS),
         (completion.MADE_TESTCASES, MADE_TESTCASES),
     ):
-        assert list(names) == list(registry.own)
+        assert list(names) == list(registry.own), f"write the {registry.kind}s of the registry into cli/completion.py"
     assert completion.PRICES == PRICES
     assert set(completion.UNCERTAINTIES) == {"none", *get_args(Level)}
     assert set(completion.PERIODS) == {*BOTH_NAMES, *WEEKS, *OF_OFFICE}
@@ -57,7 +57,7 @@ def test_names_are_those_of_the_registries():
         (("run", "--testcase", "energyplus:h"), ["energyplus:heating_chicago"]),
         (("run", "--testcase", "gen"), ["generated:"]),
         (("run", "--testcase", "./my"), ["FILE"]),
-        (("run", "--controller", "rc"), ["rc_mpc"]),
+        (("run", "--controller", "rc"), ["rc_mpc", "rc_mpc_paper"]),
         (("identify", "--period", "typical_h"), ["typical_heat_day"]),
         (("run", "--price", "d"), ["dynamic"]),
         (("run", "--solver", "m"), ["milp"]),

@@ -5,11 +5,15 @@ from __future__ import annotations
 import copy
 
 import numpy as np
+import pandas as pd
 import pytest
+import yaml
+from click.testing import CliRunner
 from home_by_curve import EMITTER_W_K, ROOMS, RULES, SETPOINT_C, HomeByCurve, cop, curve_model
 
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
+from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig
@@ -107,3 +111,18 @@ def test_power_knows_what_a_kelvin_of_flow_costs(home, measured):
     (cool, cool_true), (warm, warm_true) = by_law_and_truth_W(36.0), by_law_and_truth_W(40.0)
     assert cool == pytest.approx(cool_true, rel=0.1)
     assert (warm - cool) == pytest.approx(warm_true - cool_true, rel=0.2)
+
+
+def test_it_is_told_once_under_the_name_of_the_machine(home, tmp_path):
+    curve_model(home).save(tmp_path / "model")
+    home.measurements().to_csv(tmp_path / "house.csv", index=False)
+    home.forecast().to_csv(tmp_path / "tomorrow.csv")
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(RULES, sort_keys=False))
+    words = ["plan", "--model", tmp_path / "model", "--map", tmp_path / "map.yaml", "--data", tmp_path / "house.csv"]
+    words += ["--forecast", tmp_path / "tomorrow.csv", "--hours", "12", "--commands", tmp_path / "told.csv"]
+    result = CliRunner().invoke(cli, [str(word) for word in words])
+    assert result.exit_code == 0, result.output
+    told = pd.read_csv(tmp_path / "told.csv")
+    assert set(told["actuator"]) == {"heat_pump"}
+    assert set(told["unit"]) == {"K"}
+    assert told["from"].is_unique

@@ -139,3 +139,20 @@ def test_times_of_recorded_answers_are_moved():
 
 def test_every_case_was_recorded():
     assert set(CONTRACT) == {case.__name__ for case in home_assistant_cases.CASES}
+
+
+def test_an_entity_that_the_recorder_leaves_out_is_named(connect):
+    now_s = time.time()
+    stamp = datetime.fromtimestamp(now_s - 600.0, UTC).isoformat()
+    states = [{"entity_id": "sensor.room", "state": "20.5", "attributes": {}, "last_updated": stamp}]
+    asked = {
+        "type": "history/history_during_period", "entity_ids": ["sensor.room"], "significant_changes_only": False,
+        "minimal_response": False, "no_attributes": False,
+    }  # fmt: skip
+    answer = {"type": "result", "success": True, "result": {}}
+    exchanges = [
+        {"at": now_s, "asked": "GET /api/states", "status": 200, "text": json.dumps(states)},
+        {"at": now_s, "asked": json.dumps(asked, sort_keys=True), "answer": answer},
+    ]
+    with served(exchanges, "TOKEN") as url, pytest.raises(PlantError, match=r"no history of 'sensor.room'"):
+        connect(url, columns=["sensor.room"], days=1.0).measurements()

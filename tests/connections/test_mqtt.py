@@ -205,22 +205,22 @@ def test_a_record_reads_as_measurements(tmp_path):
 def test_home_assistant_finds_one_device_and_what_people_ask_is_heard(connect, broker):
     asked = []
     home = connect(prefix="house/mpc")
-    home.listen({key: lambda text, key=key: asked.append((key, text)) for key in ("lower", "upper", "boost", "mode")})
+    home.listen({key: lambda text, key=key: asked.append((key, text)) for key in ("lower", "upper", "boost", "away")})
     home.tell({"status": "solved", "why": "cheap hours first", "plan": {"next": "21 °C from 14:00", "steps": []}})
     home.begin()
     wait_for("the broker", lambda: home.connected)
     late = Listener(broker, "#")
     (message,) = late.wait("homeassistant/device/house_mpc/config")
     found = json.loads(message)
-    assert found == device_message("house/mpc", "house_mpc", found["o"]["sw"], ("lower", "upper", "boost", "mode"))
-    assert {part["p"] for part in found["cmps"].values()} == {"sensor", "climate", "number", "select"}
+    assert found == device_message("house/mpc", "house_mpc", found["o"]["sw"], ("lower", "upper", "boost", "away"))
+    assert {part["p"] for part in found["cmps"].values()} == {"sensor", "climate", "number", "switch"}
     assert late.wait("house/mpc/availability") == ["online"]
     assert late.wait("house/mpc/why") == ["cheap hours first"]
     other = broker.client()
     other.publish("house/mpc/set/lower", "20.5", qos=1).wait_for_publish(5)
-    other.publish("house/mpc/set/mode", "advise", qos=1).wait_for_publish(5)
+    other.publish("house/mpc/set/away", "ON", qos=1).wait_for_publish(5)
     wait_for("what was asked", lambda: len(asked) == 2)
-    assert asked == [("lower", "20.5"), ("mode", "advise")]
+    assert asked == [("lower", "20.5"), ("away", "ON")]
     home.close()
     assert late.wait("house/mpc/availability", 2)[-1] == "offline"
     other.disconnect()

@@ -100,6 +100,7 @@ def test_a_fleet_is_run_once_and_its_dataset_is_the_same_bytes_whatever_ran_befo
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_parts_of_a_fleet_run_apart_come_together(tmp_path: Path) -> None:
     """The same dataset and page as in one go, also where a variant has another name; nothing is run again."""
     parts = []
@@ -145,6 +146,7 @@ def test_rows_in_the_repository_are_those_of_the_fleet_that_ships() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_trajectories_of_the_same_inputs_are_there_under_every_name(tmp_path: Path) -> None:
     (tmp_path / "two.csv").write_text("name,testcase\nnorth/1,generated:5:0\nsouth,generated:5:0\n")
     rules = {"native": RULES["native"], "again": RULES["native"]}
@@ -163,6 +165,7 @@ def test_trajectories_of_the_same_inputs_are_there_under_every_name(tmp_path: Pa
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_reused_runs_of_the_same_inputs_keep_their_own_names(tmp_path: Path) -> None:
     (tmp_path / "two.csv").write_text("name,testcase\nnorth,generated:5:0\nsouth,generated:5:0\n")
     path = _file(tmp_path, buildings=[{"table": "two.csv"}], variants=RULES | {"again": RULES["thermostat"]})
@@ -199,6 +202,7 @@ def test_after_a_change_of_the_source_kept_runs_name_the_model_that_they_had(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_a_damaged_model_of_finished_runs_is_identified_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ours = {"ours": {"controller": "rc_mpc"}}
     path = _file(tmp_path, variants=ours, reference="ours", buildings=[{"generated": {"seed": 5, "count": 1}}])
@@ -243,6 +247,7 @@ def test_what_cannot_be_reused_is_refused_before_anything_is_run(tmp_path: Path)
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_a_run_that_fails_is_listed_and_the_others_are_kept(tmp_path: Path) -> None:
     (tmp_path / "w.epw").write_text("no weather")
     (tmp_path / "few.csv").write_text("name,testcase,weather\nnorth,bestest_hydronic_heat_pump,w.epw\n")
@@ -317,6 +322,7 @@ def test_a_window_that_an_fmu_does_not_have_is_refused_before_anything_is_run(tm
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_the_first_example_of_the_guide_is_one_that_can_be_run(tmp_path: Path) -> None:
     guide = (ROOT / "docs" / "how-to" / "fleet.md").read_text(encoding="utf-8")
     example = (
@@ -508,6 +514,7 @@ def _measured(path: Path, *, heated: bool) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_an_identification_that_fails_is_listed_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "map.yaml").write_text(MAP)
     (tmp_path / "good.csv").write_text("when,room,out,sun,level,power\n")
@@ -541,6 +548,7 @@ def test_a_map_that_does_not_fit_is_refused_before_anything_is_run(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_a_building_without_a_model_runs_what_needs_none_and_says_why_of_the_rest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -565,6 +573,7 @@ def test_a_building_without_a_model_runs_what_needs_none_and_says_why_of_the_res
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_buildings_of_a_table_are_identified_from_their_measurements_and_run_on_them(tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text(MAP)
     _measured(tmp_path / "good.csv", heated=True)

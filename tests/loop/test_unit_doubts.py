@@ -6,12 +6,14 @@ import logging
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from simulated_building import RULES, SimulatedBuilding, mpc
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
+from thermoforce_mpc.boundary.tariffs import price_doubt
 from thermoforce_mpc.data import DAY_S, ZERO_C_K, Layout, Period
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
@@ -96,6 +98,14 @@ def test_gas_may_be_a_tenth_as_dear_as_electricity_at_least():
     assert noted(simple_model(), factor=0.02, signals=["heating_price_per_kWh"]) == {}
     assert "too low by a factor" in noted(simple_model(), factor=0.002, signals=["heating_price_per_kWh"])[0]
     assert "too low by a factor" in noted(simple_model(), factor=0.02, signals=PRICES)[0]
+
+
+def test_a_night_of_an_exchange_may_cost_next_to_nothing():
+    """The dearest hour says whether prices are in their unit, not the mean of some hours."""
+    cheap = np.array([0.001] * 20 + [0.03])
+    assert price_doubt(cheap) == ""
+    assert "too low by a factor" in price_doubt(cheap / 10.0)
+    assert "are they per MWh, or in cents" in price_doubt(cheap * 1000.0)
 
 
 def test_a_meter_that_changes_its_unit_is_said_within_a_day():

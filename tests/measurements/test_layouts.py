@@ -407,6 +407,16 @@ def test_seconds_of_an_interval_are_a_level(tmp_path):
     np.testing.assert_allclose(record.T_zone_C[0], HOUSE["living"].iloc[: record.T_zone_C.shape[1]], atol=1e-6)
 
 
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_stamps_that_count_from_1970_are_told_by_their_size(unit, tmp_path):
+    df = HOUSE[["living", "out"]].rename(columns={"living": "indoor", "out": "outdoor"})
+    df.set_axis(pd.Index(HOUSE.index.as_unit(unit).asi8, name="time")).to_csv(tmp_path / "q.csv")
+    text = starting_map(tmp_path / "q.csv")
+    assert f"unit: {unit}" in text
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    assert tf.read_measurements(tmp_path / "q.csv", tmp_path / "map.yaml").record.stamps()[0] == HOUSE.index[0]
+
+
 def test_stamps_without_a_year_are_of_the_year_that_the_map_says(tmp_path):
     """EnergyPlus: ' 12/30  24:00:00' is midnight at the end of that day; the record goes over New Year."""
     ends = pd.date_range("2025-12-29 00:15", periods=N, freq="15min")

@@ -13,9 +13,10 @@ from click.testing import CliRunner
 from simple_house import GAIN_K, POLE, SimpleHouse, outdoor_C, simple_model
 
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.whatif.counterfactual import counterfactual
 
@@ -99,6 +100,32 @@ def test_the_band_is_the_uncertainty_of_the_effect(model: ThermalModel) -> None:
     assert found.sd_K == pytest.approx(0.1 * np.abs(found.effect_K), rel=1e-6)
     without = replace(model, cards=(ModelCard("exact"),))
     assert np.isnan(counterfactual(without, _run(u), 1.0, start=_FIRST * HOUR_S).sd_K).all()
+
+
+@pytest.mark.parametrize(("held", "asked", "known"), [(False, 0.4, False), (True, 0.4, True), (False, 1.0, True)])
+def test_energy_of_valves_that_were_never_held_between_is_not_told(
+    model: ThermalModel, held: bool, asked: float, known: bool
+) -> None:
+    """Rooms whose valves only open and close: 0.4 was 9.8 kWh (9.8 to 9.9) by the law, and 17.3 in the house."""
+    names = Names(("hall", "bath"), ("one", "other"), ("pump",))
+    pair = model.operator.of_actuator(0)
+    two = ThermalModel(
+        BuildingOperator(names.zones, names.actuators, ((pair, None), (None, pair)), (0, 1)),
+        model.power,
+        (None, None),
+        model.cards * 2,
+        names.machines,
+        (0, 0),
+        (0.5, 0.5),
+    )
+    u = np.where(np.random.default_rng(2).random(_DAYS * 24) < 0.5, 0.4 if held else 1.0, 0.0)
+    u = np.repeat(u[::3], 3)
+    run = _run(u)
+    both = {name: np.repeat(getattr(run, name), 2, axis=0) for name in ("T_zone_C", "u", "heat_W")}
+    record = replace(run, **both, names=names)
+    found = counterfactual(two, record, asked, start="2026-01-05 00:00")
+    assert np.isfinite(found.energy_kWh).all()
+    assert (found.energy_high_kWh[0] < 1.5 * found.energy_other_kWh[0]) == known
 
 
 def test_a_gap_in_the_day_stays_a_gap(model: ThermalModel) -> None:

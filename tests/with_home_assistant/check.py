@@ -13,6 +13,7 @@ import json
 import os
 import signal
 import sys
+import tempfile
 import time
 import traceback
 from pathlib import Path
@@ -25,11 +26,13 @@ import requests  # noqa: E402
 import websockets.sync.client as client  # noqa: E402
 from core import VERSION, running_core  # noqa: E402
 from home_assistant_cases import CASES, HALL, live_act  # noqa: E402
+from mosquitto import PASSWORD, USER, Broker  # noqa: E402
 from recorded_core import Recorder  # noqa: E402
 
 from thermoforce_mpc.connections.registry import build_connection  # noqa: E402
 from thermoforce_mpc.errors import PlantError  # noqa: E402
 
+KEYS = ("lower", "upper", "away", "boost")
 CONTRACT = ROOT / "tests" / "connections" / "home_assistant.json"
 
 
@@ -111,6 +114,55 @@ def is_given_back_by_the_timer(core) -> None:
     assert core.state("climate.hall")["attributes"]["temperature"] == 20.0
 
 
+def finds_one_device_by_mqtt(core) -> None:
+    """By a real broker: the device with its entities; what people ask is heard; it is unavailable when we end."""
+    with tempfile.TemporaryDirectory() as folder:
+        broker = Broker(Path(folder))
+        broker.start()
+        try:
+            flows = f"{core.url}/api/config/config_entries/flow"
+            flow = requests.post(flows, json={"handler": "mqtt"}, headers=core.headers, timeout=30).json()
+            data = {"broker": "127.0.0.1", "port": broker.port, "username": USER, "password": PASSWORD}
+            done = requests.post(f"{flows}/{flow['flow_id']}", json=data, headers=core.headers, timeout=60).json()
+            assert done["type"] == "create_entry", done
+            asked = []
+            home = build_connection("mqtt", broker.options(record=str(Path(folder) / "mqtt.csv"), prefix="house"))
+            home.listen({key: lambda text, key=key: asked.append((key, text)) for key in KEYS})
+            home.tell({"status": "solved", "why": "cheap hours first " * 30, "level": "hall 21 °C for 60 min"})
+            home.tell({"plan": {"next": "hall 21 °C", "steps": []}})
+            people = {"lower_C": None, "upper_C": 23.5, "planned_lower_C": 20.0, "planned_upper_C": 23.0}
+            home.tell({"people": people | {"away": False, "boost_min": 30}})
+            home.begin()
+            for _ in range(100):
+                found = {
+                    s["entity_id"]: s
+                    for s in requests.get(f"{core.url}/api/states", headers=core.headers, timeout=10).json()
+                    if "thermoforce" in s["entity_id"]
+                }
+                if len(found) == 7 and all(one["state"] not in ("unknown", "unavailable") for one in found.values()):
+                    break
+                time.sleep(0.2)
+            by_kind = {name.partition("_mpc_")[2]: one for name, one in found.items()}
+            assert set(by_kind) == {"status", "why", "set_now", "plan", "comfort", "boost", "away"}, sorted(found)
+            assert by_kind["status"]["state"] == "solved"
+            assert by_kind["why"]["state"].startswith("cheap hours first")
+            assert by_kind["plan"]["state"] == "hall 21 °C"
+            assert float(by_kind["boost"]["state"]) == 30.0
+            comfort = by_kind["comfort"]["attributes"]
+            assert (comfort["target_temp_low"], comfort["target_temp_high"]) == (20.0, 23.5)
+            core.call("climate.set_temperature", entity_id="climate.thermoforce_mpc_comfort",
+                      target_temp_low=20.5, target_temp_high=24.0)  # fmt: skip
+            core.call("switch.turn_on", entity_id="switch.thermoforce_mpc_away")
+            core.call("number.set_value", entity_id="number.thermoforce_mpc_boost", value=60)
+            time.sleep(1.0)
+            assert sorted(asked) == [("away", "ON"), ("boost", "60"), ("lower", "20.5"), ("upper", "24.0")], asked
+            home.close()
+            time.sleep(1.0)
+            assert core.state("sensor.thermoforce_mpc_status")["state"] == "unavailable"
+        finally:
+            broker.stop()
+
+
 def speaks_fahrenheit(core) -> None:
     """In a house of °F set-points are converted, and what is given back is as the entity has it."""
     hall = {"hall": {"entity": "climate.hall", "release": 68.0}}
@@ -150,7 +202,7 @@ def main() -> None:
                 failed, ended = failed + 1, f"FAILED: {type(error).__name__}: {error}"
             print(f"{case.__name__}: {ended}", flush=True)
             contract[case.__name__] = {"exchanges": recorder.exchanges, "acts": heard}
-        for case in (is_given_back_by_the_timer, restarts):
+        for case in (is_given_back_by_the_timer, restarts, finds_one_device_by_mqtt):
             case(core)
             print(f"{case.__name__}: ok", flush=True)
     with running_core(options.folder, "us_customary") as core:
@@ -160,7 +212,7 @@ def main() -> None:
         text = json.dumps({"core": VERSION, "cases": contract}, indent=0, sort_keys=True)
         CONTRACT.write_text(text.replace(core.token, "TOKEN") + "\n")
         print(f"wrote {CONTRACT}")
-    print(f"{len(CASES) + 3 - failed} passed, {failed} failed")
+    print(f"{len(CASES) + 4 - failed} passed, {failed} failed")
     raise SystemExit(bool(failed))
 
 

@@ -17,6 +17,7 @@ from websockets.sync.client import connect
 
 VERSION = "2025.4.4"
 FRONTEND = "20250411.0"  # that of this core: it does not start without, also where nobody looks at it
+PAHO = "2.1.0"  # that of its integration mqtt
 PORT = 18124
 CONFIGURATION = """\
 homeassistant: {name: Test, latitude: 52, longitude: 13, elevation: 30, unit_system: UNITS, time_zone: Europe/Berlin,
@@ -84,7 +85,7 @@ def environment(folder: Path) -> Path:
         )
         if base is None:
             raise SystemExit("Home Assistant needs Python 3.13: name one by HA_PYTHON")
-        packages = [f"homeassistant=={VERSION}", f"home-assistant-frontend=={FRONTEND}"]
+        packages = [f"homeassistant=={VERSION}", f"home-assistant-frontend=={FRONTEND}", f"paho-mqtt=={PAHO}"]
         subprocess.run([base, "-m", "venv", str(folder / "venv")], check=True)
         subprocess.run([str(python), "-m", "pip", "install", "-q", *packages], check=True)
     return python

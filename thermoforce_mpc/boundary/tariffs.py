@@ -160,7 +160,8 @@ def price_doubt(price: Array, currency: str = "", *, fuel: bool = False) -> str:
     known = np.abs(price[np.isfinite(price)])
     mean, (low, high) = (float(known.mean()) if known.size else 0.0), _USUAL_PRICES
     low = low / 10.0 if fuel else low
-    if mean == 0.0 or low <= mean <= high:
+    # Of prices of an exchange a night may cost next to nothing: the dearest hour says more.
+    if mean == 0.0 or (mean <= high and known.max() >= low):
         return ""
     unit = "per MWh, or in cents" if mean > high else "too low by a factor of 10, 100 or 1000"
     other = "" if currency else ", or in another currency"

@@ -41,10 +41,12 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "plan": ("building.plan:plan", "Plan the next hours from measurements in files."),
         "forecast": ("building.forecast:forecast", "Forecast the temperature, with its band."),
         "counterfactual": ("building.forecast:other_levels", "Show what another schedule would have done."),
+        "worth": ("building.worth:worth", "What plans would have saved in past days, with a band."),
         "saving": ("building.saving:saving", "What a changed operation saved, with an interval."),
     },
     "Live": {
         "control": ("live.control:control", "Control a real building through a connection."),
+        "ask": ("live.ask:ask", "Ask a controller for warmer, cooler, away or boost."),
         "record": ("live.record:record", "Write a building's history, or record it."),
         "watch": ("live.watch:watch", "Watch a running controller, here or as a page."),
     },

@@ -16,7 +16,7 @@ import click
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-CONTROLLERS = ("thermoforce_mpc", "thermoforce_paper", "rc_mpc", "thermostat", "pi", "native")
+CONTROLLERS = ("thermoforce_mpc", "thermoforce_paper", "rc_mpc", "rc_mpc_paper", "thermostat", "pi", "native")
 FREE_RESPONSES = ("residual", "chronos", "linear_weather", "rc", "persistence")
 BACKBONES = (
     "shipped", "shipped_weather", "fracast", "chronos-bolt-tiny", "chronos-bolt-mini", "chronos-bolt-small",
@@ -26,7 +26,7 @@ BACKBONES = (
 PLANTS = (
     "emulator", "bestest_hydronic", "bestest_air", "rooms", "generated", "energyplus", "small_office", "boptest", "fmu",
 )  # fmt: skip
-CONNECTIONS = ("files",)
+CONNECTIONS = ("files", "home-assistant", "mqtt")
 MADE_TESTCASES = ("house", "office", "generated")
 PERIODS = (
     "peak_heat_day", "typical_heat_day", "peak_cool_day", "typical_cool_day", "mix_day", "cold_day", "cold_week",

@@ -14,7 +14,6 @@ _SENSORS = {
     "why": ("Why", {}),
     "level": ("Set now", {"icon": "mdi:radiator"}),
     "plan": ("Plan", {"icon": "mdi:chart-line", "json_attributes_topic": "PREFIX/plan"}),
-    "saving": ("Saving so far", {"state_class": "measurement"}),
 }
 
 
@@ -32,13 +31,11 @@ def device_message(prefix: str, node: str, version: str, asks: Collection[str]) 
             "p": "climate", "name": "Comfort", "modes": ["auto"], "min_temp": 5, "max_temp": 35, "temp_step": 0.5,
             "temperature_unit": "C", "mode_state_topic": f"{prefix}/people",
             "mode_state_template": "auto",
-            "current_temperature_topic": f"{prefix}/people",
-            "current_temperature_template": "{{ value_json.temperature_C }}",
             "temperature_low_state_topic": f"{prefix}/people",
-            "temperature_low_state_template": "{{ value_json.lower_C }}",
+            "temperature_low_state_template": "{{ value_json.lower_C or value_json.planned_lower_C }}",
             "temperature_low_command_topic": f"{prefix}/set/lower",
             "temperature_high_state_topic": f"{prefix}/people",
-            "temperature_high_state_template": "{{ value_json.upper_C }}",
+            "temperature_high_state_template": "{{ value_json.upper_C or value_json.planned_upper_C }}",
             "temperature_high_command_topic": f"{prefix}/set/upper",
         }  # fmt: skip
     if "boost" in asks:
@@ -46,11 +43,6 @@ def device_message(prefix: str, node: str, version: str, asks: Collection[str]) 
             "p": "number", "name": "Boost", "min": 0, "max": 480, "step": 15, "unit_of_measurement": "min",
             "state_topic": f"{prefix}/people", "value_template": "{{ value_json.boost_min }}",
             "command_topic": f"{prefix}/set/boost",
-        }  # fmt: skip
-    if "mode" in asks:
-        parts["mode"] = {
-            "p": "select", "name": "Mode", "options": ["control", "advise"], "state_topic": f"{prefix}/people",
-            "value_template": "{{ value_json.mode }}", "command_topic": f"{prefix}/set/mode",
         }  # fmt: skip
     if "away" in asks:
         parts["away"] = {

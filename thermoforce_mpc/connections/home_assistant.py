@@ -35,6 +35,8 @@ _TIMEOUT_S = 10.0
 _PIECE = timedelta(days=1)
 # States of the last minutes are asked for again: the recorder writes them up to 5 s late.
 _AGAIN_S = 120.0
+# By then what an entity said is in the history, s.
+_RECORDED_S = 60.0
 # How long a device may take to say what it was set to, and between two looks, s.
 _TAKEN_S, _LOOK_S = 8.0, 0.25
 # While Home Assistant is down nothing is stored of anything: a silence of all entities so many times as long as usual
@@ -284,17 +286,15 @@ class HomeAssistantConnection:
         for column, rows in pieces.items():
             before = self._seen.get(column, _States())
             self._seen[column] = before.with_later(asked_s, rows, now.timestamp(), begin.timestamp())
-            if not self._seen[column].at_s.size:
-                raise PlantError(
-                    f"Home Assistant has no history of '{_entity(column)}': does its recorder leave it out?"
-                )
 
     def _add_present(self, known: Mapping[str, Mapping[str, Any]]) -> None:
         """Add what the entities say now: the recorder may be some seconds behind."""
         for column, states in self._seen.items():
             state, attribute = known[_entity(column)], _attribute(column)
             at_s = datetime.fromisoformat(state["last_updated"]).timestamp()
-            if at_s > states.at_s[-1]:
+            if not states.at_s.size and at_s < time.time() - _RECORDED_S:
+                raise PlantError(f"Home Assistant keeps no history of '{_entity(column)}': see its recorder")
+            if not states.at_s.size or at_s > states.at_s[-1]:
                 gone = state["state"] in _GONE or attribute is None
                 said = state["state"] if gone else state["attributes"].get(attribute)
                 self._seen[column] = _States(np.append(states.at_s, at_s), (*states.said, said), states.until_s)

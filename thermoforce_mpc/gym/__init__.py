@@ -25,9 +25,10 @@ from thermoforce_mpc.registry import check_nothing_hides_us
 
 check_nothing_hides_us()
 
-from thermoforce_mpc.gym.policy import observe, save, spec_of  # noqa: E402 - it needs what may be hidden
+from thermoforce_mpc.gym.model_env import ModelVectorEnv  # noqa: E402 - it needs what may be hidden
+from thermoforce_mpc.gym.policy import observe, save, spec_of  # noqa: E402
 
 ID = "thermoforce_mpc/Building-v0"
 register(id=ID, entry_point="thermoforce_mpc.gym.making:building")
 
-__all__ = ["ID", "observe", "save", "spec_of"]
+__all__ = ["ID", "ModelVectorEnv", "observe", "save", "spec_of"]

@@ -15,6 +15,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.gym.env import BuildingEnv
 from thermoforce_mpc.gym.levels import LevelsView
+from thermoforce_mpc.gym.model_env import ModelVectorEnv
 from thermoforce_mpc.gym.wrappers import DiscretizedActionWrapper, NormalizedActionWrapper, NormalizedObservationWrapper
 from thermoforce_mpc.scenario.own_code import policy_settings
 
@@ -22,8 +23,10 @@ from thermoforce_mpc.scenario.own_code import policy_settings
 _TRANSPARENT = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit)
 
 
-def spec_of(env: gymnasium.Env[Any, Any]) -> PolicySpec:
+def spec_of(env: gymnasium.Env[Any, Any] | ModelVectorEnv) -> PolicySpec:
     """What an agent sees and does in an environment of convention 'levels', in our wrappers; raises `ConfigError`."""
+    if isinstance(env, ModelVectorEnv):
+        return env.policy_spec
     changes: dict[str, Any] = {}
     while isinstance(env, gymnasium.Wrapper):
         if isinstance(env, NormalizedObservationWrapper):
@@ -48,7 +51,7 @@ def observe(spec: PolicySpec, observation: Observation) -> Seen:
     return spec.observe(observation)
 
 
-def save(agent: Any, env: gymnasium.Env[Any, Any], path: str | Path) -> None:
+def save(agent: Any, env: gymnasium.Env[Any, Any] | ModelVectorEnv, path: str | Path) -> None:
     """Write a policy for `tf-mpc run --controller policy.zip`: `path`, and the settings of `env` beside it as .json.
 
     Args:

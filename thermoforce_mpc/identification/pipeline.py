@@ -132,14 +132,18 @@ def identify(
     estimates = _estimates(runs, records, layout, data, config)
     layout = with_metered_shares(layout, [each.everything.heat_input for each in estimates], records.histories)
     power, of_power = _powers(records, config, layout)
-    zones = []
+    zones, heat_sd = [], []
     for a, (zone, estimate) in enumerate(zip(data, estimates, strict=True)):
         m = layout.machine_of[a]
         own = power[m] if len(layout.fed_by(m)) == 1 else None
         unknown = unknown_heat(runs, layout, a, inputs[a], estimate.laws, config)
+        heat_sd.append(unknown.heat_sd)
         with _told(records, layout, a, say) as tell:
             zones.append(identify_zone(zone, estimate, own, unknown, of_power[m], tell))
-    return assembled(layout, zones, [estimate.effects[1:] for estimate in estimates], power, config)
+    together_sd = [estimate.together_sd for estimate in estimates]
+    return assembled(
+        layout, zones, [estimate.effects[1:] for estimate in estimates], power, config, heat_sd, together_sd
+    )
 
 
 @dataclass(frozen=True)

@@ -3,5 +3,6 @@
 from thermoforce_mpc.live.building import LiveBuilding
 from thermoforce_mpc.live.control import Clock, Decision, WallClock, control
 from thermoforce_mpc.live.kept import KeptState, real_run
+from thermoforce_mpc.live.people import People
 
-__all__ = ["Clock", "Decision", "KeptState", "LiveBuilding", "WallClock", "control", "real_run"]
+__all__ = ["Clock", "Decision", "KeptState", "LiveBuilding", "People", "WallClock", "control", "real_run"]

@@ -16,6 +16,7 @@ from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Record
 from thermoforce_mpc.errors import DataError, InputError, NoForecast, PlantError
+from thermoforce_mpc.live.people import People
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import Measurements, learned_commands, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
@@ -41,6 +42,17 @@ class Applied:
     u: tuple[float | None, ...]
 
 
+@dataclass(frozen=True)
+class _Told:
+    """A command set at `at` for `seconds` s; what was set `before` (NaN: unknown); `seen`: it was read since."""
+
+    value: float
+    before: float
+    at: pd.Timestamp
+    seconds: float
+    seen: bool = False
+
+
 class LiveBuilding:
     """Reads a building through its connection, by its map; times are those of `Record`, from the first record's year.
 
@@ -49,10 +61,16 @@ class LiveBuilding:
     """
 
     def __init__(
-        self, connection: Connection, rules: MeasurementMap, step_s: float, prices: Path | None = None
+        self,
+        connection: Connection,
+        rules: MeasurementMap,
+        step_s: float,
+        prices: Path | None = None,
+        people: People | None = None,
     ) -> None:
-        """`prices`: a file of them, read anew in each step, in the place of those of the map."""
-        self._prices = prices
+        """`prices`: a file of them, read anew in each step, in the place of those of the map; `people`: who ask."""
+        self._prices, self._people = prices, people
+        self._told: dict[str, _Told] = {}
         self.connection, self._rules, self._step_s = connection, rules, step_s
         if (reads := getattr(connection, "reads", None)) is not None:
             reads([column for _, signal in rules.signals() for column in signal.columns])
@@ -116,7 +134,7 @@ class LiveBuilding:
             self._call("measurements"), self._rules, step_s=self._step_s, at=instant, now=now
         ).served()
         record = measured.record
-        self.left_out = (*measured.left_out, *self._ahead(measured, now))
+        self.left_out = (*measured.left_out, *self._ahead(measured, now), *self._set_by_hand(measured, now))
         self._origin = record.origin if self._origin is None else self._origin
         shift_s = (record.origin - self._origin).total_seconds()
         record = replace(record, time_s=record.time_s + shift_s, origin=self._origin)
@@ -164,6 +182,9 @@ class LiveBuilding:
                 left_out=left_out,
             )
             self.left_out = (*self.left_out, *left_out, *_doubt_of_outdoors(self._measured.record, ahead))
+            if self._people is not None and self._now is not None:
+                ahead, asked = self._people.applied(ahead, self.origin, self._now)
+                self.left_out = (*self.left_out, *asked)
             return ahead.head(n)
         except (InputError, PlantError) as error:
             raise NoForecast(str(error)) from error
@@ -171,8 +192,15 @@ class LiveBuilding:
     def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
         """Set levels, see `Connection.write`; raises what the connection raises, and where it does not answer.
 
-        One command of a machine is set once, under its name; it is left alone where one of what it feeds is.
+        One command of a machine is set once, under its name; it is left alone where one of what it feeds is. What
+        people set by hand lately stays as it is, also when the building is given back.
         """
+        now = self._now
+        if self._people is not None and now is not None:
+            levels = {name: value for name, value in levels.items() if name not in self._people.by_hand(now)}
+            self._note(levels, seconds, now)
+            if not levels:
+                return
         told: dict[str, float | None] = {}
         for name, value in levels.items():
             found = self._rules.command_of(name)
@@ -183,6 +211,49 @@ class LiveBuilding:
             self._calls(self._writer, lambda: self.connection.write(told, seconds), self._answer_s)
         except Crashed as crashed:  # such as an interrupt
             raise (crashed.__cause__ or crashed) from None
+
+    def _note(self, levels: Mapping[str, float | None], seconds: float, now: pd.Timestamp) -> None:
+        for name, value in levels.items():
+            if value is None or self.command_of(name) is None:
+                self._told.pop(name, None)
+            elif (told := self._told.get(name)) is None or told.value != value:
+                self._told[name] = _Told(value, self._commanded(name), now, seconds)
+            else:
+                self._told[name] = replace(told, at=now, seconds=seconds)
+
+    def _commanded(self, name: str) -> float:
+        """The command as it was read last; NaN where it was not."""
+        was = None if self._measured is None else self._measured.commands.get(name)
+        return float("nan") if was is None else float(was.at[-1])
+
+    def _set_by_hand(self, measured: Measurements, now: pd.Timestamp) -> tuple[str, ...]:
+        """Notes on commands that are not what was set, nor what was before: somebody set them, and is respected.
+
+        What was before may be read yet where a device did not take ours; once it did, any other value is a person's.
+        """
+        if self._people is None:
+            return ()
+        notes = []
+        for name, told in dict(self._told).items():
+            command, was = self.command_of(name), measured.commands.get(name)
+            value = float("nan") if was is None else float(was.at[-1])
+            if command is None or not math.isfinite(value):
+                continue
+            if (now - told.at).total_seconds() > told.seconds:  # it ended by itself
+                del self._told[name]
+                continue
+            near = 0.51 * float(getattr(command, "resolution", 1.0))
+            if abs(value - told.value) <= near:
+                self._told[name] = replace(told, seen=True)
+            elif told.seen or (math.isfinite(told.before) and abs(value - told.before) > near):
+                self._people.set_by_hand(name, value, now)
+                del self._told[name]
+        for name, (value, until) in self._people.by_hand(now).items():
+            command = self.command_of(name)
+            what = f"{value:g}" if command is None else command.in_words(value)
+            zone = self._rules.time.zone or "UTC"
+            notes.append(f"{name}: {what} was set by hand: left alone until {until.tz_convert(zone):%a %H:%M}")
+        return tuple(notes)
 
     def _call(self, what: str) -> Any:
         try:

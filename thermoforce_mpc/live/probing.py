@@ -57,8 +57,9 @@ class ProbingPlan:
         if max(spec.days, spec.most_days) > _MOST_DAYS:
             raise ConfigError(f"identification.most_days: at most {_MOST_DAYS:g} at a real building")
         for name, actuator in rules.actuators.items():
-            if actuator.command is not None or actuator.mode == "both":
-                what = actuator.command.name_in_words if actuator.command is not None else "room set-points"
+            set_by = rules.command_of(name)
+            if set_by is not None or actuator.mode == "both":
+                what = set_by[1].name_in_words if set_by is not None else "room set-points"
                 raise ConfigError(
                     f"actuators.{name}: is set by {what}, and probing sets levels: record some weeks in which it was "
                     "changed, and use `tf-mpc identify`"

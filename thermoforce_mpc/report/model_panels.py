@@ -8,13 +8,13 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.modes import BAND, STEP_RESPONSE_H
 from thermoforce_mpc.loop.closed_loop import RunResult, Sample
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.report.courses import RESOLUTION
 from thermoforce_mpc.report.page import Json, exactly, rows_packed
 from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
-from thermoforce_mpc.whatif.identified import BAND, full_level_of, step_answer, step_response_of
+from thermoforce_mpc.whatif.identified import full_level_of, step_answer, step_response_of
 
 
 def answers_json(model: ThermalModel | None) -> list[list[Json | None]] | None:

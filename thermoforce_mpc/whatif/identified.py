@@ -10,7 +10,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation, Record
 from thermoforce_mpc.data.series import bridged
-from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.modes import BAND, STEP_RESPONSE_H
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Predictor
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 PLOT_NAME = "identification.png"
 # Start of the first rollout and length of each, h.
 _ROLLOUT_H = 12.0
-# Half width of a 90 % band of a normal distribution, standard deviations.
-BAND = 1.645
 
 
 @dataclass(frozen=True)

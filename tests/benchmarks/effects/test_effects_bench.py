@@ -11,6 +11,14 @@ from click.testing import CliRunner
 
 from benchmarks.effects import bench
 from benchmarks.effects.asking import Answer, Score, said, scored, without_steps
+from benchmarks.effects.operated import (
+    HouseAnswer,
+    OperatedCase,
+    PairAnswer,
+    ask_operated,
+    operated_rows,
+    operated_targets,
+)
 from benchmarks.effects.windows import OFF_H, STEP_S, WINDOWS, block
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
@@ -153,6 +161,7 @@ def test_buildings_of_a_run_and_a_word_where_energyplus_is_missing(monkeypatch: 
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_two_houses_for_real(tmp_path: Path) -> None:
     file = tmp_path / "effects.json"
     command = ["bench", "effects", "--quick", "--days", "3", "--jobs", "1", "--json", str(file), "--out", str(tmp_path)]
@@ -168,3 +177,53 @@ def test_two_houses_for_real(tmp_path: Path) -> None:
             assert score["said_K"] == pytest.approx(score["true_K"], rel=0.6)
     assert len(result["targets"]) == 5
     assert (tmp_path / "effects.png").stat().st_size > 10_000
+
+
+def operated(own_K: float, cross_K: float, *, competent: bool) -> HouseAnswer:
+    """A house whose truth is 1 K in the own room and 0.2 K in the other, with bands of ± 30 %."""
+
+    def scores(true_K: float, said_K: float) -> tuple[Score, ...]:
+        return tuple(Score(window.name, true_K, said_K, 0.7 * said_K, 1.3 * said_K) for window in WINDOWS)
+
+    pairs = (
+        PairAnswer("bath", "valve", True, competent, scores(1.0, own_K)),
+        PairAnswer("hall", "valve", False, competent, scores(0.2, cross_K)),
+        PairAnswer("loft", "valve", False, competent, scores(0.01, -0.5)),  # too small to be told
+    )
+    return HouseAnswer("house:3rooms:1", "made up", pairs=pairs)
+
+
+def test_operation_is_scored_by_own_and_cross_effects():
+    answers = [operated(0.9, 0.25, competent=True), operated(0.4, 0.6, competent=True)]
+    own, cross = operated_rows(answers)[-2:]
+    assert (own["in_90_band"], own["median_bias"]) == (0.5, -0.35)
+    assert (cross["in_90_band"], cross["signs"]) == (0.5, 1.0)
+    wrong = operated_targets(answers)[-1]
+    assert (wrong.value, wrong.goal) == (1, 0)
+    assert not wrong.holds
+    assert operated_targets([operated(0.4, 0.2, competent=False)])[-1].value == 0
+    assert operated_rows([HouseAnswer("house:3rooms:1", "made up", "too short")])[-1]["in_90_band"] is None
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--days", "14", "--days", "21"), "takes one number of --days"),
+        (("--days", "3"), "3 days of operation: expected 7 to 35"),
+        (("--out", "x"), "draws no plot"),
+    ],
+)
+def test_operation_takes_no_days_of_probing(words, message):
+    said = CliRunner().invoke(cli, ["bench", "effects", "--mode", "operation", *words])
+    assert said.exit_code != 0
+    assert message in said.output + str(said.exception)
+
+
+@pytest.mark.slow
+def test_a_house_is_asked_after_a_week_of_operation():
+    answer = ask_operated(OperatedCase(3, 0, days=7.0))
+    assert not answer.refused
+    assert [pair.own for pair in answer.pairs].count(True) == 3
+    assert len(answer.pairs) == 9
+    assert all(score.true_K > 0.0 for pair in answer.pairs if pair.own for score in pair.scores)
+    assert all(np.isfinite([score.low_K, score.high_K]).all() for pair in answer.pairs for score in pair.scores)

@@ -58,6 +58,7 @@ def test_cells_run_once_failed_ones_again_and_the_rest_goes_on(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_controllers_are_compared_on_a_service(tmp_path):
     words = ("--controllers", "thermostat", "--windows", "44", "--days", "0.25", "--jobs", "1", "--out", str(tmp_path))
     with running_emulator_service() as url:
@@ -148,3 +149,21 @@ def test_a_sweep_refuses_what_it_cannot_vary(tmp_path, monkeypatch):
         done = tf_mpc("sweep", "--testcase", TESTCASE, *words)
         assert message in str(done.exception), words
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("option", "searched"), [((), True), (("--no-equal-comfort",), False)])
+def test_a_thermostat_as_comfortable_is_searched_unless_it_is_refused(option, searched, tmp_path, monkeypatch):
+    asked = []
+
+    class Search:
+        def __init__(self, *_):
+            asked.append(True)
+
+        def beside(self, cells, records):
+            return records
+
+    monkeypatch.setattr("thermoforce_mpc.cli.running.comparing.EqualComfort", Search)
+    words = ("--controllers", "thermostat", "--windows", "44", "--days", "0.1", "--jobs", "1", "--quiet")
+    done = tf_mpc("compare", "--testcase", TESTCASE, *words, "--out", str(tmp_path / "c"), *option)
+    assert done.exit_code == 0, done.output
+    assert bool(asked) is searched

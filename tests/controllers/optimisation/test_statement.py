@@ -66,6 +66,8 @@ def test_a_longer_step_is_its_control_steps_where_they_are_alike(case):
         if problem.cooling is not None:
             cooling = (value[:, first][:, of] for value in vars(problem.cooling).values())
             alike["cooling"] = type(problem.cooling)(*cooling)
+        if problem.exchange is not None:
+            alike["exchange"] = type(problem.exchange)(*(row[first][of] for row in vars(problem.exchange).values()))
         problem, by_steps = replace(problem, **alike), model.by_steps
         u = random_levels(rng, problem, shape)
         found = model.evaluate(model.numbers(problem), u)

@@ -74,7 +74,7 @@ def test_the_gate_can_be_turned_off_and_is_in_the_papers_configuration():
     ours = run_closed_loop(house, mpc(CONDEMNED, gate={"enabled": False}), house.period("x"))
     assert ours.fallback_levels()["gate"] == 0
     off = {name for name, entry in REGISTRY.own.items() if entry.needs_model and not _config(name).gate.enabled}
-    assert off == {"thermoforce_paper"}
+    assert off == {"thermoforce_paper", "rc_mpc_paper"}
 
 
 def _config(name: str) -> MPCConfig:

@@ -12,6 +12,7 @@ from thermoforce_mpc.data import HOUR_S, Layout, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import assembled
+from thermoforce_mpc.identification.estimation.modes import BAND, Effect
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.parameters import linear_operator
@@ -67,7 +68,7 @@ def test_every_zone_keeps_its_order_and_area():
         for poles in ([0.9], [0.3, 0.98])
     ]
     layout = replace(LAYOUT, floor_area_m2=(100.0, 60.0))
-    building = assembled(layout, zones, [[], []], [None, None], IdentificationConfig())
+    building = assembled(layout, zones, [[], []], [None, None], IdentificationConfig(), [0.0, 0.0], [np.nan, np.nan])
     assert building.floor_area_m2 == (100.0, 60.0)
     assert [pair.order for *_, pair in building.operator.each()] == [1, 2]
     assert building.operator.shape == (2, 2, 2)
@@ -148,3 +149,31 @@ def test_order_of_the_zones_does_not_matter(coupled):
     np.testing.assert_allclose(
         model.operator.steady_gains_K[::-1, ::-1], coupled.operator.steady_gains_K, rtol=1e-5, atol=1e-9
     )
+
+
+def test_a_band_of_a_logarithm_reaches_as_far_above():
+    """A wall that is known to a factor: the band holds that factor above, too."""
+    effect = Effect(np.log([10.0]), np.array([0.4]), np.full(7, 1.0))
+    plain, wide = effect.uncertainty(), effect.uncertainty(of_logarithm=True)
+    mean_K, sd_K = plain["step_response_48h_K"], plain["step_response_48h_sd_K"]
+    assert wide["step_response_48h_K"] == mean_K
+    assert mean_K + BAND * wide["step_response_48h_sd_K"] == pytest.approx(mean_K * np.exp(BAND * sd_K / mean_K))
+    small = Effect(np.log([10.0]), np.array([0.4]), np.full(7, 0.001))
+    assert small.uncertainty(of_logarithm=True) == pytest.approx(small.uncertainty(), rel=1e-3)
+
+
+def test_what_is_known_together_and_not_apart_is_said():
+    step_s = HOUR_S
+    zones = [ZoneModel(linear_operator([0.9], [0.1], step_s=step_s), None, None, ModelCard()) for _ in range(2)]
+    layout = replace(LAYOUT, floor_area_m2=(100.0, 60.0))
+    across = Effect(np.log([10.0]), np.array([0.02]), np.full(7, 0.05))
+    for together_sd, ending in ((0.12, "with all others together known to ± 12 %, apart not"), (0.9, "does to ")):
+        building = assembled(
+            layout, zones, [[across], []], [None, None], IdentificationConfig(), [0.0, 0.3], [together_sd, np.nan]
+        )
+        (note,) = building.cards[0].notes
+        assert note.startswith(f"the record does not tell what {layout.names.actuators[1]} does to ")
+        assert ending in note
+        assert ("together" in note) == (together_sd < 0.5)
+    name = layout.names.actuators[1]
+    assert building.cards[0].uncertainty[f"step_response_24h_sd_K[{name}]"] > 0.05, "the heat of its level counts"

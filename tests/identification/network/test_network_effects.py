@@ -9,7 +9,8 @@ import pytest
 from houses import House, make_pair, record
 
 from thermoforce_mpc.data import Layout, Names, Record
-from thermoforce_mpc.identification.network.building import NetworkInputs, building_fit, room_run
+from thermoforce_mpc.identification.network.building import BuildingFit, NetworkInputs, building_fit, room_run
+from thermoforce_mpc.identification.network.estimate import RoomFit
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
@@ -106,6 +107,24 @@ def test_rooms_know_their_heat_only_where_it_was_measured():
     assert np.isnan(fit.rooms[1].room.heat_W_m2[0])
     assert [room.room.neighbours for room in fit.rooms] == [1, 1]
     assert [room.room.signs for room in fit.rooms] == [(1,), (-1,)]
+
+
+def test_what_two_do_together_is_surer_than_what_each_does():
+    """Two rooms with one neighbour each, whose walls are not told apart from their own heat."""
+    layout = replace(TWO, signs=(1, 1))
+    building = of_two()
+    warm = replace(building, u=np.abs(building.u), T_zone_C=np.repeat(building.T_zone_C[:1], 2, axis=0))
+    actuators = acting(layout, IDENTITY, IDENTITY)
+    rooms = [
+        RoomFit(actuators.room(z), actuators.room(z).mean, 0.0, [room_run(warm, z, actuators, 0.0)]) for z in (0, 1)
+    ]
+    fit = BuildingFit(layout, tuple(rooms))
+    whole_K, covariance = fit.together
+    np.testing.assert_allclose(whole_K, fit.responses.sum(axis=1))
+    apart = np.sqrt(np.diagonal(fit.covariance, axis1=-2, axis2=-1)).sum(axis=1)
+    together = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    assert together.shape == apart.shape
+    assert (together < apart).all()
 
 
 def test_a_part_with_few_readings_says_nothing():

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from houses import random_levels
 from thermal_networks import effect_K, random_theta, simulated, theta_of, with_gap
 
-from thermoforce_mpc.identification.network.estimate import RoomRun, estimate_room, posterior
+from thermoforce_mpc.identification.network.estimate import RoomFit, RoomRun, estimate_room, posterior
 from thermoforce_mpc.identification.network.priors import Prior
 from thermoforce_mpc.identification.network.room import Law, RoomNetwork
 
@@ -69,12 +71,27 @@ def test_the_gradient_is_that_of_differences(room, rules):
     other = simulated(room, truth, tuple(switched(5) for _ in rules), 1.0, 0, 1.0)
     for run in (hourly, quarter, other):  # of what laws make of levels any numbers will do
         run.inputs[:, room.n_inputs - len(room.laws) :] = rng.normal(size=(run.readings.size, len(room.laws)))
-    runs = [with_gap(hourly, slice(0, 2), slice(9, 14)), quarter, difference(hourly, other)]
+    half = replace(quarter, weight=0.5)
+    runs = [with_gap(hourly, slice(0, 2), slice(9, 14)), half, difference(hourly, other)]
     theta = random_theta(room, rng, 0.5)
     _, gradient = posterior(room, theta, runs)
     for i, step in enumerate(np.eye(theta.size) * 1e-5 * room.sd):
         up, down = (posterior(room, theta + s * step, runs)[0] for s in (1.0, -1.0))
         assert gradient[i] * room.sd[i] == pytest.approx((up - down) / 2e-5, rel=1e-4, abs=1e-3)
+
+
+def test_a_run_of_less_weight_says_less():
+    """Half of what a run says, and the same of the priors, which then keep more of a direction."""
+    run = simulated(METERED, METERED.mean, (thermostat,), 1.0, 0)
+    theta = random_theta(METERED, np.random.default_rng(1), 0.5)
+    whole, half, prior = (posterior(METERED, theta, [replace(run, weight=w)])[0] for w in (1.0, 0.5, 0.0))
+    assert half == pytest.approx(0.5 * (whole + prior))
+    assert prior == pytest.approx(METERED.prior(theta)[0])
+    sure, unsure = (
+        RoomFit(METERED, METERED.mean, 0.0, [replace(run, weight=w)]).covariance.diagonal() for w in (1.0, 0.1)
+    )
+    assert (unsure > 0.999 * sure).all()
+    assert (unsure > 1.2 * sure).any()
 
 
 def test_rounding_of_a_reading_is_noise():

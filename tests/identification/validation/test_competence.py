@@ -190,9 +190,25 @@ def test_worse_at_any_lead_time_is_not_competent(horizon, kind):
     assert missed.kind == kind
     beside = {"weather": "the weather alone by 0.", "unchanged": "an unchanged temperature by 0.90 K"}[kind]
     assert f"{horizon.hours:g} h ahead it errs by {horizon.model_K:.2f} K, {beside}" in missed.reason()
-    # As far from it as chance goes where predictions overlap.
+    # As far from it as chance goes where predictions overlap: for plans the weather alone may not be better at all.
     chance = replace(horizon, better_t=max(horizon.better_t, -2.0), persistence_t=min(horizon.persistence_t, 2.0))
-    assert not missed_criteria(replace(verdict, horizons=(*good, chance)), MOST_ERROR_K, 4.0)
+    by_chance = missed_criteria(replace(verdict, horizons=(*good, chance)), MOST_ERROR_K, 4.0)
+    assert [one.kind for one in by_chance] == [kind] * (kind == "weather")
+
+
+def test_weather_alone_may_be_better_by_chance_only_at_once_or_in_one_part():
+    """A model was competent whose own table said that it is worse than the weather alone from 3 h on."""
+
+    def kinds(hours: float, model_K: float, better_t: float) -> list[str]:
+        horizons = [HorizonScore(h, 0.1, 1.0, 1.0, 9.0, 24, -9.0) for h in LEAD_TIMES_H if h != hours]
+        judged = HorizonScore(hours, model_K, 2.0, 0.2, better_t, 24, -9.0)
+        verdict = Competence(True, effect_K=10.0, effect_sd_K=1.0, horizons=(*horizons, judged))
+        return [one.kind for one in missed_criteria(verdict, MOST_ERROR_K, 4.0)]
+
+    assert kinds(3.0, 0.25, -0.5) == ["weather"]
+    assert kinds(1.0, 0.25, -0.5) == []
+    assert kinds(3.0, 0.25, 0.5) == []
+    assert kinds(3.0, 0.19, -0.5) == []
 
 
 @pytest.mark.parametrize("n", [1, 3])

@@ -80,7 +80,11 @@ def energy_cost(p: MPCProblem, u: Array) -> Array:
     per_u = per_u + price * np.where(price < 0.0, earning, bent)
     fixed_cost = p.price_per_W * fixed
     fixed_cost = np.where(p.machinery.shared[:, None], np.maximum(fixed_cost, 0.0), fixed_cost)
-    return (fixed_cost * running(p, u)).sum(axis=-2) + per_u.sum(axis=-2)
+    cost = (fixed_cost * running(p, u)).sum(axis=-2) + per_u.sum(axis=-2)
+    if p.exchange is None:
+        return cost
+    bought_W = np.maximum(power_W(p, u).sum(axis=-2) - np.maximum(-p.exchange.others_W, 0.0), 0.0)
+    return cost + p.exchange.dearer_per_kWh * bought_W * p.step_s / 3.6e6
 
 
 def modes_K(p: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
@@ -122,7 +126,8 @@ def cost_under(p: MPCProblem, u: Array, modes: Array) -> Array:
     cost = energy_cost(p, u).sum(axis=-1) + slack.sum(axis=-1) @ p.comfort_price
     cost = cost + p.weights.curvature * (u**2).sum(axis=(-2, -1))
     power = power_W(p, u).sum(axis=-2)
-    cost = cost + p.weights.peak * np.maximum(power.max(axis=-1) - p.peak_so_far_W, 0.0)
+    others_W = 0.0 if p.exchange is None else p.exchange.others_W
+    cost = cost + p.weights.peak * np.maximum((power + others_W).max(axis=-1) - p.peak_so_far_W, 0.0)
     if p.power_cap is not None:
         cost = cost + p.cap_price_per_W * np.maximum(power - p.power_cap.limit_W, 0.0).sum(axis=-1)
     return cost - (modes[..., -1, :] * p.terminal_price_per_K).sum(axis=(-3, -2, -1))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from mpc_problems import machinery_of, random_building, random_building_problem, random_operator
 
-from controllers.optimisation.problem import Cooling, MPCProblem, PowerCap, ProblemShape, every_step
+from controllers.optimisation.problem import Cooling, Exchange, MPCProblem, PowerCap, ProblemShape, every_step
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -43,6 +43,7 @@ class Case:
     chosen_steps: int | None = None
     blocked: tuple[int, ...] = ()
     convex: bool = True
+    exchange: bool = False
 
 
 TWO: dict[str, Any] = {"zones": 2, "signs": (1, 1), "machine_of": (0, 0)}
@@ -76,6 +77,9 @@ CASES = {
     "signed beside others": Case(2, (1, 1, -1), (0, 0, 1), machinery={"share": [0.6, 0.8, 0.0]}, signed=1, peak=True),
     "peak": Case(peak=True),
     "cap": Case(**SEVERAL, capped=True),
+    "own generation": Case(**SEVERAL, exchange=True),
+    "own generation, a peak and blocked moves": Case(**TWO, exchange=True, peak=True, blocked=(1, 1, 2, 2)),
+    "power over u² beside own generation": Case(**TWO, bend=True, exchange=True, convex=False),
     "power over u²": Case(**TWO, bend=True, negative_price=True),
     "power over u² under a cap": Case(**TWO, bend=True, capped=True, convex=False),
     "power over u² in the peak": Case(bend=True, peak=True, convex=False),
@@ -144,6 +148,8 @@ def instance(case: Case, rng: np.random.Generator) -> tuple[BuildingOperator, MP
         options["cooling"] = Cooling(rng.uniform(0.1, 0.4, (A, n)), rng.uniform(500, 1500, (A, n)))
     if case.capped:
         options["power_cap"] = PowerCap(rng.uniform(0.8, 1.2, n) * 1000.0 * A, 0.5)
+    if case.exchange:
+        options["exchange"] = Exchange(rng.uniform(-2.0, 1.0, n) * 500.0 * A, rng.uniform(0.0, 0.3, n))
     if case.bend:
         options["power_per_u2_W"] = rng.uniform(300, 1500, (A, n))
     if case.capacity:
@@ -156,7 +162,7 @@ def instance(case: Case, rng: np.random.Generator) -> tuple[BuildingOperator, MP
         features[..., 0] = problem.T_free_C
         problem = replace(problem, features=features)
     problem = replace(problem, weights=replace(problem.weights, peak=2e-4 if case.peak else 0.0))
-    shape = ProblemShape(moves, machinery, case.peak, case.capped, case.chosen_steps, case.bend)
+    shape = ProblemShape(moves, machinery, case.peak, case.capped, case.chosen_steps, case.bend, exchange=case.exchange)
     return operator, problem, shape
 
 

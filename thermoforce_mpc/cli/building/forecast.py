@@ -268,8 +268,8 @@ def _show_other(result: Counterfactual, console: Console) -> None:
         )
         if not _is_told(other, low, high):
             console.print(
-                "  The record does not tell what levels do to power: they went with what the rooms asked for. Try "
-                "levels at other times (tf-mpc data probe-plan) to know more"
+                "  The record does not tell what these levels do to power: levels went with what the rooms asked for, "
+                "or valves were never held like this. Try levels at other times (tf-mpc data probe-plan) to know more"
             )
     if np.isnan(result.sd_K).any():
         console.print("The model's card has no uncertainty of the effect: there is no band.")

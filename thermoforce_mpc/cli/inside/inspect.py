@@ -100,8 +100,8 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
         console.print(f"  {machine} feeds {', '.join(fed) or 'nothing'}", soft_wrap=True)
     certified = f"NOT CERTIFIED: {', '.join(wrong)}" if wrong else "every pair CERTIFIED"
     console.print(f"Certificate: {certified}", soft_wrap=True)
-    from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
-    from thermoforce_mpc.whatif.identified import BAND, step_response_of
+    from thermoforce_mpc.identification.estimation.modes import BAND, STEP_RESPONSE_H
+    from thermoforce_mpc.whatif.identified import step_response_of
 
     hours = STEP_RESPONSE_H[-1]
     table = plain_table(["zone", *operator.actuators])
@@ -251,7 +251,7 @@ def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Co
     lags_h = [h for h in _LAGS_H if f"step_response_{h}h_sd_K" in uncertainty]
     if not lags_h:
         return
-    from thermoforce_mpc.whatif.identified import BAND
+    from thermoforce_mpc.identification.estimation.modes import BAND
 
     table = plain_table(["hours later", "expected", "from", "to"])
     for hours in lags_h:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.commands.command import Command
     from thermoforce_mpc.commands.loop import LearnedCommand
     from thermoforce_mpc.data import CommandValue
-    from thermoforce_mpc.live import Decision, LiveBuilding
+    from thermoforce_mpc.live import Decision, LiveBuilding, People
     from thermoforce_mpc.live.probing import ProbingPlan
     from thermoforce_mpc.live.shadow import ShadowBook
     from thermoforce_mpc.measurements.map.mapping import MeasurementMap
@@ -94,6 +94,9 @@ def control(
     Each decision is printed with its reason, and kept in --out, for `tf-mpc watch`, `explain` and `report`. Start it
     again after a power failure: it goes on from what was measured, and from what it knew, which is kept in state.npz
     for a day (faults noticed, highest power, minimum times, levels set, a probing under way).
+
+    What people ask (`tf-mpc ask`, or over MQTT) counts from the next step on. A set-point that somebody changed at the
+    device is left alone for 4 h, and a note says so.
 
     --connection is a name, or a YAML file with `name` and `options`, as `tf-mpc init --for` writes one.
 
@@ -185,11 +188,11 @@ class _Run:
     say: Callable[[str], None]
     common: Mapping[str, Any]
 
-    def live(self, step_s: float) -> LiveBuilding:
-        """The building at a step, s."""
+    def live(self, step_s: float, people: People | None = None) -> LiveBuilding:
+        """The building at a step, s, and what people ask of it."""
         from thermoforce_mpc.live import LiveBuilding
 
-        return LiveBuilding(self.building, self.rules, step_s, self.prices)
+        return LiveBuilding(self.building, self.rules, step_s, self.prices, people)
 
     def journal(self, model: Path | None, controller: str = "thermoforce_mpc") -> LiveJournal:
         """The journal of a controller, with its model."""
@@ -225,7 +228,8 @@ class _Run:
         """Control with a model, or say what it would do."""
         from controllers.mpc.controller import ThermoForceMPC
         from controllers.state_classes import controller_key
-        from thermoforce_mpc.live import KeptState, control
+        from thermoforce_mpc.live import KeptState, People, control
+        from thermoforce_mpc.live.people import shared_with
         from thermoforce_mpc.live.shadow import ShadowBook
         from thermoforce_mpc.model.thermal_model import load_model
 
@@ -236,18 +240,19 @@ class _Run:
         names = ", ".join(thermal.names.actuators)
         does = {"advise": "Advice for", "shadow": "Shadow of"}.get(mode, "Control of")
         self.say(f"{does} {names} by connection {self.connection}; log: {self.out}/log.jsonl")
+        people = People(self.out / "people.json", self.rules.time.zone)
         self.say(f"Actuation: {mpc.actuation_in_words}")
         told = _told(self.say, commands)
         if not acts and not dry:
             book = ShadowBook(self.out, thermal) if mode == "shadow" else None
             told = _advised(told, self.out / "advice.json", book, self.say)
         control(
-            self.live(mpc.step_s),
+            self.live(mpc.step_s, people),
             mpc,
             dry=dry,
             kept=None if dry else KeptState(self.out / "state.npz", key),
             journal=None if dry else self.journal(model),
-            told=told,
+            told=shared_with(self.building, people, told, lambda decision: in_words(decision, commands)),
             acts=acts,
             **self.common,
         )

@@ -271,7 +271,8 @@ def _run_comparison(
     # With the names of this comparison: two may refer to the same run.
     named = [{"variant": cell.variant, "window": cell.window} for cell in cells]
     records: list[dict[str, Any]] = [stored[cell.key] | names for cell, names in zip(cells, named, strict=True)]
-    if Experiment.of(cells[0].scenario).equal_comfort:
+    asked = base.equal_comfort  # a cell does not have it, so that its result is found again with and without
+    if Experiment.of(cells[0].scenario).equal_comfort if asked is None else asked:
         search = EqualComfort(store, inputs, testcase, lambda text: say(f"searching a thermostat: {text}"))
         records = search.beside(cells, records)
     result = write_outcome(store.folder, records, name=name, title=title, currency=testcase.currency, swept=swept)

@@ -39,9 +39,14 @@ def assembled(
     effects: Sequence[Sequence[Effect]],
     power: Sequence[PowerModel | None],
     config: IdentificationConfig,
+    heat_sd: Sequence[float],
+    together_sd: Sequence[float],
 ) -> ThermalModel:
     """The building from each actuator's model on its home zone (A,), the power of machines (M,), and `effects` (A,): of
     `others_of` each actuator on its home zone, none where these are not known.
+
+    `heat_sd` (A,): relative standard deviation of what each actuator's level says of its heat; `together_sd` (A,): that
+    of what all of them do together to its home zone.
     """
     Z, A = len(layout.names.zones), len(layout.names.actuators)
     pairs: list[list[OperatorParameters | None]] = [[None] * A for _ in range(Z)]
@@ -51,19 +56,21 @@ def assembled(
         pairs[home][a] = zones[a].operator
         if not effects[a] or layout.actuators_of(home)[0] != a:
             continue  # effects of the others on a zone are those beside its first actuator
-        uncertainty = dict(cards[a].uncertainty)
+        uncertainty, unknown = dict(cards[a].uncertainty), list[str]()
         notes = list(cards[a].notes)
         for b, effect in zip(others_of(layout, a, config), effects[a], strict=True):
             if layout.home[b] == home:
                 continue
             name, of_day = layout.names.actuators[b], STEP_RESPONSE_H.index(24)
-            means_K, sds_K = effect.step_K, effect.sd_K
-            for key, value in effect.uncertainty().items():
+            means_K, certainty = effect.step_K, effect.uncertainty(heat_sd[b], of_logarithm=heat_sd[b] > 0.0)
+            for key, value in certainty.items():
                 uncertainty[f"{key}[{name}]"] = value if "_sd_" in key else layout.signs[b] * value
-            if sds_K[of_day] > _UNKNOWN * means_K[of_day]:
-                notes.append(f"the record does not tell what {name} does to {layout.names.zones[home]}")
+            if certainty["step_response_24h_sd_K"] > _UNKNOWN * means_K[of_day]:
+                unknown.append(name)
             if means_K[of_day] >= _LEAST_EFFECT_K:
                 pairs[home][b] = _pair(effect, zones[b].operator, layout.signs[b])
+        if unknown:
+            notes.append(_not_apart(unknown, layout.names.zones[home], together_sd[a]))
         cards[a] = replace(cards[a], uncertainty=uncertainty, notes=tuple(notes))
     operator = BuildingOperator(
         layout.names.zones, layout.names.actuators, tuple(tuple(row) for row in pairs), layout.home
@@ -79,6 +86,14 @@ def assembled(
         layout.exclusive,
         layout.floor_area_m2,
     )
+
+
+def _not_apart(names: Sequence[str], zone: str, together_sd: float) -> str:
+    """A note on actuators whose effect on a zone the record does not tell."""
+    told = f"the record does not tell what {' and '.join(names)} does to {zone}"
+    if not together_sd < _UNKNOWN:
+        return told
+    return f"{told}: with all others together known to ± {100 * together_sd:.0f} %, apart not"
 
 
 def _pair(effect: Effect, head: OperatorParameters, sign: int) -> OperatorParameters:

@@ -19,6 +19,11 @@ from thermoforce_mpc.data.series import lagged
 STEP_RESPONSE_H: tuple[int, ...] = (1, 2, 4, 8, 12, 24, 48)
 EFFECT_H = 8
 """The one of these hours by which an effect is judged, h."""
+BAND = 1.645
+"""Half width of a 90 % band of a normal distribution, standard deviations."""
+
+# Largest standard deviation of a logarithm that counts.
+_MOST_OF_LOGARITHM = 1.5
 
 
 def poles(log_tau: Array, step_s: float) -> Array:
@@ -72,13 +77,17 @@ class Effect:
         """Response (m = 1) to full level, `STEP_RESPONSE_H` after, K."""
         return np.asarray(unit_steps(self.log_tau, np.array(STEP_RESPONSE_H)) @ self.gains)
 
-    def uncertainty(self, level_sd: float = 0.0) -> dict[str, float]:
+    def uncertainty(self, level_sd: float = 0.0, *, of_logarithm: bool = False) -> dict[str, float]:
         """The step response and its standard deviations by name, K.
 
-        `level_sd` is the relative standard deviation of the heat of a level, which adds to them.
+        `level_sd` is the relative standard deviation of the heat of a level, which adds to them. `of_logarithm`: that
+        of the logarithm is meant, so that a band of `BAND` reaches as far below as it must above.
         """
         out: dict[str, float] = {}
         for hours, mean_K, sd_K in zip(STEP_RESPONSE_H, self.step_K, self.sd_K, strict=True):
+            both_K = float(np.hypot(sd_K, level_sd * mean_K))
+            if of_logarithm and mean_K > 0.0:
+                both_K = float(mean_K * np.expm1(BAND * min(both_K / mean_K, _MOST_OF_LOGARITHM)) / BAND)
             out[f"step_response_{hours}h_K"] = float(mean_K)
-            out[f"step_response_{hours}h_sd_K"] = float(np.hypot(sd_K, level_sd * mean_K))
+            out[f"step_response_{hours}h_sd_K"] = both_K
         return out

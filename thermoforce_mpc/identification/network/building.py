@@ -113,18 +113,41 @@ class BuildingFit:
     @cached_property
     def covariance(self) -> Array:
         """Covariance of what each actuator does to each zone, (Z, A, T, T) K²."""
-        thetas, mean = [fit.theta for fit in self.rooms], self.responses
+        return self._covariance(self.responses, self._slopes)
+
+    @property
+    def together(self) -> tuple[Array, Array]:
+        """What all actuators at full level do to each zone together, (Z, T) K, and its covariance, (Z, T, T) K².
+
+        Each counts in the direction of its sign. What the record does not tell apart is known of their sum.
+        """
+        signs = np.asarray(self.layout.signs, dtype=np.float64)
+        whole = np.einsum("a,zat->zt", signs, self.responses)[:, None]
+        slopes = [np.einsum("a,zati->zti", signs, of_room)[:, None] for of_room in self._slopes]
+        return whole[:, 0], self._covariance(whole, slopes)[:, 0]
+
+    def _covariance(self, mean: Array, slopes: Sequence[Array]) -> Array:
+        """Covariance (Z, A, T, T) K² of responses `mean` (Z, A, T) with `slopes` (Z, A, T, p) by θ of each room."""
         slow = mean * -np.expm1(-RESPONSE_H / _LAYERS_H)
         covariance = sum(np.einsum("zat,zas->zats", part, part) for part in (mean, slow)) * _STRUCTURE_SD**2
-        for z, fit in enumerate(self.rooms):
-            known = len(fit.room.names)
-
-            def steps(theta: Array, z: int = z) -> Array:
-                return self._steps([*thetas[:z], theta, *thetas[z + 1 :]])
-
-            by_theta = _jacobian(steps, fit.theta, known)
+        for fit, by_theta in zip(self.rooms, slopes, strict=True):
+            known = by_theta.shape[-1]
             covariance += np.einsum("zati,ij,zasj->zats", by_theta, fit.covariance[:known, :known], by_theta)
         return np.asarray(covariance)
+
+    @cached_property
+    def _slopes(self) -> list[Array]:
+        """Derivatives of the responses by the positive parameters of each room, (Z, A, T, p) each."""
+        thetas = [fit.theta for fit in self.rooms]
+
+        def of_room(z: int) -> Array:
+            return _jacobian(
+                lambda theta: self._steps([*thetas[:z], theta, *thetas[z + 1 :]]),
+                thetas[z],
+                len(self.rooms[z].room.names),
+            )
+
+        return [of_room(z) for z in range(len(thetas))]
 
     @property
     def longest_h(self) -> float:
@@ -226,16 +249,30 @@ def building_fit(
     return BuildingFit(actuators.layout, tuple(fits))
 
 
-def room_run(record: Record, zone: int, actuators: NetworkInputs, grid_K: float, less: Record | None = None) -> RoomRun:
+def room_run(
+    record: Record,
+    zone: int,
+    actuators: NetworkInputs,
+    grid_K: float,
+    less: Record | None = None,
+    weight: float = 1.0,
+) -> RoomRun:
     """A record of the building as a run of one of its zones, whose sensor reads in steps of `grid_K` K.
 
-    With `less`, the other record of a pair, their difference, in which the weather cancels.
+    With `less`, the other record of a pair, their difference, in which the weather cancels. `weight`: see `RoomRun`.
     """
     inputs, readings = actuators.inputs(record, zone), record.T_zone_C[zone]
     if less is not None:
         inputs, readings = inputs - actuators.inputs(less, zone), readings - less.T_zone_C[zone]
     inputs = np.concatenate([inputs, inputs[-1:]])
-    return RoomRun(inputs, np.ascontiguousarray(readings), record.step_s / HOUR_S, grid_K**2 / 12.0, less is not None)
+    return RoomRun(
+        inputs,
+        np.ascontiguousarray(readings),
+        record.step_s / HOUR_S,
+        grid_K**2 / 12.0,
+        less is not None,
+        weight=weight,
+    )
 
 
 def _jacobian(function: Callable[[Array], Array], at: Array, count: int) -> Array:

@@ -32,6 +32,8 @@ _MOST_STEP, _FIRST_STEP, _LEAST_GAIN, _MOST_STEPS, _FLAT = 2.0, 1.0, 1e-4, 200, 
 _STARTS: tuple[dict[str, float], ...] = ({}, {"heat_0": 1.0}, {"C_structure": 0.7})
 # Shares of the expected gain below which a step is refused, and shorter ones, or from which longer ones, are trusted.
 _REFUSED, _SHORTER, _LONGER = 0.1, 0.25, 0.75
+# Least cosine between what a curvature missed and the way at which it is corrected (Nocedal and Wright 2006, 6.2).
+_LEAST_ALONG = 1e-8
 # Step of differences of the gradient, in prior standard deviations.
 _DIFFERENCE = 1e-4
 
@@ -48,6 +50,8 @@ class RoomRun:
         on_sensor: what the sun adds to the readings per K of `SUN_ON_SENSOR` (N,), where that is a parameter.
         pair: whether it is the difference of two runs in the same weather, in which disturbances cancel but for a
             small share.
+        weight: how much of its log likelihood counts, from 0 to 1: less where the network is surely wrong in what the
+            record would otherwise tell ever more exactly (power posterior, Miller and Dunson 2019).
     """
 
     inputs: Array
@@ -56,6 +60,7 @@ class RoomRun:
     rounding_K2: float = 0.0
     pair: bool = False
     on_sensor: Array | None = None
+    weight: float = 1.0
 
 
 # Share of the disturbances that is left in the difference of two runs.
@@ -135,13 +140,14 @@ def posterior(room: RoomNetwork, theta: Array, runs: Sequence[RoomRun]) -> tuple
             if run.on_sensor is not None:
                 readings -= run.on_sensor * theta[sensor]
             half, slopes = likelihood(A, B, share * Q, R, x0, P0, run.inputs, readings)
+            counts, part = run.weight, run.weight * share
             if run.on_sensor is not None:
-                gradient[sensor] -= run.on_sensor @ slopes.readings
-            value += half
-            by_transition[:n, :n] += slopes.A
-            by_transition[:n, n:] += slopes.B
-            by_stationary = share * stationary * slopes.P0[room.disturbances]
-            gradient = gradient + room.noise_slopes(Q, share * slopes.Q, by_stationary, reading * slopes.R)
+                gradient[sensor] -= counts * run.on_sensor @ slopes.readings
+            value += counts * half
+            by_transition[:n, :n] += counts * slopes.A
+            by_transition[:n, n:] += counts * slopes.B
+            by_stationary = part * stationary * slopes.P0[room.disturbances]
+            gradient = gradient + room.noise_slopes(Q, part * slopes.Q, by_stationary, counts * reading * slopes.R)
         # The derivative of an exponential is a block of one twice as large (Van Loan 1978).
         twice = np.zeros((2 * size, 2 * size))
         twice[:size, :size] = twice[size:, size:] = whole.T
@@ -209,32 +215,51 @@ def searched(room: RoomNetwork, runs: Sequence[RoomRun], start: Array, spread: A
     """The largest posterior from a start (p,), in prior standard deviations from the mean.
 
     By Newton's steps within a trusted distance (Conn, Gould and Toint 2000): curvatures differ by a factor of 10⁴ from
-    one direction to the next, in which a search by slopes alone ends far from where they vanish. Near another largest
-    posterior, of covariance `spread` (p, p), the curvature is that one's to begin with, and learned from the slopes
-    (BFGS), in a twentieth of the time.
+    one direction to the next, in which a search by slopes alone ends far from where they vanish. A curvature costs as
+    much as p slopes: it is computed at the start and where the search would end, and corrected by the slopes on the
+    way. Near another largest posterior, of covariance `spread` (p, p), the curvature is that one's to begin with, and
+    learned from the slopes (BFGS).
     """
     if spread is not None:
         options = {"hess_inv0": spread, "gtol": _FLAT, "maxiter": _MOST_STEPS}
         return minimize(lambda z: _scaled(room, runs, z), start, jac=True, method="BFGS", options=options)
     at, (value, slope), trusted = start, _scaled(room, runs, start), _FIRST_STEP
-    sizes, directions = np.linalg.eigh(_curvature(room, runs, at))
+    curvature, learned = _curvature(room, runs, at), False
     for _ in range(_MOST_STEPS):
+        sizes, directions = np.linalg.eigh(curvature)
         slopes = slope @ directions
         step = _step(sizes, slopes, trusted)
         expected = -float(slopes @ step + 0.5 * sizes @ step**2)
         if expected < _LEAST_GAIN:
-            break
-        proposed = at + directions @ step
-        lower, slope_there = _scaled(room, runs, proposed)
+            if not learned:
+                break
+            # What misled may have shortened what is trusted too.
+            curvature, learned, trusted = _curvature(room, runs, at), False, max(trusted, _FIRST_STEP)
+            continue
+        moved = directions @ step
+        lower, slope_there = _scaled(room, runs, at + moved)
         share, length = (value - lower) / expected, float(np.linalg.norm(step))
         if share < _SHORTER:
             trusted = 0.25 * length
         elif share > _LONGER and length > 0.99 * trusted:
             trusted = min(2.0 * trusted, _MOST_STEP)
-        if share > _REFUSED:
-            at, value, slope = proposed, lower, slope_there
-            sizes, directions = np.linalg.eigh(_curvature(room, runs, at))
+        accepted = share > _REFUSED
+        if accepted or (learned and np.isfinite(lower)):
+            curvature, learned = _corrected(curvature, moved, slope_there - slope), True
+        if accepted:
+            at, value, slope = at + moved, lower, slope_there
     return OptimizeResult(x=at, fun=value)
+
+
+def _corrected(curvature: Array, moved: Array, change: Array) -> Array:
+    """A curvature (p, p) that explains how a slope changed on the way (p,), by the symmetric correction of rank one
+    (Nocedal and Wright 2006, 6.2), which learns negative curvature too.
+    """
+    missed = change - curvature @ moved
+    along = float(missed @ moved)
+    if abs(along) < _LEAST_ALONG * float(np.linalg.norm(missed) * np.linalg.norm(moved)):
+        return curvature
+    return np.asarray(curvature + np.outer(missed, missed) / along)
 
 
 def _step(sizes: Array, slopes: Array, longest: float) -> Array:

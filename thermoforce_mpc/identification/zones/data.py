@@ -124,6 +124,8 @@ class Estimate:
         last, before: the fits without the held-out rows and without an earlier part, None where there is none.
         effects: of the own actuator and of others (1 + K,) by all rows.
         scores: for the model card; `acts_log_odds` that the actuator acts.
+        together_sd: relative standard deviation of what all actuators of the building at full level do to the zone in a
+            day, NaN where it was not estimated.
         laws: what was found of the level of the own actuator.
         unjudged: why the model cannot be judged, empty where it can.
     """
@@ -133,6 +135,7 @@ class Estimate:
     before: Fold | None
     effects: Sequence[Effect]
     scores: Mapping[str, float]
+    together_sd: float = float("nan")
     laws: Estimates = field(default_factory=dict)
     unjudged: str = ""
 

@@ -171,6 +171,8 @@ def _ratio_remark(ratio: float, step_h: float, where: str, why: str) -> Remark:
 def _of_loss(record: Record, layout: Layout, fed: list[int], heat: Array, where: str) -> list[Remark]:
     area = _area_m2(layout, fed)
     difference = _mean(record.T_zone_C[[layout.home[a] for a in fed]]) - _mean(record.T_out_C)
+    if (record.heat_W[fed] < 0.0).any():  # cooling takes out the sun and what people bring, in any weather
+        return []
     if not np.isfinite(area) or not abs(difference) >= _COLDER_K or record.step_s == HOUR_S:
         return []
     loss = _mean(heat) / area / abs(difference)

@@ -117,7 +117,7 @@ _WORDS: dict[str, tuple[str, str]] = {
         "velocita velocidad compressore compresor pompa bomba bruciatore quemador riscaldamento calefaccion "
         "caldaia caldera "
         "comp compr kompressor kompressori styrsignal styresignal frekvens taajuus nopeus varvtal hastighet pumppu "
-        "uppvarmning oppvarming opvarmning lammitys panna kedel kjele kattila brannare poltin demand",
+        "uppvarmning oppvarming opvarmning lammitys panna kedel kjele kattila brannare poltin demand vd",
         "modul verdicht compress drehzahl frequen brenner stufe pumpe burner circul umwalz umwaelz toerental drehz "
         "riscald calefac kompressor styrsign styresign frekven taajuus",
     ),

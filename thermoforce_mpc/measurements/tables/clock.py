@@ -90,8 +90,8 @@ def _counted(table: RawTable, clock: TimeStampRules) -> pd.Series:
     """Numbers as elapsed time: since an instant where `since` has an offset, else on the clock of the map's zone."""
     if clock.unit is None or clock.since is None:
         raise DataError(
-            f"{table.name}: the time stamps are numbers (first {table.stamps.iloc[0]:g}); set time.unit (s, ms, min, "
-            "h, D) and time.since (what they count from), or name another column as time.column"
+            f"{table.name}: the time stamps are numbers (first {table.stamps.iloc[0]:g}); set time.unit (s, ms, us, "
+            "ns, min, h, D) and time.since (what they count from), or name another column as time.column"
         )
     numbers = np.asarray(table.stamps, dtype=np.float64)
     if not np.isfinite(numbers).all():
@@ -152,7 +152,8 @@ def parsed_or_nat(text: pd.Series, clock: TimeStampRules) -> pd.Series:
     if clock.unit is not None:
         numbers = pd.to_numeric(text, errors="coerce")
         finite = np.isfinite(numbers.to_numpy(dtype=np.float64))
-        within = finite & (np.abs(numbers.to_numpy(dtype=np.float64)) < 1e15)
+        most = 9e18 if clock.unit in ("us", "ns") else 1e15
+        within = finite & (np.abs(numbers.to_numpy(dtype=np.float64)) < most)
         since = clock.counted_from()
         since = since.tz_localize("UTC") if since.tz is None else since.tz_convert("UTC")
         elapsed = pd.to_timedelta(numbers.where(within), unit=clock.unit, errors="coerce")

@@ -34,7 +34,9 @@ class TimeStampRules(StrictModel):
     year: int | None = Field(
         None, ge=1990, le=2100, description="year of the first of stamps that have none, of the form 01/31 14:30"
     )
-    unit: Literal["s", "ms", "min", "h", "D"] | None = Field(None, description="unit of stamps that are numbers")
+    unit: Literal["s", "ms", "us", "ns", "min", "h", "D"] | None = Field(
+        None, description="unit of stamps that are numbers"
+    )
     since: str | None = Field(None, description="what they count from, such as 2016-01-01 or 1970-01-01 in UTC")
     marks: Literal["start", "end"] = Field(
         "start", description="end of the interval for which powers, energies and levels hold that a stamp marks"

@@ -292,12 +292,23 @@ def _with_texts(
         found = np.array([SWITCH.get(word, np.nan) for word in words])
         of_text = np.array([word not in SWITCH and word not in _NONE for word in words])
         if of_text.any():
+            found = np.where(of_text, [_with_both_marks(word, decimal) for word in words], found)
+            of_text &= np.isnan(found)
+        if of_text.any():
             found = _of_quantities(codes, list(words), found, None if of is None else of[rest], decimal)
             of_text = of_text[codes] & np.isnan(found)
             numbers[rest], texts[rest] = found, of_text
         else:
             numbers[rest] = found[codes]
     return numbers, texts
+
+
+def _with_both_marks(cell: str, decimal: str) -> float:
+    """A number such as 2,435.0 (with the other decimal mark 2.435,0), which can be read in one way only; NaN else."""
+    other = "," if decimal == "." else "."
+    if not re.fullmatch(rf"[+-]?\d{{1,3}}(?:\{other}\d{{3}})+\{decimal}\d+", cell):
+        return np.nan
+    return float(cell.replace(other, "").replace(decimal, "."))
 
 
 def _of_quantities(

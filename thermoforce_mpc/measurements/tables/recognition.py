@@ -323,7 +323,7 @@ def _only(column: pd.Series, pattern: str, *, absent: bool = False) -> bool:
 
 def _counted_clock(stamps: pd.Series) -> tuple[TimeStampRules, str]:
     first = float(stamps.dropna().iloc[0]) if stamps.notna().any() else 0.0
-    for unit, scale in (("s", 1.0), ("ms", 1e3)):
+    for unit, scale in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
         if 1e9 * scale < first < 2.5e9 * scale:
             return TimeStampRules(unit=unit, since="1970-01-01T00:00Z", zone="UTC"), ""
     return TimeStampRules(), "? stamps are numbers: name their unit and what they count from"

@@ -1,0 +1,220 @@
+"""What plans would have saved: the identified house lived through its record again, against the house itself."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+from simple_house import GAIN_K, POLE, outdoor_C, simple_model
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Block, Boundary, Observation, Plan, PlanStatus, Record
+from thermoforce_mpc.errors import DataError, InputError
+from thermoforce_mpc.experiment.worth import worth
+from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.whatif.identified_house import IdentifiedHouse
+
+_ORIGIN = pd.Timestamp("2026-01-01", tz="UTC")
+_DAYS, _FIRST = 14, 10 * 24
+_HOURS = _DAYS * 24
+
+
+def _run(u: Array) -> Record:
+    """The simple house under `u` (hours,), whose power follows its level."""
+    T, time_s = np.full(u.size + 1, 20.0), np.arange(u.size + 1) * HOUR_S
+    for k, level in enumerate(u):
+        T[k + 1] = POLE * T[k] + (1 - POLE) * float(outdoor_C(time_s[k])) + GAIN_K * level
+    power = 1600.0 * (u > 0) + 2700.0 * u
+    return Record(time_s, T, outdoor_C(time_s), 0 * time_s, u, power, np.full_like(u, np.nan), origin=_ORIGIN)
+
+
+def _levels(seed: int) -> Array:
+    return np.random.default_rng(seed).choice([0.0, 1.0], _HOURS)
+
+
+def _model(sd: float) -> ThermalModel:
+    steady = GAIN_K / (1 - POLE)
+    known = {f"step_response_{h}h_K": steady * (1 - POLE**h) for h in (1, 2, 4, 8, 12, 24, 48)}
+    known |= {name.replace("h_K", "h_sd_K"): sd * value for name, value in known.items()}
+    return replace(simple_model(), cards=(ModelCard("exact", uncertainty=known),))
+
+
+def _conditions(record: Record, lower_C: float = 5.0) -> Boundary:
+    """Dear from 6 to 22 h."""
+    n = record.time_s.size
+    hour = record.time_s % DAY_S / HOUR_S
+    price = np.where((hour >= 6) & (hour < 22), 0.4, 0.1)
+    return Boundary(
+        record.time_s, record.T_out_C, record.solar_W_m2, np.zeros(n), np.full(n, lower_C), np.full(n, 60.0), price,
+        np.zeros(n),
+    )  # fmt: skip
+
+
+class _Nightly:
+    """Heats at night alone."""
+
+    name, step_s, horizon_s = "nightly", HOUR_S, 6 * HOUR_S
+
+    def plan(self, observation: Observation, state: object = None) -> Plan:
+        hour = observation.time_s % DAY_S / HOUR_S
+        level = 0.0 if 6 <= hour < 22 else 1.0
+        return Plan((Block((level,), HOUR_S),), PlanStatus.SOLVED, "by night")
+
+
+def _nightly(u: Array) -> Array:
+    hour = np.arange(_HOURS) % 24
+    other = u.copy()
+    other[_FIRST:] = np.where((hour >= 6) & (hour < 22), 0.0, 1.0)[_FIRST:]
+    return other
+
+
+def _house(record: Record) -> IdentifiedHouse:
+    return IdentifiedHouse(_model(0.1), record, _conditions(record))
+
+
+def test_left_alone_it_is_the_record_and_under_other_levels_the_other_house() -> None:
+    u = _levels(1)
+    record, other = _run(u), _run(_nightly(u))
+    house = _house(record)
+    house.reset(_FIRST * HOUR_S, 0.0)
+    for _ in range(24):
+        house.advance(None, HOUR_S)
+    np.testing.assert_allclose(house.lived(0.0).T_zone_C, record.T_zone_C[:, : _FIRST + 25], atol=1e-9)
+    np.testing.assert_allclose(house.past(HOUR_S).power_W, record.power_W[:, : _FIRST + 24])
+    house.reset(_FIRST * HOUR_S, 0.0)
+    for k in range(48):
+        level = float(other.u[0, _FIRST + k])
+        house.advance(level, HOUR_S / 4)  # parts of a step are one step
+        done = house.advance(level, 3 * HOUR_S / 4)
+        assert done.T_zone_C[0] == pytest.approx(other.T_zone_C[0, _FIRST + k + 1], abs=1e-6)
+    np.testing.assert_allclose(house.lived(_FIRST * HOUR_S).u, other.u[:, _FIRST : _FIRST + 48])
+    assert house.past(HOUR_S).time_s[-1] == (_FIRST + 48) * HOUR_S
+
+
+def test_it_ends_with_its_record_and_knows_no_other_command() -> None:
+    house = _house(_run(_levels(1)))
+    with pytest.raises(InputError, match="no boundary of the record"):
+        house.reset(1800.0, 0.0)
+    house.reset(_HOURS * HOUR_S - HOUR_S, 0.0)
+    assert house.forecast(6 * HOUR_S, HOUR_S).n_steps == 1
+    with pytest.raises(InputError, match="the record ends"):
+        house.advance(1.0, 2 * HOUR_S)
+    with pytest.raises(InputError, match="it has none"):
+        house.advance(1.0, HOUR_S, (21.0,))
+
+
+def test_what_plans_would_have_saved_is_what_they_save_in_the_house() -> None:
+    u = _levels(2)
+    record, other = _run(u), _run(_nightly(u))
+    conditions = _conditions(record)
+    found = worth(_model(0.1), record, conditions, _Nightly(), start_s=_FIRST * HOUR_S, days=4.0, draws=3, seed=1)
+    np.testing.assert_allclose(found.planned.T_zone_C, other.T_zone_C[:, _FIRST:], atol=1e-6)
+    np.testing.assert_allclose(found.as_was.T_zone_C, record.T_zone_C[:, _FIRST:], atol=1e-9)
+    kWh = [(run.power_W[0, _FIRST:] / 1000.0) for run in (record, other)]
+    price = conditions.price_per_kWh[0, _FIRST:-1]
+    assert found.cost_was == pytest.approx(float(kWh[0] @ price))
+    assert found.energy_was_kWh == pytest.approx(float(kWh[0].sum()))
+    # What is stored at the end counts, so that heating less is not a saving by itself.
+    stored = found.saved - float((kWh[0] - kWh[1]) @ price)
+    assert np.sign(stored) == np.sign(found.planned.T_zone_C[0, -1] - found.as_was.T_zone_C[0, -1])
+    assert found.low < found.saved < found.high
+    assert found.planned_share == 1.0
+    frame = found.to_dataframe()
+    assert list(frame) == [
+        "u_was", "T_zone_C_was", "power_W_was", "u_planned", "T_zone_C_planned", "power_W_planned", "price_per_kWh",
+    ]  # fmt: skip
+    assert len(frame) == 96
+    # Prices that end with the record are enough.
+    ending = conditions.price_per_kWh.copy()
+    ending[:, -1] = np.nan
+    conditions = replace(conditions, price_per_kWh=ending)
+    again = worth(_model(0.1), record, conditions, _Nightly(), start_s=_FIRST * HOUR_S, days=4.0, draws=3, seed=1)
+    assert again.draws == found.draws
+
+
+def test_what_is_not_known_widens_the_band_and_colder_rooms_are_warmed_again() -> None:
+    record = _run(_levels(3))
+    asked = {"start_s": _FIRST * HOUR_S, "days": 2.0, "draws": 3}
+    known, unknown = (worth(_model(sd), record, _conditions(record), _Nightly(), **asked) for sd in (0.02, 0.5))
+    assert unknown.high - unknown.low > known.high - known.low
+    # Heating by night alone leaves rooms colder than the bound; plans are asked to be as warm as it was.
+    bound_C = float(np.min(record.T_zone_C[0, _FIRST:])) - 0.05
+    colder = worth(_model(0.02), record, _conditions(record, bound_C), _Nightly(), **asked)
+    assert colder.outside_was_Kh < colder.outside_Kh
+    assert colder.raised_K == 0.5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"start_s": 2 * DAY_S}, "with 7 days before"),
+        ({"days": 30.0}, "are not in the record"),
+        ({"price": np.nan}, "price_per_kWh is not known"),
+        ({"power": None}, "was not measured"),
+        ({"card": ModelCard("given")}, "does not say how well"),
+    ],
+)
+def test_what_cannot_be_said_is_refused(change: dict[str, object], message: str) -> None:
+    record, model = _run(_levels(1)), _model(0.1)
+    conditions = _conditions(record)
+    if "price" in change:
+        conditions = replace(conditions, price_per_kWh=np.full_like(conditions.price_per_kWh, np.nan))
+    if "power" in change:
+        model = replace(model, power=(None,))
+    if "card" in change:
+        model = replace(model, cards=(change["card"],))
+    asked = {"start_s": _FIRST * HOUR_S, "days": 2.0} | {k: v for k, v in change.items() if k in ("start_s", "days")}
+    with pytest.raises(DataError, match=message):
+        worth(model, record, conditions, _Nightly(), draws=2, **asked)
+
+
+@pytest.mark.slow
+def test_worth_command(tmp_path: Path) -> None:
+    record, model = _run(_levels(4)), _model(0.1)
+    model.save(tmp_path / "model")
+    stamps = [at.isoformat() for at in record.stamps()]
+    table = {"at": stamps, "room": record.T_zone_C[0], "out": record.T_out_C}
+    table |= {name: np.append(getattr(record, name)[0], np.nan) for name in ("u", "power_W")}
+    pd.DataFrame(table).to_csv(tmp_path / "data.csv", index=False)
+    price = _conditions(record).price_per_kWh[0]
+    pd.DataFrame({"time": stamps, "price": price}).to_csv(tmp_path / "prices.csv", index=False)
+    low = float(np.min(record.T_zone_C[0, -24:]))
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: at}\noutdoor: out\nstep: 60min\n"
+        f"zones: {{zone: {{temperature: room, lower: {max(low, 5.0):.1f}, upper: 40}}}}\n"
+        "actuators: {actuator: {zone: zone, level: u}}\nmachines: {machine: {power: power_W}}\n"
+    )
+
+    def said(*words: str) -> tuple[int, str]:
+        given = [f"--{name}={tmp_path / file}" for name, file in (("data", "data.csv"), ("map", "map.yaml"))]
+        done = CliRunner().invoke(cli, ["worth", f"--model={tmp_path / 'model'}", *given, *words])
+        return (
+            (done.exit_code, done.output)
+            if isinstance(done.exception, SystemExit | None)
+            else (-1, str(done.exception))
+        )
+
+    prices, out = f"--prices={tmp_path / 'prices.csv'}", tmp_path / "worth.json"
+    ask = (prices, "--days=1", "--houses=2", "--hours=6", "--set=gate.enabled=false")
+    code, text = said(*ask, f"--out={out}", f"--plot={tmp_path / 'worth.png'}")
+    assert code == 0, text
+    assert "90 % band" in text
+    assert "It rests on effects of full level known to ± 10 %" in text
+    content = json.loads(out.read_text())
+    found = content["worth"]
+    assert found["low"] < found["saved"] < found["high"]
+    assert len(content["rows"]) == 24
+    bought = sum(row["power_W_was"] / 1000.0 * row["price_per_kWh"] for row in content["rows"])
+    assert found["cost_was"] == pytest.approx(bought, rel=1e-3)
+    assert (tmp_path / "worth.png").stat().st_size > 10_000
+    code, text = said(*ask, "--commands")
+    assert code == -1
+    assert "names no command" in text
+    code, text = said("--days=1", "--houses=2")
+    assert "price_per_kWh is not known" in text

@@ -1,0 +1,179 @@
+"""What people ask of a running controller, and what they set by hand."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+from connected_home import HOUR, SENSORS, START, TimedHome, controlled, rules_of
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.data import Block, Boundary, Plan, PlanStatus
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.live import Decision, People
+from thermoforce_mpc.live.people import shared_with
+
+NOW = pd.Timestamp("2026-01-20 10:00", tz="UTC")
+ORIGIN = pd.Timestamp("2026-01-01", tz="UTC")
+
+
+def bounds(people, now=NOW, hours=48):
+    at_s = (NOW - ORIGIN).total_seconds() + 3600.0 * np.arange(hours + 1)
+    one, none = np.ones((1, hours + 1)), np.zeros(hours + 1)
+    ahead = Boundary(at_s, none, none, none, 20.0 * one, 23.0 * one, 0.25 * one, 0.0 * one)
+    changed, notes = people.applied(ahead, ORIGIN, now)
+    return changed.lower_C[0], changed.upper_C[0], notes
+
+
+@pytest.fixture
+def people(tmp_path):
+    return People(tmp_path / "people.json", "Europe/Berlin")
+
+
+def test_nothing_asked_changes_nothing(people):
+    lower, upper, notes = bounds(people)
+    assert (lower == 20.0).all()
+    assert (upper == 23.0).all()
+    assert notes == ()
+
+
+def test_bounds_hold_for_half_a_day_and_the_other_one_makes_way(people, tmp_path):
+    people.ask("lower", "21.5", NOW)
+    people.ask("upper", "21.2", NOW)
+    lower, upper, notes = bounds(People(tmp_path / "people.json"))  # also after a restart
+    assert lower[:12].tolist() == pytest.approx([20.7] * 12)
+    assert upper[:12].tolist() == pytest.approx([21.2] * 12)
+    assert (lower[12:] == 20.0).all()
+    assert "upper bound 21.2 °C" in notes[0]
+    people.ask("comfort", "off", NOW)
+    assert bounds(people)[2] == ()
+
+
+def test_away_ends_in_the_clock_of_the_house_so_that_it_is_warm_then(people):
+    people.ask("away", "2026-01-21 18:00", NOW)  # 17:00 UTC
+    lower, upper, notes = bounds(people)
+    assert (lower[:31] == 16.0).all()
+    assert (lower[31:] == 20.0).all()
+    assert upper[0] == 28.0
+    assert notes == ("away until Wed 21 Jan 18:00 was asked",)
+    people.ask("away", "OFF", NOW)
+    assert bounds(people)[2] == ()
+    people.ask("away", "ON", NOW)
+    assert people.shown(NOW)["away"]
+
+
+def test_a_boost_is_warmer_and_ends(people):
+    people.ask("boost", "90", NOW)
+    lower, upper, _ = bounds(people)
+    assert lower[:3].tolist() == [22.0, 22.0, 20.0]
+    assert (upper >= lower + 0.5).all()
+    assert people.shown(NOW + pd.Timedelta("30min"))["boost_min"] == 60
+    assert bounds(people, NOW + 2 * HOUR)[2] == ()
+
+
+@pytest.mark.parametrize(
+    ("key", "word"),
+    [("lower", "99"), ("lower", "warm"), ("lower", "nan"), ("upper", "inf"), ("away", "soon"), ("away", "2020-01-01"),
+     ("boost", "-5"), ("boost", "1000"), ("boost", "nan"), ("window", "1"), ("comfort", "21")],
+)  # fmt: skip
+def test_what_cannot_be_asked_is_refused_and_changes_nothing(people, key, word):
+    with pytest.raises(ConfigError):
+        people.ask(key, word, NOW)
+    assert bounds(people)[2] == ()
+
+
+@pytest.mark.parametrize(
+    "text", ["{", "[]", '{"x": 1}', '{"lower_C": 99, "comfort_until": "2027-01-01T00:00Z"}', '{"away_until": "soon"}']
+)
+def test_a_damaged_file_asks_for_nothing(people, tmp_path, text, caplog):
+    (tmp_path / "people.json").write_text(text)
+    assert bounds(people)[2] == ()
+    assert "nothing is asked" in caplog.text
+
+
+class AtTheWall(TimedHome):
+    """Somebody turns the thermostat to 24 °C at some hour."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.turned = False
+        self.on_row = self._turn
+
+    def _turn(self, row) -> None:
+        if not self.turned and row["time"] - START >= 3.5 * HOUR:
+            self.turned, self.told, self.ends = True, 24.0, None
+
+
+@pytest.mark.slow
+def test_a_change_at_the_wall_is_respected_for_four_hours_and_recorded(tmp_path):
+    home = AtTheWall()
+    people = People(tmp_path / "people.json")
+    decisions = controlled(home, home, rules_of({name: name for name in SENSORS}), 11, people=people)
+    set_C = {(row["time"] - START) / HOUR: row["set"] for row in home.rows if row["time"] >= START}
+    assert {set_C[h] for h in set_C if 3.6 < h < 8.0} == {24.0}
+    said = [any("by hand" in note for note in decision.notes) for decision in decisions]
+    assert said == [False] * 4 + [True] * 4 + [False] * 3
+    written = [(at - START) / HOUR for at, _ in home.written]
+    assert not [h for h in written if 4.0 <= h < 8.0]
+    assert any(8.0 <= h < 9.0 for h in written)
+
+
+@pytest.mark.slow
+def test_a_thermostat_that_does_not_take_its_set_point_is_nobody_at_the_wall(tmp_path):
+    home = TimedHome()
+    home.write = lambda levels, seconds: home.written.append((home.at, *levels.values()))
+    people = People(tmp_path / "people.json")
+    decisions = controlled(home, home, rules_of({name: name for name in SENSORS}), 4, people=people)
+    assert not any("by hand" in note for decision in decisions for note in decision.notes)
+
+
+def test_it_is_asked_on_the_command_line(tmp_path):
+    def told(*words):
+        return CliRunner().invoke(cli, ["ask", *words, "--out", str(tmp_path)])
+
+    assert told("boost", "60").output == "Asked: boost_min 60\n"
+    assert told("lower", "21").output == "Asked: lower_C 21.0, boost_min 60\n"
+    assert told("boost", "off").output == "Asked: lower_C 21.0\n"
+    assert isinstance(told("away", "yesterday").exception, ConfigError)
+    assert "Europe/Berlin" in str(told("away", "2026-12-27", "--zone", "Mars").exception)
+
+
+class Shows:
+    """A connection that shows what is decided and hears what people ask."""
+
+    def listen(self, asks):
+        self.asks = asks
+
+    def tell(self, said):
+        self.said = getattr(self, "said", {}) | said
+
+
+def test_what_is_decided_is_shown_and_what_is_heard_is_asked(people):
+    shows, lines = Shows(), []
+    decided = shared_with(shows, people, lines.append, lambda decision: "Tue 10:00  hall 21 °C for 60 min: cheap hours")
+    plan = Plan(
+        (Block(0.5, 3600.0),), PlanStatus.SOLVED, "cheap hours", lower_C=np.array([20.0]), upper_C=np.array([23.0])
+    )
+    decided(Decision(NOW, plan, plan.blocks, notes=("a note",)))
+    assert len(lines) == 1
+    assert shows.said["status"] == "solved"
+    assert shows.said["level"] == "hall 21 °C for 60 min"
+    assert shows.said["people"]["planned_lower_C"] == 20.0
+    shows.asks["boost"]("45")
+    assert shows.said["people"]["boost_min"] == 45
+    with pytest.raises(ConfigError):
+        shows.asks["lower"]("hot")
+    assert json.loads(json.dumps(shows.said))["notes"] == ["a note"]
+
+
+def test_what_cannot_be_shown_ends_no_control(people):
+    def fails(said):
+        raise RuntimeError("broker")
+
+    shows = Shows()
+    shows.tell = fails
+    plan = Plan((Block(0.5, 3600.0),), PlanStatus.SOLVED, "cheap hours")
+    shared_with(shows, people, lambda decision: None, lambda decision: "")(Decision(NOW, plan, plan.blocks))

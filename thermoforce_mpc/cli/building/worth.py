@@ -1,0 +1,189 @@
+"""`tf-mpc worth`: what plans would have saved in an own building, by its model and its record."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+from rich.console import Console
+
+from thermoforce_mpc.cli.building.courses import finish_axes, on_clock, write_picture, write_table
+from thermoforce_mpc.cli.options import (
+    FiniteRange,
+    measured_options,
+    model_option,
+    out_option,
+    own_prices_option,
+    plot_option,
+)
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary
+from thermoforce_mpc.data.dataframes import seconds_at
+from thermoforce_mpc.data.names import check_same_building
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario.settings import parse_overrides, validate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from thermoforce_mpc.experiment.worth import Worth
+    from thermoforce_mpc.measurements.load import Measurements
+
+_ERRORS = ("none", "low", "medium", "high")
+
+
+@click.command()
+@model_option
+@measured_options
+@own_prices_option
+@click.option("--start", metavar="TIME", help="Begin of what is lived through.  [default: --days before the end]")
+@click.option("--days", type=FiniteRange(1.0, 60.0), default=7.0, help="Length.")
+@click.option("--commands", is_flag=True, help="Set the commands of the map instead of levels.")
+@click.option("--hours", type=FiniteRange(6.0, 48.0), default=24.0, help="Horizon of the plans, made each hour.")
+@click.option("--forecasts", type=click.Choice(_ERRORS), default="medium", help="Errors of the weather forecasts.")
+@click.option("--houses", type=click.IntRange(2, 40), default=6, help="Houses drawn from what the model does not know.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of houses and forecasts.")
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any option of the controller.")
+@out_option("what was and what would have been")
+@plot_option(of="both")
+def worth(
+    model: Path,
+    files: tuple[str, ...],
+    map_file: Path,
+    prices: Path | None,
+    start: str | None,
+    days: float,
+    commands: bool,
+    hours: float,
+    forecasts: str,
+    houses: int,
+    seed: int,
+    assignments: tuple[str, ...],
+    out: Path | None,
+    plot: Path | None,
+) -> None:
+    """Say what plans would have saved in the days of a record, with a 90 % band, and what that rests on.
+
+    The identified house is lived through the record's weather again: as it was, and with plans made each hour with
+    forecasts as of then (the measured weather with errors of a usual size), at equal comfort: bounds of plans are
+    raised where the house would get colder than it was. The band holds what the model does not know of the house, and
+    what the record does not tell of power. Heat that is stored at the end counts.
+
+    Prices are those of --prices, else of the map. With --commands plans set what the map names (set-points, offsets).
+
+    \b
+    Example:
+      tf-mpc worth --model my_house --data 2026.csv --map map.yaml --prices dynamic.csv --plot worth.png
+    """
+    from controllers.mpc.config import MPCConfig
+    from controllers.mpc.controller import ThermoForceMPC
+    from thermoforce_mpc.boundary.forecast_error import ForecastError
+    from thermoforce_mpc.experiment.worth import worth as worth_of
+    from thermoforce_mpc.measurements.load import learned_commands, read_measurements
+    from thermoforce_mpc.model.thermal_model import load_model
+
+    console = Console(highlight=False, markup=False, soft_wrap=True)
+    thermal = load_model(model)
+    measured = read_measurements(list(files), map_file, step_s=HOUR_S).served()
+    record = measured.record
+    check_same_building(f"--model {model}:", thermal.names, str(map_file), record.names)
+    if commands and not measured.commands:
+        raise ConfigError(f"--commands: --map {map_file} names no command of an actuator")
+    learned = learned_commands(measured) if commands else {}
+    conditions = _conditions(measured, prices, console)
+    chosen = {"step_s": HOUR_S, "horizon_h": hours} | parse_overrides(assignments)
+    controller = ThermoForceMPC(thermal, validate(MPCConfig, chosen, "--set"), commands=learned)
+    start_s = float(record.time_s[-1]) - round(days * DAY_S / HOUR_S) * HOUR_S
+    if start is not None:
+        at_s = seconds_at(record.origin, start, "--start")
+        start_s = float(record.time_s[0]) + round((at_s - record.time_s[0]) / HOUR_S) * HOUR_S
+    error = None if forecasts == "none" else ForecastError(forecasts, forecasts, seed)  # type: ignore[arg-type]
+    found = worth_of(
+        thermal,
+        record,
+        conditions,
+        controller,
+        start_s=start_s,
+        days=days,
+        draws=houses,
+        commands=learned,
+        error=error,
+        seed=seed,
+        progress=lambda line: click.echo(line, err=True),
+    )
+    _show(found, console)
+    if out is not None:
+        write_table(out, found.to_dataframe(), console, "Course", worth=_as_json(found))
+    if plot is not None:
+        write_picture(plot, _drawn(found), console)
+
+
+def _conditions(measured: Measurements, prices: Path | None, console: Console) -> Boundary:
+    """Bounds and prices of the record's times."""
+    if prices is None:
+        return measured.conditions
+    from thermoforce_mpc.measurements.prices import prices_over_steps
+
+    record = measured.record
+    price, read = prices_over_steps(prices, measured.map.time, record.origin, record.time_s, record.step_s)
+    console.print(f"Prices: {read}")
+    return replace(
+        measured.conditions,
+        price_per_kWh=np.tile(price, (len(record.names.machines), 1)),
+        heating_price_per_kWh=np.empty(0),
+    )
+
+
+def _show(found: Worth, console: Console) -> None:
+    stamps = found.as_was.stamps()
+    console.print(f"{stamps[0]} to {stamps[-1]}: {found.sentence}.")
+    console.print(
+        f"  Energy {found.energy_kWh:.1f} instead of {found.energy_was_kWh:.1f} kWh, cost {found.cost:.2f} instead of "
+        f"{found.cost_was:.2f}, outside the bounds {found.outside_Kh:.1f} instead of {found.outside_was_Kh:.1f} K·h"
+    )
+    for zone, warmer in zip(found.as_was.names.zones, found.warmer_K, strict=True):
+        console.print(f"  {zone}: {warmer:+.1f} K on average")
+    if found.raised_K:
+        console.print(f"  Lower bounds of plans were raised by {found.raised_K:g} K, to be as comfortable as it was")
+    console.print(f"  {100 * found.planned_share:.0f} % of the hours were planned; in the others its own control acted")
+    console.print(f"  {found.rests_on}")
+
+
+def _as_json(found: Worth) -> dict[str, Any]:
+    names = ("saved", "low", "high", "cost", "cost_was", "energy_kWh", "energy_was_kWh", "outside_Kh", "outside_was_Kh")
+    numbers = {name: round(float(getattr(found, name)), 4) for name in names}
+    warmer = zip(found.as_was.names.zones, np.round(found.warmer_K, 3).tolist(), strict=True)
+    return numbers | {
+        "warmer_K": dict(warmer),
+        "houses": [round(one, 4) for one in found.draws],
+        "raised_K": found.raised_K,
+        "planned_share": round(found.planned_share, 4),
+        "sentence": found.sentence,
+        "rests_on": found.rests_on,
+    }
+
+
+def _drawn(found: Worth) -> Figure:
+    from matplotlib.figure import Figure
+
+    names, frame = found.as_was.names, found.to_dataframe()
+    at = on_clock(frame.index)
+    figure = Figure(figsize=(10.0, 6.5), layout="constrained")
+    upper, middle, lower = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
+    for z, zone in enumerate(names.zones):
+        upper.plot(at, found.as_was.T_zone_C[z, 1:], color=f"C{z % 10}", linewidth=0.8, linestyle=":")
+        upper.plot(at, found.planned.T_zone_C[z, 1:], color=f"C{z % 10}", label=zone)
+    upper.set_ylabel("temperature, °C")
+    upper.set_title(f"{found.sentence}; dotted: as it was", loc="left", fontsize=9, wrap=True)
+    hours = found.as_was.step_s / HOUR_S
+    for label, record, colour in (("as it was", found.as_was, "0.4"), ("planned", found.planned, "C0")):
+        middle.step(at, record.power_W.sum(axis=0) / 1000.0, where="post", color=colour, label=label, linewidth=0.9)
+        cost = (record.power_W / 1000.0 * hours * found.price_per_kWh).sum(axis=0)
+        lower.plot(at, np.cumsum(cost), color=colour, label=label)
+    middle.set_ylabel("power, kW")
+    middle.legend(frameon=False, fontsize="small")
+    lower.set_ylabel("cost so far, by the law")
+    finish_axes(figure)
+    return figure

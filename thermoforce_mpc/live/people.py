@@ -1,0 +1,253 @@
+"""What people ask of a running controller: other bounds for a while, away, warmer now; and what they set by hand.
+
+One small file holds it, so that a command, a message and a restart see the same.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from thermoforce_mpc.data import Boundary
+from thermoforce_mpc.data.dataframes import stamps
+from thermoforce_mpc.errors import ConfigError, StorageError
+from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.protocols import Connection
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.live.control import Decision
+
+_LOG = logging.getLogger(__name__)
+# How long bounds that somebody asks for hold, as a thermostat's until its next change; and what was set by hand, h.
+COMFORT_H, BY_HAND_H = 12.0, 4.0
+# Bounds while nobody is there, and how much warmer a boost is, °C and K.
+_AWAY_C, _BOOST_K = (16.0, 28.0), 2.0
+_RANGE_C = (5.0, 35.0)
+# Between the bounds at least, K: as in a schedule's, they are in order.
+_BAND_K = 0.5
+_LONGEST_BOOST_MIN, _LONGEST_AWAY = 480.0, pd.Timedelta("365D")
+KEYS = ("lower", "upper", "away", "boost", "comfort")
+"""What may be asked: `lower`, `upper` in °C, `away` until a time, `boost` in min; each, and `comfort`, also `off`."""
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What holds until when, ISO 8601 in UTC; None: nothing is asked. `by_hand`: value and end by actuator."""
+
+    lower_C: float | None = None
+    upper_C: float | None = None
+    comfort_until: str | None = None
+    away_until: str | None = None
+    boost_until: str | None = None
+    by_hand: dict[str, tuple[float, str]] | None = None
+
+
+class People:
+    """The wishes in the file at `path`; a file that cannot be read is none, and said in the log."""
+
+    def __init__(self, path: Path, zone: str | None = None) -> None:
+        """`zone`: of times that people write without an offset."""
+        self._path, self._zone = path, zone or "UTC"
+        self._failed = ""
+
+    def wishes(self) -> Wishes:
+        """What is asked, as the file says now."""
+        try:
+            said = json.loads(self._path.read_text(encoding="utf-8"))
+            wishes = Wishes(**said)
+            for one in (wishes.comfort_until, wishes.away_until, wishes.boost_until):
+                _passed(one, pd.Timestamp(0, tz="UTC"))
+            for bound in (wishes.lower_C, wishes.upper_C):
+                _checked(bound)
+            return wishes
+        except FileNotFoundError:
+            return Wishes()
+        except (OSError, ValueError, TypeError, ConfigError) as error:
+            if str(error) != self._failed:
+                self._failed = str(error)
+                _LOG.warning("%s cannot be used (%s): nothing is asked", self._path, error)
+            return Wishes()
+
+    def ask(self, key: str, text: str, now: pd.Timestamp) -> Wishes:
+        """Ask for one of `KEYS`; raises `ConfigError` for what is none, and `StorageError`."""
+        wishes, word = self.wishes(), text.strip()
+        off = word.lower() in ("off", "none", "0", "")
+        comfort = now + pd.Timedelta(hours=COMFORT_H)
+        if key in ("lower", "upper", "comfort"):
+            if key == "comfort" and not off:
+                raise ConfigError(f"comfort {word!r}: only off, which ends what was asked")
+            if off:
+                wishes = replace(wishes, lower_C=None, upper_C=None, comfort_until=None)
+            else:
+                bound = _number(key, word)
+                _checked(bound)
+                fresh = _passed(wishes.comfort_until, now)
+                low, high = (None, None) if fresh else (wishes.lower_C, wishes.upper_C)
+                if key == "lower":  # the other one makes way
+                    low, high = bound, None if high is None else max(high, bound + _BAND_K)
+                else:
+                    low, high = None if low is None else min(low, bound - _BAND_K), bound
+                wishes = replace(wishes, lower_C=low, upper_C=high, comfort_until=comfort.isoformat())
+        elif key == "away":
+            until = None if off or word.lower() == "false" else self._time(word, now)
+            wishes = replace(wishes, away_until=until)
+        elif key == "boost":
+            minutes = 0.0 if off else _number(key, word)
+            if not 0.0 <= minutes <= _LONGEST_BOOST_MIN:
+                raise ConfigError(f"boost {word!r}: minutes, at most {_LONGEST_BOOST_MIN:g}")
+            until = (now + pd.Timedelta(minutes=minutes)).isoformat() if minutes else None
+            wishes = replace(wishes, boost_until=until)
+        else:
+            raise ConfigError(f"{key!r} cannot be asked; there are {', '.join(KEYS)}")
+        self._keep(wishes)
+        return wishes
+
+    def set_by_hand(self, name: str, value: float, now: pd.Timestamp) -> pd.Timestamp:
+        """Note that the command of an actuator was set by hand; until when that is respected."""
+        wishes, until = self.wishes(), now + pd.Timedelta(hours=BY_HAND_H)
+        try:
+            self._keep(replace(wishes, by_hand={**(wishes.by_hand or {}), name: (value, until.isoformat())}))
+        except StorageError as error:
+            _LOG.warning("%s", error)
+        return until
+
+    def by_hand(self, now: pd.Timestamp) -> dict[str, tuple[float, pd.Timestamp]]:
+        """What was set by hand and is respected yet: value and end by actuator."""
+        found = (self.wishes().by_hand or {}).items()
+        return {name: (value, pd.Timestamp(until)) for name, (value, until) in found if not _passed(until, now)}
+
+    def applied(self, ahead: Boundary, origin: pd.Timestamp, now: pd.Timestamp) -> tuple[Boundary, tuple[str, ...]]:
+        """Bounds with what is asked, and what that is in words.
+
+        Away widens them, a boost raises the lower one, bounds that are asked take their place; in this order.
+        """
+        wishes, notes = self.wishes(), list[str]()
+        at = stamps(ahead.time_s, origin)
+        lower, upper = np.array(ahead.lower_C), np.array(ahead.upper_C)
+
+        def until(end: str | None, what: str) -> np.ndarray[Any, Any] | None:
+            if end is None or _passed(end, now):
+                return None
+            notes.append(f"{what} until {pd.Timestamp(end).tz_convert(self._zone):%a %d %b %H:%M} was asked")
+            return np.asarray(at < pd.Timestamp(end))
+
+        asked = {"lower": wishes.lower_C, "upper": wishes.upper_C}
+        words = " and ".join(f"{key} bound {value:g} °C" for key, value in asked.items() if value is not None)
+        if words and (held := until(wishes.comfort_until, words)) is not None:
+            if wishes.lower_C is not None:
+                lower[:, held] = wishes.lower_C
+                upper[:, held] = np.maximum(upper[:, held], wishes.lower_C + _BAND_K)
+            if wishes.upper_C is not None:
+                upper[:, held] = wishes.upper_C
+                lower[:, held] = np.minimum(lower[:, held], wishes.upper_C - _BAND_K)
+        if (held := until(wishes.away_until, "away")) is not None:
+            lower[:, held] = np.minimum(lower[:, held], _AWAY_C[0])
+            upper[:, held] = np.maximum(upper[:, held], _AWAY_C[1])
+        if (held := until(wishes.boost_until, f"{_BOOST_K:g} K warmer")) is not None:
+            lower[:, held] = np.minimum(lower[:, held] + _BOOST_K, _RANGE_C[1] - _BAND_K)
+            upper[:, held] = np.maximum(upper[:, held], lower[:, held] + _BAND_K)
+        return replace(ahead, lower_C=lower, upper_C=upper), tuple(notes)
+
+    def shown(self, now: pd.Timestamp) -> dict[str, Any]:
+        """What is asked, for displays: bounds, whether away, minutes of boost left."""
+        wishes = self.wishes()
+        comfort = not _passed(wishes.comfort_until, now)
+        boost = now if wishes.boost_until is None else pd.Timestamp(wishes.boost_until)
+        left_min = max((boost - now).total_seconds() / 60.0, 0.0)
+        return {
+            "lower_C": wishes.lower_C if comfort else None,
+            "upper_C": wishes.upper_C if comfort else None,
+            "away": not _passed(wishes.away_until, now),
+            "boost_min": math.ceil(left_min),
+        }
+
+    def _time(self, word: str, now: pd.Timestamp) -> str:
+        if word.lower() in ("on", "true", "1"):  # a switch: until it is switched off
+            return (now + _LONGEST_AWAY).isoformat()
+        try:
+            at = pd.Timestamp(word)
+            at = at.tz_localize(self._zone) if at.tzinfo is None else at
+        except (ValueError, TypeError) as error:
+            raise ConfigError(f"away {word!r}: no time, as 2026-12-27T18:00") from error
+        if not now < at <= now + _LONGEST_AWAY:
+            raise ConfigError(f"away {word!r}: a time in the next year")
+        return at.tz_convert("UTC").isoformat()
+
+    def _keep(self, wishes: Wishes) -> None:
+        write_whole(self._path, json.dumps(asdict(wishes)) + "\n")
+
+
+def shared_with(
+    connection: Connection, people: People, told: Callable[[Decision], None], in_words: Callable[[Decision], str]
+) -> Callable[[Decision], None]:
+    """`told`, then what was decided and asked to a `connection` with `tell`; what one with `listen` hears is asked.
+
+    `in_words`: a decision in one line.
+    """
+    tell, listen = getattr(connection, "tell", None), getattr(connection, "listen", None)
+
+    def show(said: dict[str, Any]) -> None:
+        if tell is None:
+            return
+        try:
+            tell(said | {"people": shown | people.shown(pd.Timestamp.now("UTC"))})
+        except Exception as error:  # somebody's connection may raise anything, and showing ends no control
+            _LOG.warning("what was decided is not shown (%s: %s)", type(error).__name__, error)
+
+    def asked(key: str) -> Callable[[str], None]:
+        def ask(text: str) -> None:
+            try:
+                people.ask(key, text, pd.Timestamp.now("UTC"))
+                _LOG.info("asked: %s %s", key, text[:50])
+            finally:  # what was refused is shown as it is
+                show({})
+
+        return ask
+
+    shown: dict[str, Any] = {}
+    if listen is not None:
+        listen({key: asked(key) for key in ("lower", "upper", "away", "boost")})
+
+    def decided(decision: Decision) -> None:
+        told(decision)
+        plan, words = decision.plan, in_words(decision)
+        if plan.lower_C.size:
+            shown.update(planned_lower_C=float(plan.lower_C[0, 0]), planned_upper_C=float(plan.upper_C[0, 0]))
+        steps = [
+            {"s": float(at - plan.time_s[0]), "T_C": [round(float(T), 2) for T in plan.T_zone_C[:, k]]}
+            for k, at in enumerate(plan.time_s)
+        ]
+        set_now = words.partition(": ")[0].partition("  ")[2]  # without the time and the reason
+        show(
+            {
+                "status": plan.status.value, "why": decision.refused or plan.why, "level": set_now,
+                "notes": list(decision.notes),
+                "plan": {"from": decision.instant.isoformat(), "next": words[:250], "steps": steps},
+            }
+        )  # fmt: skip
+
+    return decided
+
+
+def _number(key: str, word: str) -> float:
+    try:
+        return float(word)
+    except ValueError as error:
+        raise ConfigError(f"{key} {word!r}: no number") from error
+
+
+def _checked(bound: float | None) -> None:
+    if bound is not None and not _RANGE_C[0] <= bound <= _RANGE_C[1]:
+        raise ConfigError(f"{bound:g}: bounds are °C, from {_RANGE_C[0]:g} to {_RANGE_C[1]:g}")
+
+
+def _passed(until: str | None, now: pd.Timestamp) -> bool:
+    return until is None or pd.Timestamp(until) <= now

@@ -1,0 +1,265 @@
+"""A building as its model has it, lived through a record again: a plant whose own control does what it did then.
+
+What the weather, sun and people did to the rooms is in the record once the forced part is taken off; other levels put
+another forced part in its place. Power is what was measured, and what the law of power says that the other levels
+change. Left alone, the house is the record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from thermoforce_mpc.boundary.forecast_error import ForecastError
+from thermoforce_mpc.commands.loop import LearnedCommand
+from thermoforce_mpc.data import (
+    HOUR_S,
+    Array,
+    Boundary,
+    Commands,
+    CommandValue,
+    Levels,
+    Measurement,
+    Period,
+    PlantInfo,
+    Record,
+)
+from thermoforce_mpc.data.series import bridged, interpolated
+from thermoforce_mpc.errors import DataError, InputError
+from thermoforce_mpc.model.forced_state import followed
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.plants.checks import check_levels, day_period, forecast_times
+from thermoforce_mpc.plants.shell import Releasing
+from thermoforce_mpc.version import VERSION
+from thermoforce_mpc.whatif.counterfactual import machine_W
+
+# Times that are nearer than this are one, s.
+_CLOCK_S = 1e-6
+
+
+class IdentifiedHouse(Releasing):
+    """A plant of a model and a record (`Plant`), between the ends of the record.
+
+    Attributes:
+        steps: number of the record's steps.
+        u, power_W: levels (A, n) and power (M, n) of each step lived through so far, else as they were.
+        forced_K: forced states now (Z, A, r), K.
+    """
+
+    def __init__(
+        self,
+        model: ThermalModel,
+        record: Record,
+        conditions: Boundary,
+        *,
+        effects: Array | None = None,
+        commands: Mapping[str, LearnedCommand] | None = None,
+        error: ForecastError | None = None,
+    ) -> None:
+        """`conditions`: bounds and prices at the record's boundaries.
+
+        `effects` (Z, A): what actuators do to zones in this house, as a multiple of what the model says. `commands`:
+        loops that answer commands, by actuator. `error`: of its weather forecasts; None: what was measured later.
+
+        Raises `DataError` where a zone or the weather was never measured, or `conditions` are of other times.
+        """
+        if conditions.time_s.shape != record.time_s.shape or not np.allclose(conditions.time_s, record.time_s):
+            raise DataError("the bounds and prices are not those of the record's times")
+        self.model, self._conditions, self._error = model, conditions, error
+        self._loops = {record.names.actuators.index(name): one for name, one in (commands or {}).items()}
+        whole, _ = bridged(model.in_rooms(record))
+        self._was = whole
+        operator = model.operator if effects is None else scaled(model.operator, effects)
+        self._resampled = lru_cache(maxsize=32)(operator.resampled)
+        forced_K = followed(operator, None, whole).forced_K
+        free_C = whole.T_zone_C - forced_K.sum(axis=(1, 3))
+        for zone, row in zip(whole.names.zones, free_C, strict=True):
+            if not np.isfinite(row).any():
+                raise DataError(f"the temperature of zone '{zone}' was never measured: nothing to live through")
+        self._free_C, self._forced_was = np.array([interpolated(row) for row in free_C]), forced_K
+        self.steps = whole.n_steps
+        self._power_was = self._known_power(whole)
+        self.reset(float(whole.time_s[0]), 0.0)
+
+    @property
+    def info(self) -> PlantInfo:
+        """See `Plant.info`."""
+        stamps = self._was.stamps()
+        words = f"as identified, from {stamps[0]} to {stamps[-1]}"
+        return PlantInfo("identified house", "own building", words, "as recorded", VERSION)
+
+    def period(self, name: str) -> Period:
+        """A start day of the record's year."""
+        return day_period(name, ())
+
+    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
+        """See `Plant.reset`; until `start_s` all is as it was. Raises `InputError` outside the record."""
+        at = (start_s - self._was.time_s[0]) / self._was.step_s
+        if abs(at - round(at)) > _CLOCK_S or not 0 <= round(at) <= self.steps:
+            raise InputError(f"start of {start_s:g} s: no boundary of the record")
+        self._k = round(at)
+        self._now_s = float(self._was.time_s[self._k])
+        self.forced_K = self._forced_was[:, :, self._k].copy()
+        self.u, self.power_W = self._was.u.copy(), self._power_was.copy()
+        self._T_C = self._free_C + self._forced_was.sum(axis=(1, 3))
+        self._part_s = 0.0
+        return self._measured(np.full(len(self.u), np.nan), np.full(len(self.power_W), np.nan))
+
+    def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
+        """See `RoomSetpointPlant.advance`: with a command the loop that was learned answers.
+
+        Raises `InputError` for what is no level or command, and beyond the end of the record.
+        """
+        layout = self.model.layout
+        block = check_levels(u, duration_s, command, names=layout.names, lowest=layout.lowest)
+        if self._now_s + duration_s > self._was.time_s[-1] + _CLOCK_S:
+            raise InputError(f"{duration_s:g} s from {self._now_s:g} s on: the record ends at {self._was.time_s[-1]:g}")
+        left_s, u_sum, power_sum = float(duration_s), np.zeros(len(self.u)), np.zeros(len(self.power_W))
+        while left_s > _CLOCK_S:
+            seconds = min(left_s, self._was.step_s - self._part_s)
+            level = self._levels(block.u, block.command)
+            power_W = self._power(level)
+            self._go_on(level, power_W, seconds)
+            u_sum, power_sum, left_s = u_sum + level * seconds, power_sum + power_W * seconds, left_s - seconds
+        return self._measured(u_sum / duration_s, power_sum / duration_s)
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """See `Plant.forecast`; what lies beyond the record is left out."""
+        time_s = forecast_times(self._now_s, horizon_s, interval_s)
+        time_s = time_s[time_s <= self._was.time_s[-1] + _CLOCK_S]
+        T_out_C, solar_W_m2 = self._weather("T_out_C", time_s), self._weather("solar_W_m2", time_s)
+        if self._error is not None and time_s.size > 1:
+            T_out_C, solar_W_m2 = self._error.apply(
+                time_s, lambda at: self._weather("T_out_C", at), lambda at: self._weather("solar_W_m2", at)
+            )
+        at = np.clip(np.floor((time_s - self._was.time_s[0]) / self._was.step_s + 1e-6), 0, self.steps).astype(np.intp)
+        c = self._conditions
+        return Boundary(
+            time_s, T_out_C, solar_W_m2, c.occupancy[:, at], c.lower_C[:, at], c.upper_C[:, at],
+            c.price_per_kWh[:, at], c.emission_kg_per_kWh[:, at], names=c.names,
+        )  # fmt: skip
+
+    def past(self, step_s: float) -> Record:
+        """See `Plant.past`: what was, and what was lived through."""
+        every = max(1, round(step_s / self._was.step_s))
+        first = self._k % every
+        return self._lived(first, self._k).resample(every)
+
+    def lived(self, start_s: float) -> Record:
+        """The record of this house from `start_s` until now."""
+        return self._lived(round((start_s - self._was.time_s[0]) / self._was.step_s), self._k)
+
+    @property
+    def warmth_Kh(self) -> Array:
+        """By how much each zone (Z,) will be warmer than it was, by what acted until now alone, K·h."""
+        operator = self._resampled(self._was.step_s)
+        poles = np.clip(operator.poles, 1e-9, 1.0 - 1e-9)
+        hours = -self._was.step_s / HOUR_S / np.log(poles)
+        more_K = self.forced_K - self._forced_was[:, :, self._k]
+        return np.asarray((more_K * hours).sum(axis=(1, 2)))
+
+    def kpis(self) -> dict[str, float]:
+        """None: what was lived through is in `lived`."""
+        return {}
+
+    def _lived(self, first: int, last: int) -> Record:
+        part = self._was.slice(first, last)
+        return replace(
+            part,
+            T_zone_C=self._T_C[:, first : last + 1],
+            u=self.u[:, first:last],
+            power_W=self.power_W[:, first:last],
+            heat_W=np.full_like(part.heat_W, np.nan),
+        )
+
+    def _levels(self, u: tuple[float | None, ...], command: tuple[CommandValue | None, ...]) -> Array:
+        """Levels (A,) now: as set, as loops answer, or as they were."""
+        was, T_out_C = self._was.u[:, self._k], float(self._was.T_out_C[self._k])
+        before = self.u[:, max(self._k - 1, 0)]
+        level = np.array([was[a] if one is None else one for a, one in enumerate(u)], dtype=np.float64)
+        for a, told in enumerate(command):
+            if told is None:
+                continue
+            if a not in self._loops or isinstance(told, tuple):
+                raise InputError(f"command of '{self._was.names.actuators[a]}': it has none")
+            home = self.model.operator.home[a]
+            T_C = float(self._free_C[home, self._k] + self.forced_K[home].sum())
+            level[a] = float(self._loops[a].loop.level(told, T_C, T_out_C, before[a]))
+        return np.clip(level, np.array(self.model.layout.lowest), 1.0)
+
+    def _power(self, level: Array) -> Array:
+        """Power of each machine (M,) at levels (A,): as it was, and what other levels change by the law."""
+        was, T_out_C = self._was.u[:, self._k : self._k + 1], self._was.T_out_C[self._k : self._k + 1]
+        change = [
+            (machine_W(self.model, m, level[:, None], T_out_C) - machine_W(self.model, m, was, T_out_C))[0]
+            for m in range(len(self.power_W))
+        ]
+        return np.maximum(self._power_was[:, self._k] + np.array(change), 0.0)
+
+    def _known_power(self, whole: Record) -> Array:
+        """Power as it was (M, n), by the law where it was not measured; raises `DataError` where a machine has none."""
+        rows = []
+        for m, name in enumerate(whole.names.machines):
+            if self.model.power[m] is None:
+                raise DataError(f"the power of '{name}' was not measured: what other levels cost cannot be said")
+            measured, law = whole.power_W[m], machine_W(self.model, m, whole.u, whole.T_out_C[:-1])
+            rows.append(np.where(np.isfinite(measured), measured, law))
+        return np.array(rows)
+
+    def _go_on(self, level: Array, power_W: Array, seconds: float) -> None:
+        operator, k, step_s = self._resampled(seconds), self._k, self._was.step_s
+        share = self._part_s / step_s
+        free_now = (1.0 - share) * self._free_C[:, k] + share * self._free_C[:, k + 1]
+        x = feature_matrix(
+            free_now[:, None],
+            self._was.T_out_C[k : k + 1],
+            self._was.solar_W_m2[k : k + 1],
+            self._was.time_s[k : k + 1],
+        )[:, 0]
+        T_out_C = np.asarray(self._was.T_out_C[k])
+        heat = np.array(
+            [float(operator.of_actuator(a).heat_input(np.asarray(one), T_out_C)) for a, one in enumerate(level)]
+        )
+        self.forced_K = operator.advance(self.forced_K, operator.modulated(heat, x, self.forced_K))
+        weight = seconds / step_s
+        for row, values in ((self.u, level), (self.power_W, power_W)):
+            row[:, k] = values * weight if self._part_s == 0.0 else row[:, k] + values * weight
+        self._part_s += seconds
+        self._now_s += seconds
+        if self._part_s > step_s - _CLOCK_S:
+            self._k, self._part_s = k + 1, 0.0
+            self._now_s = float(self._was.time_s[self._k])
+            self._T_C[:, self._k] = self._free_C[:, self._k] + self.forced_K.sum(axis=(1, 2))
+
+    def _measured(self, u: Array, power_W: Array) -> Measurement:
+        now = np.array([self._now_s])
+        free_C = np.array([np.interp(self._now_s, self._was.time_s, row) for row in self._free_C])
+        return Measurement(
+            names=self._was.names,
+            time_s=self._now_s,
+            T_zone_C=free_C + self.forced_K.sum(axis=(1, 2)),
+            T_out_C=float(self._weather("T_out_C", now)[0]),
+            solar_W_m2=float(self._weather("solar_W_m2", now)[0]),
+            u=u,
+            power_W=power_W,
+        )
+
+    def _weather(self, name: str, at_s: Array) -> Array:
+        return np.asarray(np.interp(at_s, self._was.time_s, getattr(self._was, name)))
+
+
+def scaled(operator: BuildingOperator, effects: Array) -> BuildingOperator:
+    """The operator of a building in which actuators do `effects` (Z, A) times as much to zones."""
+    pairs = tuple(
+        tuple(
+            pair if pair is None else replace(pair, gains=pair.gains * float(effects[z, a]))
+            for a, pair in enumerate(row)
+        )
+        for z, row in enumerate(operator.pairs)
+    )
+    return replace(operator, pairs=pairs)
