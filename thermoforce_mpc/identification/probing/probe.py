@@ -181,8 +181,8 @@ class ProbingController:
         if before is not None:
             asked[:, : before.asked.shape[1]] = before.asked[:, : done + 1]
         if why:
-            states = tuple(one.state() for one in excites)
-            ended = ProbingState(begin_s, done, planned, asked[:, :done], states)
+            # As it stood: one that is continued begins with this very step.
+            ended = before or ProbingState(begin_s, -1, planned, asked[:, :done], tuple(one.state() for one in excites))
             return Plan((), PlanStatus.RULE, f"probing ended: {why}", names=names, ends=why, state=ended)
         block = self._next(record, excites, observation.boundary, block_ends, done, planned)
         asked[:, done] = block.as_array()
