@@ -14,7 +14,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Block, Boundary, Plan, PlanStatus
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.live import Decision, People
-from thermoforce_mpc.live.people import shared_with
+from thermoforce_mpc.live.shared import shared_with
 
 NOW = pd.Timestamp("2026-01-20 10:00", tz="UTC")
 ORIGIN = pd.Timestamp("2026-01-01", tz="UTC")

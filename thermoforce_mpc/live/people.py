@@ -8,10 +8,9 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,10 +19,6 @@ from thermoforce_mpc.data import Boundary
 from thermoforce_mpc.data.dataframes import stamps
 from thermoforce_mpc.errors import ConfigError, StorageError
 from thermoforce_mpc.files import write_whole
-from thermoforce_mpc.protocols import Connection
-
-if TYPE_CHECKING:
-    from thermoforce_mpc.live.control import Decision
 
 _LOG = logging.getLogger(__name__)
 # How long bounds that somebody asks for hold, as a thermostat's until its next change; and what was set by hand, h.
@@ -183,58 +178,6 @@ class People:
 
     def _keep(self, wishes: Wishes) -> None:
         write_whole(self._path, json.dumps(asdict(wishes)) + "\n")
-
-
-def shared_with(
-    connection: Connection, people: People, told: Callable[[Decision], None], in_words: Callable[[Decision], str]
-) -> Callable[[Decision], None]:
-    """`told`, then what was decided and asked to a `connection` with `tell`; what one with `listen` hears is asked.
-
-    `in_words`: a decision in one line.
-    """
-    tell, listen = getattr(connection, "tell", None), getattr(connection, "listen", None)
-
-    def show(said: dict[str, Any]) -> None:
-        if tell is None:
-            return
-        try:
-            tell(said | {"people": shown | people.shown(pd.Timestamp.now("UTC"))})
-        except Exception as error:  # somebody's connection may raise anything, and showing ends no control
-            _LOG.warning("what was decided is not shown (%s: %s)", type(error).__name__, error)
-
-    def asked(key: str) -> Callable[[str], None]:
-        def ask(text: str) -> None:
-            try:
-                people.ask(key, text, pd.Timestamp.now("UTC"))
-                _LOG.info("asked: %s %s", key, text[:50])
-            finally:  # what was refused is shown as it is
-                show({})
-
-        return ask
-
-    shown: dict[str, Any] = {}
-    if listen is not None:
-        listen({key: asked(key) for key in ("lower", "upper", "away", "boost")})
-
-    def decided(decision: Decision) -> None:
-        told(decision)
-        plan, words = decision.plan, in_words(decision)
-        if plan.lower_C.size:
-            shown.update(planned_lower_C=float(plan.lower_C[0, 0]), planned_upper_C=float(plan.upper_C[0, 0]))
-        steps = [
-            {"s": float(at - plan.time_s[0]), "T_C": [round(float(T), 2) for T in plan.T_zone_C[:, k]]}
-            for k, at in enumerate(plan.time_s)
-        ]
-        set_now = words.partition(": ")[0].partition("  ")[2]  # without the time and the reason
-        show(
-            {
-                "status": plan.status.value, "why": decision.refused or plan.why, "level": set_now,
-                "notes": list(decision.notes),
-                "plan": {"from": decision.instant.isoformat(), "next": words[:250], "steps": steps},
-            }
-        )  # fmt: skip
-
-    return decided
 
 
 def _number(key: str, word: str) -> float:

@@ -229,8 +229,8 @@ class _Run:
         from controllers.mpc.controller import ThermoForceMPC
         from controllers.state_classes import controller_key
         from thermoforce_mpc.live import KeptState, People, control
-        from thermoforce_mpc.live.people import shared_with
         from thermoforce_mpc.live.shadow import ShadowBook
+        from thermoforce_mpc.live.shared import shared_with
         from thermoforce_mpc.model.thermal_model import load_model
 
         thermal, acts = load_model(model), mode in ("control", "probe")

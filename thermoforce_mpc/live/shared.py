@@ -1,0 +1,67 @@
+"""What was decided is shown through a connection that can tell, and what people ask through it is heard."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import pandas as pd
+
+from thermoforce_mpc.live.control import Decision
+from thermoforce_mpc.live.people import People
+from thermoforce_mpc.protocols import Connection
+
+_LOG = logging.getLogger(__name__)
+
+
+def shared_with(
+    connection: Connection, people: People, told: Callable[[Decision], None], in_words: Callable[[Decision], str]
+) -> Callable[[Decision], None]:
+    """`told`, then what was decided and asked to a `connection` with `tell`; what one with `listen` hears is asked.
+
+    `in_words`: a decision in one line.
+    """
+    tell, listen = getattr(connection, "tell", None), getattr(connection, "listen", None)
+
+    def show(said: dict[str, Any]) -> None:
+        if tell is None:
+            return
+        try:
+            tell(said | {"people": shown | people.shown(pd.Timestamp.now("UTC"))})
+        except Exception as error:  # somebody's connection may raise anything, and showing ends no control
+            _LOG.warning("what was decided is not shown (%s: %s)", type(error).__name__, error)
+
+    def asked(key: str) -> Callable[[str], None]:
+        def ask(text: str) -> None:
+            try:
+                people.ask(key, text, pd.Timestamp.now("UTC"))
+                _LOG.info("asked: %s %s", key, text[:50])
+            finally:  # what was refused is shown as it is
+                show({})
+
+        return ask
+
+    shown: dict[str, Any] = {}
+    if listen is not None:
+        listen({key: asked(key) for key in ("lower", "upper", "away", "boost")})
+
+    def decided(decision: Decision) -> None:
+        told(decision)
+        plan, words = decision.plan, in_words(decision)
+        if plan.lower_C.size:
+            shown.update(planned_lower_C=float(plan.lower_C[0, 0]), planned_upper_C=float(plan.upper_C[0, 0]))
+        steps = [
+            {"s": float(at - plan.time_s[0]), "T_C": [round(float(T), 2) for T in plan.T_zone_C[:, k]]}
+            for k, at in enumerate(plan.time_s)
+        ]
+        set_now = words.partition(": ")[0].partition("  ")[2]  # without the time and the reason
+        show(
+            {
+                "status": plan.status.value, "why": decision.refused or plan.why, "level": set_now,
+                "notes": list(decision.notes),
+                "plan": {"from": decision.instant.isoformat(), "next": words[:250], "steps": steps},
+            }
+        )  # fmt: skip
+
+    return decided
