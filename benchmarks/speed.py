@@ -21,7 +21,7 @@ from typing import Any
 import click
 
 from benchmarks.cli.show import show
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.errors import ConfigError
 
 _ROOT = Path(__file__).resolve().parents[1]

@@ -11,12 +11,11 @@ from typing import Any
 from controllers.actuation.actuator import ActuationState
 from controllers.monitoring.meters import MeterState
 from controllers.monitoring.sun_on_sensors import SunState
-from controllers.monitoring.watch_state import Issued, ScaledModel, Track, WatchState
-from controllers.monitoring.zone_sensor_state import Anchor, SensorState
+from controllers.monitoring.watch import Issued, ScaledModel, Track, WatchState
+from controllers.monitoring.zone_sensors import Anchor, SensorState
 from controllers.mpc.acting import NoModelState
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.margin_rules import Innovations, LearnedMargin
-from controllers.mpc.margins import Margins
+from controllers.mpc.margins import Innovations, LearnedMargin, Margins
 from controllers.mpc.state import MPCState
 from controllers.rules.pi import PIState
 from controllers.rules.thermostat import ThermostatState
@@ -30,10 +29,9 @@ from thermoforce_mpc.model.free_response.calibrated import CalibratedState, Issu
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.substitute import SubstituteState
 from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
-from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.machine.water import ReturnWater
+from thermoforce_mpc.model.machine.other_load import OtherLoad
+from thermoforce_mpc.model.machine.power import PowerModel, ReturnWater
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import PredictorState
@@ -75,7 +73,7 @@ STATE_CLASSES: tuple[type[Any], ...] = (
     OperatorParameters,
     HeatInput,
     MachineLoad,
-    ForeignLoad,
+    OtherLoad,
     PowerModel,
     ReturnWater,
     RcParameters,

@@ -19,7 +19,7 @@ from benchmarks.chaos.episode import Outcome, Setting, run_episode
 from benchmarks.chaos.files import TRIAL_CLASSES, TRIALS, prepared, run_trial
 from benchmarks.chaos.troubles import CLASSES, Trouble, drawn
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.execution import LocalEngine, Task, execute
 from thermoforce_mpc.execution import TaskOutcome as Executed

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.cases import run_all
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.errors import InputError, ThermoForceError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.experiment.run import run

@@ -30,7 +30,7 @@ from benchmarks.closed_loop.offices import (
     run_offices,
 )
 from controllers.registry import build_controller, choose
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, ZERO_C_K, Array, Period, PlanStatus
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.execution import Engine

@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.cases import run_all
 from controllers.registry import build_controller
-from thermoforce_mpc.comparison.results_json import Target
+from thermoforce_mpc.comparison.outcome import Target
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.experiment.equal_comfort import ALLOWED_KH

@@ -22,7 +22,7 @@ from benchmarks.free_response.oracle import oracles
 from controllers.mpc.config import MPCConfig, ObjectiveConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.registry import controller_config
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_task, model_for

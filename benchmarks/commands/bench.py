@@ -21,7 +21,7 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, learn_command
 from thermoforce_mpc.commands.setpoint import Setpoint
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Boundary, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine

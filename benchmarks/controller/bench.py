@@ -23,7 +23,7 @@ from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.sqp import SQPSolver
 from controllers.registry import controller_config
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.experiment.identifying import identify_on

@@ -15,8 +15,7 @@ from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.exported import step_function
-from thermoforce_mpc.model.operator.features import N_FEATURES
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import N_FEATURES, OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Time-varying parameters: quantities that differ between steps or instances.

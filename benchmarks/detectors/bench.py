@@ -20,7 +20,7 @@ from benchmarks.detectors.panel import BuiltCase, PanelCase, built, clean, fault
 from benchmarks.detectors.rules import RULES, ControlledWeek, Detector
 from controllers.mpc.config import ObjectiveConfig
 from controllers.registry import build_controller
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.execution import Engine

@@ -19,7 +19,7 @@ from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.probing.probe import ProbingConfig
 from thermoforce_mpc.loop.probing import Probing
-from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, generated_house
 from thermoforce_mpc.plants.registry import build_plant

@@ -26,7 +26,7 @@ from benchmarks.effects.operated import (
 )
 from benchmarks.effects.plot import plot_answers
 from benchmarks.effects.windows import LONGEST, WINDOWS
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.energyplus import engine as energyplus

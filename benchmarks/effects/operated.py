@@ -15,11 +15,11 @@ import numpy as np
 
 from benchmarks.effects.asking import Score
 from benchmarks.effects.windows import LONGEST, STEP_S, WINDOWS, band_K, block
-from thermoforce_mpc.comparison.results_json import Target
+from thermoforce_mpc.comparison.outcome import Target
 from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
 

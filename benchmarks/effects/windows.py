@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.estimation.modes import BAND, STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.whatif.identified import step_response_of
 

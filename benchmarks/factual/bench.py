@@ -15,7 +15,7 @@ from benchmarks.factual.homes import Home, hashes
 from benchmarks.factual.protocol import QUICK, Protocol
 from benchmarks.factual.suite import run_suite
 from benchmarks.free_response.scales import SCALES
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.execution import Engine
 
 _MOST_S, _ROOMS = 300.0, 9

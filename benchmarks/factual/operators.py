@@ -11,7 +11,7 @@ from thermoforce_mpc.data import Array, Boundary, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.zones.two_stage import fit_two_stage
-from thermoforce_mpc.model.free_response.persistence import Persistence
+from thermoforce_mpc.model.free_response.linear_weather import Persistence
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Predictor

@@ -23,7 +23,7 @@ from benchmarks.factual.evaluate import (
     Scores,
 )
 from benchmarks.factual.protocol import Protocol
-from thermoforce_mpc.comparison.results_json import Target
+from thermoforce_mpc.comparison.outcome import Target
 from thermoforce_mpc.data import Array
 
 Row = dict[str, Any]

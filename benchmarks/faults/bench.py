@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.faults.faulty_plant import FaultyPlant
-from controllers.monitoring.watch import LEADS_H
-from controllers.monitoring.watch_state import Judged
+from controllers.monitoring.watch import LEADS_H, Judged
 from controllers.mpc.state import MPCState
 from controllers.registry import build_controller
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, Plan, PlanStatus
 from thermoforce_mpc.experiment.identifying import identify_on
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop

@@ -22,7 +22,7 @@ from controllers.optimisation.solution import Solution, Solver
 from controllers.registry import controller_config
 from controllers.rules.native import NativeController
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.experiment.identifying import identify_on
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop

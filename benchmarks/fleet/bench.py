@@ -11,7 +11,7 @@ from benchmarks.fleet.coordination import SILENT, coordinated
 from benchmarks.fleet.identify_many import measure
 from benchmarks.fleet.plan_many import measure_plan_many
 from benchmarks.fleet.scaling import campaign, overhead
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 
 Part = Literal["identify", "plan", "coordinate", "campaign"]
 PARTS: tuple[Part, ...] = ("identify", "plan", "coordinate", "campaign")

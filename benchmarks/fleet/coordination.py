@@ -12,7 +12,7 @@ from controllers.coordination import Member, SharedPower, plan_jointly
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import POWER_UNIT_W, ProblemShape, blocked_moves
 from controllers.optimisation.solution import Solution, failed
-from controllers.optimisation.solvers.qp_backends import QPConfig
+from controllers.optimisation.solvers.qp import QPConfig
 from thermoforce_mpc.data import Array
 
 _STEP_S, _FREE_H, _HOLD_H = 900.0, 12.0, 1.0

@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.free_response.scales import SCALES, backbone_of
 from benchmarks.operator.data import FLOOR_AREA_M2, cut, read_run
 from benchmarks.parameter_count import parameter_count
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation, Record
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.model.free_response.backbones.loading import FRACAST

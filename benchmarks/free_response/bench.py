@@ -17,7 +17,7 @@ from benchmarks.free_response.score import Score, forecast_origins, mae_K, score
 from benchmarks.free_response.shares import share_rows
 from benchmarks.free_response.sources import Source, boptest_sources, embedded_sources, house_sources, mons_sources
 from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import LocalEngine

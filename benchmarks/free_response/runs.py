@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.free_response.score import forecast_origins, score, window
 from benchmarks.free_response.sources import Source, embedded_sources
 from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
-from thermoforce_mpc.comparison.results_json import Target
+from thermoforce_mpc.comparison.outcome import Target
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response

@@ -15,7 +15,7 @@ from benchmarks.interventions.protocol import PROBE_DAYS, QUICK, Protocol
 from benchmarks.interventions.scores import CellScore, one_sided_wilcoxon
 from benchmarks.interventions.suite import SuiteResult, run_suite
 from benchmarks.paper.printed import INTERVENTIONAL_VALIDITY
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.energyplus.zone import CLIMATES

@@ -17,7 +17,7 @@ from benchmarks.paper.printed import EFFICIENCY_MS, PARAMETERS
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.registry import build_controller
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.comparison.results_json import Target
+from thermoforce_mpc.comparison.outcome import Target
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.registry import build_free_response

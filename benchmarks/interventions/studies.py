@@ -24,7 +24,7 @@ from benchmarks.interventions.plots import bars_figure, curves_figure, save
 from benchmarks.interventions.protocol import PROBE_DAYS
 from benchmarks.interventions.suite import run_suite, score_cells, training_of
 from benchmarks.paper.printed import OPERATOR_ABLATION
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.protocols import FreeResponse

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measured_rooms.score import DEFAULT, LEADS_H, PERSISTENCE, RC
-from thermoforce_mpc.comparison.results_json import Target
+from thermoforce_mpc.comparison.outcome import Target
 from thermoforce_mpc.errors import DataError
 
 Row = Mapping[str, Any]

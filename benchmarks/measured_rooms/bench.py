@@ -14,7 +14,7 @@ from benchmarks.cases import run_all
 from benchmarks.measured_rooms.against import earlier_rooms, error_key, ratio_rows, targets
 from benchmarks.measured_rooms.records import KNOWN, MeasuredRecord, found_records
 from benchmarks.measured_rooms.score import EVERY_H, LEADS_H, METHODS, STEP_RESPONSE_H, identified, score
-from thermoforce_mpc.comparison.results_json import results_json
+from thermoforce_mpc.comparison.outcome import results_json
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.names.styles import STYLES
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, Array
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses

@@ -16,14 +16,14 @@ import numpy as np
 
 from benchmarks.cases import run_all
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Measurement, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.probing.probe import ProbingConfig
 from thermoforce_mpc.loop.probing import probe
-from thermoforce_mpc.model.free_response.persistence import Persistence
+from thermoforce_mpc.model.free_response.linear_weather import Persistence
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant

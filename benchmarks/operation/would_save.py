@@ -18,7 +18,7 @@ from benchmarks.effects.operated import as_homes_measure
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.boundary.forecast_error import ForecastError
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Period
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine

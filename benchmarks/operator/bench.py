@@ -21,7 +21,7 @@ from benchmarks.operator.training_speed import (
     compare_training,
     compare_training_to_loss,
 )
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 

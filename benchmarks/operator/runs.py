@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.operator.data import FLOOR_AREA_M2, ReferencePair, cut
 from benchmarks.operator.score import PairScores, score_pairs
-from thermoforce_mpc.comparison.results_json import Target
+from thermoforce_mpc.comparison.outcome import Target
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify

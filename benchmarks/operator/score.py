@@ -11,8 +11,7 @@ from benchmarks.operator.data import ReferencePair
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.forced_state import forced_history
 from thermoforce_mpc.model.operator.building import forced_rollout, single
-from thermoforce_mpc.model.operator.features import feature_matrix
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, feature_matrix
 
 # Smallest effect whose sign is scored, K.
 SIGN_FROM_K = 0.05

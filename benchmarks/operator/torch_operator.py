@@ -7,9 +7,8 @@ import torch
 from torch import Tensor, nn
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.operator.parameters import OperatorParameters, initial_weight
+from thermoforce_mpc.model.operator.parameters import N_FEATURES, OUTDOOR, ZONE, OperatorParameters, initial_weight
 
 # Least relative distance of an initial pole to its bounds, which keeps its logit and gradient finite.
 _EDGE = 1e-9

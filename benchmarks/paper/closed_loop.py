@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from scipy.stats import wilcoxon
 
 from benchmarks.interventions.plots import save
-from thermoforce_mpc.comparison.results_json import results_json
+from thermoforce_mpc.comparison.outcome import results_json
 from thermoforce_mpc.experiment.run import run_scenario
 from thermoforce_mpc.plants.testcases import find_config, load_scenario
 from thermoforce_mpc.report.display import RunDisplay

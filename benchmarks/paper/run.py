@@ -15,7 +15,7 @@ from scipy.stats import t
 
 from benchmarks.paper.parts import NOT_MEASURED, PARTS, Setting, Table
 from benchmarks.paper.tables import Rows
-from thermoforce_mpc.comparison.results_json import results_json
+from thermoforce_mpc.comparison.outcome import results_json
 from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.records.run_folder import write_json

@@ -12,7 +12,7 @@ from benchmarks.plant import point_scores, scores
 from benchmarks.plant.speed import scaling, two_weeks_s
 from thermoforce_mpc.boundary.periods import published_windows
 from thermoforce_mpc.boundary.weather import load_weather
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant

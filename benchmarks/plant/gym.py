@@ -15,7 +15,7 @@ import numpy as np
 
 from boptest_client import BoptestClient
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.gym import ID
 

@@ -11,7 +11,7 @@ import pandas as pd
 from benchmarks.plant.scores import SCORED_S, STEP_S, WINDOW_WARMUP_S, Row, read, recorded_tariff, rms
 from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.boundary.weather.year import Weather
-from thermoforce_mpc.comparison.results_json import Target
+from thermoforce_mpc.comparison.outcome import Target
 from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded import PointEmulator

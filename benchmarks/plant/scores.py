@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.boundary.tariffs import Tariff, held_prices
-from thermoforce_mpc.comparison.results_json import Target
+from thermoforce_mpc.comparison.outcome import Target
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant

@@ -14,7 +14,7 @@ from benchmarks.operator.data import FLOOR_AREA_M2, ReferencePair
 from benchmarks.operator.score import score_pairs
 from benchmarks.probing.pair_probing import probe_pair
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify

@@ -18,7 +18,7 @@ from benchmarks.cases import run_all
 from benchmarks.measured_rooms.records import MeasuredRecord, found_records
 from benchmarks.records.drawing import OPERATIONS, Drawn, Operation, drawn
 from benchmarks.records.spoiling import faults
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.data.limits import LOAD_W_PER_M2
 from thermoforce_mpc.errors import InputError

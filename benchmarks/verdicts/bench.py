@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.cases import run_all
 from benchmarks.effects.asking import probed_days
 from benchmarks.verdicts.house import EQUAL_KH, USEFUL, Case, Judged, judged
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.execution import Engine
 
 # Goal: share of good models that are held back.

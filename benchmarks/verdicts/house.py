@@ -29,7 +29,7 @@ from thermoforce_mpc.scenario.scenario import Scenario
 
 # Probing and the week in closed loop begin on these days of the year, the latter after native control; between them
 # lies the question of `benchmarks.effects`.
-_PROBING_DAY, _WEEK_DAY, _WEEK_DAYS, _WARMUP_DAYS = 25, 42, 7, 5
+_PROBING_DAY, _WEEK_DAY, WEEK_DAYS, WARMUP_DAYS = 25, 42, 7, 5
 _SEED = 1
 # Discomfort that counts as equal, K·h a week.
 EQUAL_KH = 0.5
@@ -138,6 +138,6 @@ def _period(plant: GeneratedHousePlant) -> Period:
     return replace(
         plant.period("cold_week"),
         start_s=_WEEK_DAY * DAY_S,
-        scored_s=_WEEK_DAYS * DAY_S,
-        warmup_s=_WARMUP_DAYS * DAY_S,
+        scored_s=WEEK_DAYS * DAY_S,
+        warmup_s=WARMUP_DAYS * DAY_S,
     )

@@ -21,7 +21,7 @@ from benchmarks.zones.apart import OnePerZone
 from benchmarks.zones.effects import PairScore, score_pairs, worst
 from benchmarks.zones.scaling import BesideDoMpc, beside_do_mpc, exponent, solve_times
 from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 from thermoforce_mpc.execution import Engine

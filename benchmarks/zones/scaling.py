@@ -9,10 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.zones.do_mpc_building import DoMpcBuilding
-from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.problem import MPCProblem, PowerCap, ProblemShape, Weights, blocked_moves, every_step
-from controllers.optimisation.solvers.qp import QPSolver
-from controllers.optimisation.solvers.qp_backends import QPConfig
+from controllers.optimisation.problem import (
+    EquipmentLayout,
+    MPCProblem,
+    PowerCap,
+    ProblemShape,
+    Weights,
+    blocked_moves,
+    every_step,
+)
+from controllers.optimisation.solvers.qp import QPConfig, QPSolver
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import linear_operator

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from controllers.coordination.joint import JointPlan, Member, SharedPower, plan_jointly
-from controllers.coordination.planning import SharedPlans, plan_shared
+from controllers.coordination.planning import JointPlan, Member, SharedPlans, SharedPower, plan_jointly, plan_shared
 
 __all__ = ["JointPlan", "Member", "SharedPlans", "SharedPower", "plan_jointly", "plan_shared"]

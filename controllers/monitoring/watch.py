@@ -17,51 +17,383 @@ by summing over all of them.
 
 Half of `false_alarm` is for these detectors, half for the check of `effect_fault` on the size of the effect of acting.
 Two direct checks are faster: levels measured against levels requested, and heat or power against the machine's model.
+
+What a watch tests of a model: the size of the effect of acting, levels against requests, meters against the machine.
+
+A machine that gives less heat than its level makes the zone colder (cooling: warmer) than predicted, the more so the
+longer it ran. The forecaster takes a lasting error for a disturbance within hours, so each error stays inside the
+promise; what they have in common does not. Over a day the errors 1 h ahead are regressed on the predicted effect of the
+levels since each prediction, weighted by the promise. Predictions 1 h ahead, recorded every hour, do not overlap. Under
+the promise (errors no larger than promised, uncorrelated from hour to hour, their weighted sum over a day normal) the
+missing share over its standard deviation exceeds the normal quantile of level p with probability p at most. It is
+tested every 6 h, with p such that all tests of 30 days together have the stated probability of a false alarm. An error
+counts with two promised half-widths at most, so that one hour alone (an open door) never makes an alarm.
+
+Options of the watch over a model, its state during a run, and the scaled models that it tries.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.special import ndtri
 
 from controllers.monitoring.single_actuator import SingleActuatorContext
-from controllers.monitoring.watch_state import (
-    GAIN_BOUNDS,
-    IN_USE,
-    Issued,
-    Judged,
-    ScaledModel,
-    Track,
-    WatchConfig,
-    WatchState,
-    scaled,
-)
-from controllers.monitoring.watch_tests import (
-    EVERY_H,
-    LEVELS_H,
-    WINDOW_H,
-    applied_levels,
-    effect_fault,
-    heat_ratio,
-    level_fault,
-    machine_ratio,
-)
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
-from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, each_direction, said
+from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, Directions, each_direction, said
+from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import forced_rollout
+from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import PredictorState
 from thermoforce_mpc.model.thermal_model import ZoneModel
+from thermoforce_mpc.scenario.settings import StrictModel
+
+GAIN_BOUNDS = (0.3, 3.0)
+"""Limits of gain and heat, as factors of the identified ones."""
+
+
+@dataclass(frozen=True)
+class ScaledModel:
+    """The `model` in use; its gain and the heat of its machine are `gain` and `heat` times the identified ones."""
+
+    model: ZoneModel
+    gain: float = 1.0
+    heat: float = 1.0
+
+    @property
+    def factors(self) -> tuple[float, float]:
+        """All of what `model` differs in from the identified one."""
+        return self.gain, self.heat
+
+    @property
+    def adapted(self) -> bool:
+        """Whether `model` is another than the identified one."""
+        return self.factors != (1.0, 1.0)
+
+
+def scaled(identified: ZoneModel, gain: float, heat: float, n_steps: int) -> ScaledModel | None:
+    """The identified model with other factors, within `GAIN_BOUNDS`; None if not certified over `n_steps` steps.
+
+    Where heat is not modelled, `heat` has no effect.
+    """
+    gain, heat = (float(np.clip(factor, *GAIN_BOUNDS)) for factor in (gain, heat))
+    operator = replace(identified.operator, gains=gain * identified.operator.gains)
+    law = operator.heat_input.law
+    if law is not None:
+        # The heat of v = 1 scales with the machine, and the gain per v with it.
+        c0, c1, c2, c3 = (heat * c for c in law.coefficients)
+        weaker = replace(law, coefficients=(c0, c1, c2, c3))
+        operator = replace(operator, heat_input=operator.heat_input.with_law(weaker), gains=operator.gains * heat)
+    if not certificate(operator, n_steps).certified:
+        return None
+    return ScaledModel(replace(identified, operator=operator), gain, heat)
+
+
+IN_USE = "the model in use"
+
+
+class WatchConfig(StrictModel):
+    """Options of the watch."""
+
+    enabled: bool = Field(
+        True,
+        description="hand control back while predictions are worse than promised or actuator or machine do not follow",
+    )
+    # Largest probability of an alarm in 30 days while errors are as promised.
+    false_alarm: ClassVar[float] = 0.05
+    blocked_hours: bool = Field(
+        True, description="plan without hours of the day in which nothing comes, whatever is asked for"
+    )
+    # Promises of errors below this at 1 h, and √6 times this at 6 h, are not held to, K: the resolution of sensors.
+    least_K: ClassVar[float] = 0.1
+    # A band counts with at most this many times the median band of the last week: calibration widens it after errors.
+    widest: ClassVar[float] = 1.25
+    # Heat or power this many times more or less than modelled and than before is a fault.
+    machine_factor: ClassVar[float] = 1.35
+    # Control returns after predictions were as promised for this long, h: two forecasts of 6 h.
+    return_h: ClassVar[float] = 12.0
+
+
+@dataclass(frozen=True)
+class Issued:
+    """A prediction recorded at `time_s`: state and inputs of the forced response, and the promise at each lead.
+
+    `operator` at the control step; `forced_K` (r,) K; `features` (n, 4); `median_C`, `below_K`, `above_K` (L,): free
+    response and distances to the ends of its 80 % band at the leads.
+    """
+
+    time_s: float
+    operator: OperatorParameters
+    forced_K: Array
+    features: Array
+    median_C: Array
+    below_K: Array
+    above_K: Array
+    judged: int = 0
+
+
+class Judged(NamedTuple):
+    """A prediction that came due at `time_s`, or arrays (k,) of several.
+
+    Index of its `lead`, error (measured − predicted), promise, and predicted effect of the levels since, all K.
+    """
+
+    time_s: Any
+    lead: Any
+    error_K: Any
+    promise_K: Any
+    effect_K: Any
+
+    @classmethod
+    def of(cls, rows: Array) -> Judged:
+        """Those of `Track.judged` (k, 5)."""
+        return cls(*rows.T)
+
+
+_NONE_JUDGED, _NO_BANDS = np.empty((0, len(Judged._fields))), np.empty((0, 0))
+
+
+@dataclass(frozen=True)
+class Track:
+    """A model under test: predictions pending and compared (`judged`), and the evidence against it.
+
+    `judged` (k, 5): the fields of `Judged`. `bands` (k, 1 + L) of the last week: time, s, and half-width at each lead,
+    K. `evidence` maps (lead, phase, side) to the detector's M. While standing back `adaptation`
+    is the model, `predictor` the state of its predictor.
+    """
+
+    name: str = IN_USE
+    adaptation: ScaledModel | None = None
+    predictor: PredictorState | None = None
+    pending: tuple[Issued, ...] = ()
+    judged: Array = field(default_factory=lambda: _NONE_JUDGED)
+    bands: Array = field(default_factory=lambda: _NO_BANDS)
+    evidence: dict[tuple[int, int, int], float] = field(default_factory=dict)
+
+    @property
+    def worst(self) -> tuple[float, int, int]:
+        """Largest evidence against the model, the index of its lead, and the side (+1: warmer than predicted)."""
+        if not self.evidence:
+            return 0.0, 0, 1
+        (lead, _, side), M = max(self.evidence.items(), key=lambda item: item[1])
+        return M, lead, side
+
+    def cleared(self) -> Track:
+        """This track without evidence."""
+        return replace(self, evidence={})
+
+
+@dataclass(frozen=True)
+class WatchState:
+    """State of the watch during a run.
+
+    `tracks`: the model in use; while standing back also its candidates for return. `blocked`: hours in which nothing
+    comes whatever is asked for, by direction. `asked`: (start s, mean level) that the last plans requested. `ratios`:
+    (time s, measured heat or power over modelled). `alarm`: why control was handed back at `since_s`, empty while the
+    model is in use; `of_levels`: for levels that were not followed. `wait_h`: shortest time of standing back;
+    `returned_s`: last return, and `news` what to say of it in this step's plan.
+    """
+
+    tracks: tuple[Track, ...] = (Track(),)
+    blocked: Directions = (BlockedHours(),)
+    asked: tuple[tuple[float, float], ...] = ()
+    ratios: tuple[tuple[float, float], ...] = ()
+    alarm: str = ""
+    of_levels: bool = False
+    since_s: float = -math.inf
+    wait_h: float = 0.0
+    returned_s: float = -math.inf
+    news: str = ""
+
+    def reason(self, time_s: float) -> str:
+        """Why control was handed back, and how long before `time_s`."""
+        return f"watch: {self.alarm} (found {(time_s - self.since_s) / HOUR_S:.1f} h ago)"
+
+
+# Length of the record and time between two tests, h.
+WINDOW_H, EVERY_H = 24.0, 6.0
+# Time in which all tests together have the stated probability of a false alarm, h.
+_MONTH_H = 30 * 24.0
+# Least share of the effect that is missing in a fault: smaller ones are errors of the gain, for adaptation.
+_LEAST_SHARE = 0.2
+# 0.9 quantile of the normal distribution: half-width of an 80 % band over standard deviation.
+_NORMAL_90 = 1.2816
+# Largest error that counts, in promised half-widths.
+_LARGEST = 2.0
+
+
+def missing_effect(error_K: Array, effect_K: Array, promise_K: Array) -> tuple[float, float]:
+    """Share of the predicted effect of acting that did not come, and that over its standard deviation; 0 if nothing
+    acted.
+
+    Of predictions that do not overlap (n,), K: `error_K` (measured − predicted), `effect_K` predicted for the levels
+    since each, and `promise_K`, half-width of the 80 % band.
+    """
+    weight = 1.0 / promise_K**2
+    information = float(weight @ effect_K**2)
+    if information <= 0.0:
+        return 0.0, 0.0
+    clipped_K = np.clip(error_K, -_LARGEST * promise_K, _LARGEST * promise_K)
+    share = -float(weight @ (clipped_K * effect_K)) / information
+    return share, share * math.sqrt(information) * _NORMAL_90
+
+
+def effect_fault(error_K: Array, effect_K: Array, promise_K: Array, false_alarm: float) -> str:
+    """What is wrong with the effect of acting, empty if nothing is; arguments as `missing_effect`.
+
+    `false_alarm` is the largest probability of an alarm in 30 days while errors are as promised.
+    """
+    share, z = missing_effect(error_K, effect_K, promise_K)
+    if share < _LEAST_SHARE or z < -ndtri(false_alarm * EVERY_H / _MONTH_H):
+        return ""
+    return (
+        f"acting has less effect than predicted: {share:.0%} of it is missing in the last {WINDOW_H:g} h ({z:.1f}"
+        f" standard deviations; RMS error {np.sqrt(np.mean(error_K**2)):.2f} K 1 h ahead)"
+    )
+
+
+# Differences between requested and measured level count from here: rounding and rate limits of an actuator are below.
+_SAME = 0.1
+# Full-load hours of difference that make a fault, and their least share of what was requested or measured, in one of
+# the windows, h. The long one is for levels that are low and wrong for long: native control that holds a zone on a mild
+# day runs at a level of 0.1 to 0.2, less than an hour at full level in 6 h, where the plan wanted nothing.
+_DIFFERENT_H, _DIFFERENT_SHARE = 1.0, 0.25
+_WINDOWS_H = (6.0, 24.0)
+# Hours of requested levels that are compared.
+LEVELS_H = _WINDOWS_H[-1]
+# Full-load hours that a comparison of meters needs.
+_RUNNING_H = 1.5
+
+
+# Levels tried to find the one that gives a measured heat.
+_LEVELS = np.linspace(0.0, 1.0, 41)
+
+
+def applied_levels(requests: Sequence[tuple[float, float]], history: Record, heat_input: HeatInput) -> Array:
+    """Levels (n,) in [0, 1] to compare the predictions of a record for; NaN where neither level nor heat is known.
+
+    They are those of the record. Where it has none, and where native control acted (no level in `requests`,
+    see `level_fault`), which holds levels for which the map from level to heat was not identified, the level is taken
+    that gives the measured heat.
+    """
+    levels = np.array(history.u[0])
+    if heat_input.law is None:
+        return levels
+    requested, steps = _match_steps(requests, history)
+    by_heat = np.isnan(levels)
+    by_heat[steps[~np.isfinite(requested)]] = True
+    for step in np.flatnonzero(by_heat & np.isfinite(history.heat_W[0] + history.T_out_C[:-1])):
+        heat_W = abs(float(history.heat_W[0, step]))
+        levels[step] = np.interp(heat_W, heat_input.law(_LEVELS, history.T_out_C[step]), _LEVELS)
+    return levels
+
+
+def heat_ratio(history: Record, heat_input: HeatInput) -> float | None:
+    """Measured heat of a record over that of the map at its levels; None where little of both is known."""
+    if heat_input.law is None:
+        return None
+    usable = np.isfinite(history.heat_W[0]) & np.isfinite(history.u[0]) & np.isfinite(history.T_out_C[:-1])
+    u = np.clip(history.u[0, usable], 0.0, 1.0)
+    if not u.size or float(u.sum()) * history.step_s / HOUR_S < _RUNNING_H:
+        return None
+    modelled = heat_input.law(u, history.T_out_C[:-1][usable])
+    return float(np.abs(history.heat_W[0, usable]).sum() / modelled.sum())
+
+
+def level_fault(requests: Sequence[tuple[float, float]], history: Record) -> str:
+    """What is wrong between levels of `requests` (start of the step s, level) and those measured; empty if nothing is.
+
+    A plant that does not report its level cannot fail here: the record then holds the level requested.
+    """
+    hours = history.step_s / HOUR_S
+    all_requested, all_measured, all_index = _paired_levels(requests, history)
+    for window_h in _WINDOWS_H:
+        begin = float(history.time_s[-1]) - window_h * HOUR_S - 1.0
+        last = slice(int(np.searchsorted(history.time_s[all_index], begin, side="right")), None)
+        requested, measured, index = all_requested[last], all_measured[last], all_index[last]
+        off = np.abs(_hourly(measured - requested, index, hours))
+        off_h = float(off[off > _SAME].sum()) * hours
+        if off_h >= max(_DIFFERENT_H, _DIFFERENT_SHARE * float(np.maximum(requested, measured).sum()) * hours):
+            return (
+                f"the actuator does not follow: {requested.mean():.2f} was asked for on average in the last"
+                f" {requested.size * hours:g} h, {measured.mean():.2f} was measured"
+            )
+    return ""
+
+
+def machine_ratio(
+    requests: Sequence[tuple[float, float]],
+    history: Record,
+    heat: MachineLoad | None,
+    power_W: Callable[[Record], Array],
+) -> tuple[str, float] | None:
+    """Which meter was read, and its sum over the modelled sum at the levels requested; None where little was running.
+
+    `requests`: see `level_fault`; `heat`: the machine's, used where it is measured; `power_W`: electric power (n,) W
+    expected for the levels of a record (n steps).
+    """
+    requested, levels, index = _paired_levels(requests, history)
+    following = index[np.abs(levels - requested) <= _SAME]
+    for meter, measured in (("heat", np.abs(history.heat_W[0])), ("power", history.power_W[0])):
+        if meter == "heat" and heat is None:
+            continue
+        steps = following[np.isfinite(measured[following]) & np.isfinite(history.T_out_C[following])]
+        if not steps.size or float(history.u[0, steps].sum()) * history.step_s / HOUR_S < _RUNNING_H:
+            continue
+        if meter == "heat":
+            assert heat is not None
+            modelled = heat(np.clip(history.u[0, steps], 0.0, 1.0), history.T_out_C[steps])
+        else:
+            first = int(steps[0])
+            modelled = power_W(history.slice(first, history.n_steps))[steps - first]
+        if not (np.isfinite(modelled).all() and modelled.sum() > 0):
+            continue
+        return meter, float(measured[steps].sum() / modelled.sum())
+    return None
+
+
+def _match_steps(requests: Sequence[tuple[float, float]], history: Record) -> tuple[Array, NDArray[np.intp]]:
+    """Levels requested and the index of their steps of `history`, both (n,), without those that are not in it."""
+    time_s, level = np.array(requests, dtype=np.float64).reshape(-1, 2).T
+    half_s = 0.5 * history.step_s
+    step = np.searchsorted(history.time_s, time_s - half_s)
+    in_history = step < history.n_steps
+    in_history[in_history] = np.abs(history.time_s[step[in_history]] - time_s[in_history]) <= half_s
+    return level[in_history], step[in_history]
+
+
+def _hourly(values: Array, index: NDArray[np.intp], hours: float) -> Array:
+    """`values` (n,) at steps `index` of `hours`, each replaced by the mean of its hour.
+
+    A level that is metered heat swings about what was requested where its machine runs on and off by itself.
+    """
+    if not values.size:  # before the first step its length is unknown
+        return values
+    hour = index // max(1, round(1.0 / hours))
+    return np.asarray((np.bincount(hour, values) / np.maximum(np.bincount(hour), 1))[hour])
+
+
+def _paired_levels(requests: Sequence[tuple[float, float]], history: Record) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Levels requested and measured, both (n,), and the index (n,) of those steps, where both are known."""
+    requested, index = _match_steps(requests, history)
+    measured = history.u[0, index]
+    known = np.isfinite(requested) & np.isfinite(measured)
+    return requested[known], measured[known], index[known]
+
 
 LEADS_H = (1.0, 6.0)
 _MONTH_S = 30 * DAY_S
-# 0.9 quantile of Student's t with 2 degrees of freedom, and of the normal distribution.
-_T2_90, _NORMAL_90 = 1.8856, 1.2816
+# 0.9 quantile of Student's t with 2 degrees of freedom.
+_T2_90 = 1.8856
 # Smallest probability that counts: one error alone has an e-value of at most 158.
 _LEAST_P = 1e-5
 # Days of bands whose median is the usual promise, and hours of errors that are kept.

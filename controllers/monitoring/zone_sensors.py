@@ -9,6 +9,8 @@ For `bridge_h` the model stands in for the readings: plans go on, marked. Then t
 actuators are left to the plant's own control, or to the on/off rule on the model's temperature. Readings are accepted
 again when they are near the prediction; after a jump also when they go on moving away, as a zone does whose window was
 opened and a sensor that was moved does not, or when they were steady for `return_h`.
+
+Options of a zone sensor, its state from step to step, and its zone now.
 """
 
 from __future__ import annotations
@@ -17,14 +19,93 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
+from typing import ClassVar
 
 import numpy as np
+from pydantic import Field, model_validator
 
-from controllers.monitoring.zone_sensor_state import Anchor, Sensed, SensorConfig, SensorState
 from thermoforce_mpc.data import HOUR_S, Array, Record
-from thermoforce_mpc.data.superposition import compose
+from thermoforce_mpc.data.dataframes import compose
+from thermoforce_mpc.data.limits import RULES
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.screening import implausible_zone
+from thermoforce_mpc.scenario.settings import StrictModel
+
+_RULE = RULES["T_zone_C"]
+
+
+class SensorConfig(StrictModel):
+    """Which readings of a zone sensor are believed."""
+
+    enabled: bool = Field(True, description="judge the readings of zone sensors by the model")
+    lowest_C: float = Field(_RULE.range[0], description="readings below are not believed, °C")
+    highest_C: float = Field(_RULE.range[1], description="readings above are not believed, °C")
+    # Distance from the prediction within which a reading is always believed, K; more where the record changes by more
+    # than half of it within a step.
+    jump_K: ClassVar[float] = _RULE.expected
+    frozen_h: float = Field(
+        _RULE.frozen_h,
+        gt=0,
+        description="shortest time after which a reading that repeats itself may be a stuck sensor, h",
+    )
+    # Time for which the model stands in for readings that are not believed, h.
+    bridge_h: ClassVar[float] = 6.0
+    # Time after which steady readings are believed again, wherever they are, h.
+    return_h: ClassVar[float] = 24.0
+
+    @model_validator(mode="after")
+    def _in_order(self) -> SensorConfig:
+        if not self.lowest_C < self.highest_C:
+            raise ValueError(f"lowest_C of {self.lowest_C:g} °C is not below highest_C of {self.highest_C:g} °C")
+        return self
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """Free forecast from the last reading that was accepted and new: `free_C`, half-width of its band `half_K` (N,)."""
+
+    time_s: float
+    free_C: Array
+    half_K: Array
+
+    def at(self, time_s: float, step_s: float) -> tuple[float, float]:
+        """Forecast and half-width for an instant, °C and K; NaN beyond the forecast."""
+        lead = round((time_s - self.time_s) / step_s)
+        if not 1 <= lead <= self.free_C.size:
+            return math.nan, math.nan
+        return float(self.free_C[lead - 1]), float(self.half_K[lead - 1])
+
+
+@dataclass(frozen=True)
+class SensorState:
+    """State of one zone's sensor.
+
+    `refused_s`: instants of readings that were rejected. `anchor`: what predicts the next ones. `seen_s`: the last
+    instant validated. `distrust`: why readings are rejected at present, by kind; empty while they are not. `since`:
+    readings since then: time s, °C, and their distance from the prediction, K.
+    """
+
+    refused_s: tuple[float, ...] = ()
+    anchor: Anchor | None = None
+    seen_s: float = -math.inf
+    distrust: str = ""
+    kind: str = ""
+    since: tuple[tuple[float, float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Sensed:
+    """A zone now: `T_C` is its reading, or the model's temperature where the reading is rejected (NaN: unknown).
+
+    `why`: why it is not, and since when; empty where it is. `lost`: the model stands in for it no longer. `news`:
+    that readings are accepted again.
+    """
+
+    T_C: float
+    why: str = ""
+    lost: bool = False
+    news: str = ""
+
 
 # A jump is more than this many times the largest change of the record within a step, or half-widths of the 80 % band.
 _TIMES_RECORD, _BANDS = 2.0, 3.0

@@ -16,9 +16,9 @@ from controllers.mpc.margins import Margins
 from controllers.optimisation.plan_model import Evaluation
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, FreeForecast, Observation, Plan
-from thermoforce_mpc.data.superposition import compose
+from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.operator.features import ZONE, feature_matrix
+from thermoforce_mpc.model.operator.parameters import ZONE, feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext
 
 # Levels that a loop at the comfort bound is tried with.

@@ -27,10 +27,10 @@ from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving, PlanStatus
-from thermoforce_mpc.data.superposition import compose
+from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.operator.features import OUTDOOR, ZONE
+from thermoforce_mpc.model.operator.parameters import OUTDOOR, ZONE
 
 # A plan that asks for more than this beyond what commands bring is made anew, at most so often in all.
 _BEYOND, MOST_SOLVES = 0.05, 3

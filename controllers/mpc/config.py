@@ -10,11 +10,11 @@ from pydantic import Field, model_validator
 
 from controllers.actuation.actuator import ActuationConfig
 from controllers.monitoring.meters import MeterConfig
-from controllers.monitoring.watch_state import WatchConfig
-from controllers.monitoring.zone_sensor_state import SensorConfig
+from controllers.monitoring.watch import WatchConfig
+from controllers.monitoring.zone_sensors import SensorConfig
 from controllers.optimisation.solvers.ipopt import IpoptConfig
 from controllers.optimisation.solvers.milp import MilpConfig
-from controllers.optimisation.solvers.qp_backends import QPConfig
+from controllers.optimisation.solvers.qp import QPConfig
 from controllers.optimisation.solvers.sqp import SQPConfig
 from controllers.safety.fallback_policy import FallbackConfig
 from controllers.safety.overrides import GateConfig, GuardConfig
@@ -22,8 +22,7 @@ from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.registry import check_free_response, own_options
 from thermoforce_mpc.scenario.bill import Bill
-from thermoforce_mpc.scenario.settings import StrictModel
-from thermoforce_mpc.scenario.strict_model import one_of
+from thermoforce_mpc.scenario.settings import StrictModel, one_of
 
 
 def _options_in_words() -> str:

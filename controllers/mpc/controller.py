@@ -34,8 +34,15 @@ from controllers.mpc.planner import (
     free_responses_of,
     plan_shape,
 )
-from controllers.mpc.prediction import Failure, Forecast, PlanPredictor, WatchedPredictions
-from controllers.mpc.readings import Readings, ReadingsFilter, joined
+from controllers.mpc.readings import (
+    Failure,
+    Forecast,
+    PlanPredictor,
+    Readings,
+    ReadingsFilter,
+    WatchedPredictions,
+    joined,
+)
 from controllers.mpc.realisation import Realisation
 from controllers.mpc.solved import Solved, beyond_rooms, first_demands, power_limit, solved_plan
 from controllers.mpc.state import MPCState

@@ -12,8 +12,7 @@ import numpy as np
 from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.margins import Bounds, MarginRules, Margins
-from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.problem import Cooling, Exchange, MPCProblem, PowerCap, Weights
+from controllers.optimisation.problem import Cooling, EquipmentLayout, Exchange, MPCProblem, PowerCap, Weights
 from thermoforce_mpc.data import DAY_S, J_PER_KWH, Array, Boundary, Record
 from thermoforce_mpc.model.machine.blocked_hours import Directions
 from thermoforce_mpc.model.machine.power import PowerModel

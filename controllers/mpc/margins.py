@@ -16,36 +16,400 @@
 `MarginRules.learn` moves the last five after each step, `MarginRules.bounds` adds the first five; their sum is never
 below 0, nor, where actuation protects the bound, below half a step of the sensor. With room set-points what is learned
 counts only where a bound is set back, and is never less than 0.
+
+Their sizes:
+
+Back-off is a chance and an integrated chance constraint (Klein Haneveld 1986), which bounds the expected violation in
+K: the chance level holds where forecasts are good, and is lowered elsewhere until the bound on the violation holds.
+
+The reserve is for what a plan, which knows the zone at the ends of its steps, cannot see in a fast one: swing under
+on/off blocks, error of the next hour. What is missed all the same is learned, and what was not needed is given back. So
+is the share of a shared machine's capacity that is left unused: at its limit what one takes too much another lacks.
 """  # noqa: E501
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
 
+from controllers.actuation.actuator import Actuation
 from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.margin_rules import (
-    OF_LOOPS,
-    Innovations,
-    LearnedMargin,
-    backoff_K,
-    is_fast,
-    learned_K,
-    learned_share,
-    of_plans,
-    reserve_K,
-    share_beyond_limit,
-    steps_soon,
-    with_recourse_K,
-)
 from controllers.safety.fallback_policy import GoodPlan
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Observation, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Observation, Record
+from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel
+
+# Expected shortfall of a standard normal variable below −z, on a grid of z: φ(z) − z (1 − Φ(z)), decreasing.
+_Z = np.linspace(0.0, 4.0, 401)
+_SHORTFALL = np.exp(-(_Z**2) / 2.0) / np.sqrt(2.0 * np.pi) - _Z * ndtr(-_Z)
+# `np.interp` needs increasing abscissae.
+_BY_SHORTFALL = _SHORTFALL[::-1].copy(), _Z[::-1].copy()
+# Calibrated quantile level from which the standard deviation is computed, and its normal score.
+_SPREAD_LEVEL = 0.1
+_SPREAD_Z = float(-ndtri(_SPREAD_LEVEL))
+# Averaging window of the expected violation, h: heat given now arrives within it; later violations can be corrected.
+_AHEAD_H = 6.0
+
+
+def steps_soon(step_s: float) -> int:
+    """Number of steps of `step_s` seconds in the averaging window, at least one."""
+    return max(1, round(_AHEAD_H * HOUR_S / step_s))
+
+
+def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: float | None, *, below: bool) -> Array:
+    """Back-off from the lower (`below`) or upper bound at the end of each step, (N,) or (Z, N), K, nonnegative.
+
+    `level`: allowed probability of violating the bound, in (0, 0.5]; `violation_K`: allowed expected violation, mean
+    over the next 6 h, K; None for the chance level alone.
+    """
+    T_C = forecast.median_C
+    sign, quantile, spread_at = (1.0, level, _SPREAD_LEVEL) if below else (-1.0, 1.0 - level, 1.0 - _SPREAD_LEVEL)
+    chance = np.maximum(sign * (T_C - forecast.quantile_C(quantile)), 0.0)
+    if violation_K is None:
+        return np.asarray(chance)
+    sd = np.maximum(sign * (T_C - forecast.quantile_C(spread_at)), 0.0) / _SPREAD_Z
+    soon = sd[..., : steps_soon(step_s)].mean(axis=-1, keepdims=True)
+    # Solve sd · shortfall(z) = violation.
+    z = np.interp(violation_K / np.maximum(soon, 1e-9), *_BY_SHORTFALL)
+    return np.asarray(np.maximum(chance, z * sd))
+
+
+# Share of full level that is taken to be free for correcting what the forecast missed.
+_FREE_SHARE = 0.5
+
+
+def with_recourse_K(backoff: Array, operator: OperatorParameters) -> Array:
+    """Back-off (N,), K, from an actuator's own bound, where later plans know more and can still act.
+
+    From the step on by whose end half of full level moves the zone as far as the back-off of that lead, what a forecast
+    misses is made up for when it is seen: no more is kept for later leads than for that one.
+    """
+    enough = np.flatnonzero(_FREE_SHARE * _rise_K(operator, backoff.size) >= backoff)
+    if not enough.size:
+        return backoff
+    kept = backoff.copy()
+    kept[enough[0] :] = np.minimum(kept[enough[0] :], backoff[enough[0]])
+    return kept
+
+
+# Effect of an hour at full level from which a zone is fast, K: a slab gives a few tenths, radiators and air several.
+_FAST_K = 0.6
+# Mean share of on-time that is assumed for the swing.
+_SHARE = 0.35
+# Share of the held-out error one hour ahead: half of it is felt below the bound.
+_ERROR_SHARE = 0.5
+# Most that is reserved, K: what a thermostat keeps above its bound. Beyond, comfort costs more than a thermostat's.
+_MOST_K = 0.3
+
+
+def is_fast(operator: OperatorParameters) -> bool:
+    """Whether an hour at full level moves the zone by more than 0.6 K."""
+    return _hour_K(operator) > _FAST_K
+
+
+def _hour_K(operator: OperatorParameters) -> float:
+    """Effect of an hour at full level, K (of one step, if that is longer)."""
+    steps = max(1, round(HOUR_S / operator.step_s))
+    return _first_K(operator, steps) * min(1.0, HOUR_S / operator.step_s)
+
+
+def _first_K(operator: OperatorParameters, steps: int) -> float:
+    return float(_rise_K(operator, steps)[-1])
+
+
+def _rise_K(operator: OperatorParameters, steps: int) -> Array:
+    """Effect of full level after each of the first steps, in the winter of the limits here, 0 °C outdoors, K."""
+    return np.abs(np.cumsum(operator.impulse(steps)) * operator.heat_input.full_share(0.0))
+
+
+def reserve_K(operator: OperatorParameters, actuation: Actuation, card: ModelCard) -> float:
+    """Reserve inside the bound that actuation protects, K: 0 in a slow zone.
+
+    In a fast one half the swing of on/off blocks and half the held-out error of the next hour. The rounding of a coarse
+    sensor is in that error and in the band of the forecast.
+    """
+    if not is_fast(operator):
+        return 0.0
+    verdict = card.competence
+    errors = [score.model_K for score in verdict.horizons if score.hours == 1.0] if verdict else []
+    needed_K = _swing_K(operator, actuation) + _ERROR_SHARE * sum(errors)
+    return min(needed_K, _MOST_K) if math.isfinite(needed_K) else _MOST_K
+
+
+def _swing_K(operator: OperatorParameters, actuation: Actuation) -> float:
+    """Half the swing of the zone under on/off blocks, K: on and off for as long as the minimum times ask."""
+    if not actuation.switches:
+        return 0.0
+    c, step_s = actuation.config, operator.step_s
+    cycle_s = max(2 * c.block_s, c.min_on_s / _SHARE, c.min_off_s / (1.0 - _SHARE))
+    return 0.5 * _first_K(operator, 1) * actuation.block_level * _SHARE * (1.0 - _SHARE) * cycle_s / step_s
+
+
+@dataclass(frozen=True)
+class Learning:
+    """How a reserve is learned.
+
+    `growth_1_h`: K per hour and K of mean violation above the allowed one, in a step at most the violation. `most_K`:
+    the most that is learned, and that one reading counts. `allowed_K`: mean violation that a plan may expect. `fades`:
+    whether a reading within the bound takes back what such a violation is allowed.
+    """
+
+    growth_1_h: float
+    most_K: float
+    allowed_K: float
+    fades: bool = True
+
+
+def of_plans(allowed_K: float) -> Learning:
+    """For plans of levels: 0.05 K too much all day adds 0.2 K; at most what a thermostat keeps above its bound."""
+    return Learning(0.25, 0.3, allowed_K, fades=False)
+
+
+# Where the plant's own loops keep set-points. They miss them by short drops, as of a fan that pauses at night: few
+# readings show them, so one is made up for at once in steps of 15 min. Chosen on two cold weeks of the small office.
+OF_LOOPS = Learning(4.0, 1.0, 0.001)
+# Share of the room to spare of a day that is given back, and how far beyond its margin a zone was near a bound, K.
+_GIVEN_BACK, _NEAR_K = 0.5, 0.15
+# How much wider than at its tightest a bound is set back, and by how much one gets tighter that begins, K.
+_SET_BACK_K = 0.5
+# Most that a bound is anticipated by where it begins, K.
+_MOST_RECOVERY_K = 1.0
+
+
+@dataclass(frozen=True)
+class LearnedMargin:
+    """What a run has learned of its bounds; of the lower and the upper bound of each zone (2, Z):
+
+    `reserve_K`: reserve inside it; below 0: so much less than what is kept beforehand. `tightest_C`: the highest lower
+    and the lowest upper one that was met. `nearest_K`: how near readings were, from inside, while there was more to
+    give, since `since_s`, s. `recovery_K`: reserve where it begins, after a setback, besides what the uncertainty of
+    the effect asks for. `now_C`: the bounds at the last step, NaN where they are not known.
+    """
+
+    reserve_K: Array
+    tightest_C: Array
+    nearest_K: Array = field(default_factory=lambda: np.full((2, 1), np.inf))
+    since_s: float | None = None
+    recovery_K: Array = field(default_factory=lambda: np.zeros((2, 1)))
+    now_C: Array = field(default_factory=lambda: np.full((2, 1), np.nan))
+
+    @classmethod
+    def nothing(cls, zones: int) -> LearnedMargin:
+        """At the begin of a run."""
+        tightest_C = np.stack([np.full(zones, -np.inf), np.full(zones, np.inf)])
+        of_bounds = (2, zones)
+        return cls(
+            np.zeros(of_bounds),
+            tightest_C,
+            np.full(of_bounds, np.inf),
+            recovery_K=np.zeros(of_bounds),
+            now_C=np.full(of_bounds, np.nan),
+        )
+
+    def meeting(self, lower_C: Array, upper_C: Array) -> LearnedMargin:
+        """With the bounds (Z, N), °C, of the instants ahead, NaN where they are not known."""
+        now_C = np.stack([lower_C[:, 0], upper_C[:, 0]])
+        lower_C, upper_C = np.fmax.reduce(lower_C, axis=-1), np.fmin.reduce(upper_C, axis=-1)
+        tightest_C = np.fmax(self.tightest_C[0], lower_C), np.fmin(self.tightest_C[1], upper_C)
+        return replace(self, tightest_C=np.stack(tightest_C), now_C=now_C)
+
+    def after_setback(self, T_C: Array, lower_C: Array, upper_C: Array, spare: NDArray[np.bool_]) -> LearnedMargin:
+        """With a reading (Z,) at the instant at which a bound begins; what is missing there is added for the next time.
+
+        The machine may well have been at full level in the end: the next recovery begins earlier. Half of what there
+        was to spare is given back. Bounds (Z,) of now, °C; `spare` (2, Z): whether there was more to give in the hours
+        before, else nothing is added.
+        """
+        missing_K = np.stack([lower_C - T_C, T_C - upper_C])
+        begins = self.begins(self.now_C, np.stack([lower_C, upper_C])) & np.isfinite(missing_K)
+        change_K = np.where(begins, np.where(missing_K > 0.0, spare * missing_K, _GIVEN_BACK * missing_K), 0.0)
+        return replace(self, recovery_K=np.clip(self.recovery_K + change_K, 0.0, _MOST_RECOVERY_K))
+
+    @staticmethod
+    def begins(before_C: Array, bounds_C: Array) -> NDArray[np.bool_]:
+        """Where a lower and an upper bound (2, …), °C, are tighter than before."""
+        return np.stack([bounds_C[0] - before_C[0], before_C[1] - bounds_C[1]]) > _SET_BACK_K
+
+    def at_begin_K(self, z: int, now_C: Array, bounds_C: Array, unsure_K: Array) -> Array:
+        """Reserve inside the bounds (2, N) of zone `z`, °C, where they begin, K; 0 elsewhere.
+
+        `now_C` (2,): bounds of now. `unsure_K` (2, N): standard deviation of the recovery, K.
+        """
+        begins = self.begins(np.column_stack([now_C, bounds_C[:, :-1]]), bounds_C)
+        # One column for all zones: a state from before it was learned.
+        recovery_K = np.broadcast_to(self.recovery_K, self.reserve_K.shape)[:, z, None]
+        return np.where(begins, np.minimum(recovery_K + unsure_K, _MOST_RECOVERY_K), 0.0)
+
+    def after_reading(
+        self, inside_K: Array, spare: NDArray[np.bool_], planned_K: Array, left_K: Array, time_s: float
+    ) -> LearnedMargin:
+        """With a reading, and after a day with what its readings had to spare.
+
+        What was kept and never used in a day in which the zone came near the bound is halved: down to nothing, since
+        the margins that a plan was made with are the most that is given back.
+
+        Of each bound (2, Z): `inside_K`: how far the reading is inside, NaN: not known; `spare`: whether there was more
+        to give; `planned_K`: margins in all of the step's plan; `left_K`: the most of them that may be given back.
+        """
+        nearest_K = np.fmin(self.nearest_K, np.where(spare, inside_K, np.inf))
+        since_s = time_s if self.since_s is None else self.since_s
+        if time_s - since_s < DAY_S:
+            return replace(self, nearest_K=nearest_K, since_s=since_s)
+        unused_K = np.where(nearest_K <= planned_K + _NEAR_K, np.maximum(nearest_K, 0.0), 0.0)
+        given_K = np.minimum(_GIVEN_BACK * unused_K, left_K)
+        fresh = np.full_like(nearest_K, np.inf)
+        return replace(self, reserve_K=self.reserve_K - given_K, nearest_K=fresh, since_s=time_s)
+
+    def set_back(self, z: int | slice, lower_C: Array, upper_C: Array) -> NDArray[np.bool_]:
+        """Where bounds of zone `z` (N,), or of zones at an instant, °C, are wider than at their tightest, (2, N).
+
+        There loops cycle at low load, and a reserve costs little. The instants ahead do not tell: a weekend is longer.
+        """
+        tightest_C = self.tightest_C[:, z]
+        return np.stack([lower_C < tightest_C[0] - _SET_BACK_K, upper_C > tightest_C[1] + _SET_BACK_K])
+
+    def inside_K(self, z: int, lower_C: Array, upper_C: Array, *, by_loops: bool) -> Array:
+        """Reserve inside the bounds (N,) of zone `z`, (2, N), K; `by_loops`: only where they are set back."""
+        reserve_K = np.repeat(self.reserve_K[:, z, None], lower_C.size, axis=1)
+        return reserve_K * self.set_back(z, lower_C, upper_C) if by_loops else reserve_K
+
+
+def learned_K(before_K: Array, beyond_K: Array, spare: NDArray[np.bool_], step_s: float, learning: Learning) -> Array:
+    """The reserve inside each bound after a step of `step_s` seconds, K, from that before it, any shape.
+
+    `beyond_K`: how far the reading at its end was beyond the bound, negative inside; NaN: not known. `spare`: whether
+    the actuators that protect the bound were less than fully used; otherwise nothing is learned.
+    """
+    violation_K = np.clip(beyond_K, 0.0, learning.most_K)
+    change_K = min(learning.growth_1_h * step_s / HOUR_S, 1.0) * (violation_K - learning.allowed_K)
+    if not learning.fades:
+        change_K = np.maximum(change_K, 0.0)
+    learned = spare & np.isfinite(beyond_K)
+    least_K = np.minimum(before_K, 0.0)
+    return np.asarray(np.clip(before_K + np.where(learned, change_K, 0.0), least_K, learning.most_K))
+
+
+# Time over which errors are remembered, h; the least standard deviation that they have, K; and how many say something.
+_REMEMBERED_H, _LEAST_ERROR_K, _LEAST_ERRORS = 72.0, 0.02, 8.0
+# Change of level from which steps count the same, K: large ones are starts, which machines at a limit make slowly.
+_SMALL_K = 0.2
+# Prior standard deviation of what a first step gives beyond the model, relative; standard deviations from which it is
+# believed; and the share of what it explains of an error that does not last. A model with two thirds of the first step
+# does not swing with 0.3 to 0.7 of it (a plant with the responses of `bestest_hydronic`, 2026-11-28).
+_FIRST_STEP_SD, _BELIEVED, _PASSES = 0.5, 3.0, 0.7
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """What plans missed one step ahead, and what of it lasts; of each zone (Z,).
+
+    A forecast begins at the reading: all that the last plan missed is taken to last. Where a change of level gives more
+    in its first step than the model says, that is not so: the next plan takes back too much, and levels and zone swing
+    from step to step. The innovations of a right model are white (Mehra 1970); here they go with the change of level.
+
+    `moments` (3, Z): means of x², x e and e², forgotten over 72 h: e is the error, x what the change of level from the
+    step before does in its first step by the model, both over the size of x. `count`: of how many steps. `passing_K`:
+    what of the last error does not last, K.
+    """
+
+    moments: Array
+    count: Array
+    passing_K: Array
+
+    @classmethod
+    def nothing(cls, zones: int) -> Innovations:
+        """At the begin of a run."""
+        return cls(np.zeros((3, zones)), np.zeros(zones), np.zeros(zones))
+
+    def at_rest(self) -> Innovations:
+        """After a step that no plan decided."""
+        return replace(self, passing_K=np.zeros_like(self.passing_K))
+
+    def after(self, error_K: Array, change_K: Array, step_s: float) -> Innovations:
+        """With the errors e (Z,) of a step, K, and the changes x (Z,), K, NaN where the levels were not the plan's."""
+        told = np.isfinite(error_K) & np.isfinite(change_K)
+        e, x = np.where(told, error_K, 0.0), np.where(told, change_K, 0.0)
+        count = np.minimum(self.count + told, _REMEMBERED_H * HOUR_S / step_s)
+        products = np.stack([x**2, x * e, e**2]) / (x**2 + _SMALL_K**2)
+        moments = self.moments + told / np.maximum(count, 1.0) * (products - self.moments)
+        after = replace(self, moments=moments, count=count)
+        more, sd = after.first_step
+        believed = (count >= _LEAST_ERRORS) & (more > _BELIEVED * sd)
+        passing_K = np.where(believed, _PASSES * more * x, 0.0)
+        return replace(after, passing_K=np.clip(passing_K, np.minimum(e, 0.0), np.maximum(e, 0.0)))
+
+    @property
+    def first_step(self) -> tuple[Array, Array]:
+        """How much more a change of level does in its first step than the model says, as a share of that (Z,), with its
+        standard deviation.
+        """
+        x2, xe, e2 = self.moments
+        noise = np.maximum(e2 - xe**2 / np.maximum(x2, 1e-12), (_LEAST_ERROR_K / _SMALL_K) ** 2)
+        precision = self.count * x2 / noise + _FIRST_STEP_SD**-2
+        return self.count * xe / noise / precision, precision**-0.5
+
+
+# Heat below this share of what the level stands for is lacking.
+_LACKING = 0.8
+# Plans ask for all that they may from this share of it; a machine is at its limit from this share of its capacity:
+# below, a warm floor takes less than its level stands for.
+_ALL_ASKED, _AT_LIMIT, _MORE_THAN_ALL = 0.85, 0.92, 1.05
+# Levels below this say nothing of heat.
+_LEAST_LEVEL = 0.1
+# Change of the share that is kept: while heat is lacking, and while none is, 1/h; and the most that is kept.
+_GROWTH_1_H, _FADING_1_H, _MOST = 0.12, 0.01, 0.25
+
+
+def learned_share(
+    before: float, load: float, most_W: float, heat_W: Array, expected_W: Array, u: Array, step_s: float
+) -> float:
+    """The share kept of one machine's capacity after a step; below 0 where it has given more than that.
+
+    `load`: what the actuators asked for, as a share of the capacity `most_W`. Of each (A,): `heat_W` that it got (NaN:
+    not metered), `expected_W` that its level stands for, and its mean level `u`.
+    """
+    if not (np.isfinite(heat_W).all() and np.isfinite(u).all()):
+        return before
+    given = float(np.abs(heat_W.sum())) / most_W
+    if given > _MORE_THAN_ALL * (1.0 - min(before, 0.0)):
+        return before + _TAKEN_OVER * (1.0 - given - before)
+    if load < _ALL_ASKED * (1.0 - before):
+        return before
+    lacking = (np.abs(heat_W) < _LACKING * np.abs(expected_W)) & (u >= _LEAST_LEVEL)
+    at_limit = given >= _AT_LIMIT * (1.0 - min(before, 0.0))
+    rate = _GROWTH_1_H if at_limit and lacking.any() else -_FADING_1_H
+    return float(np.clip(before + rate * step_s / HOUR_S, min(before, 0.0), _MOST))
+
+
+# Power below this share of that of the level, and a zone that stays behind the plan by this, K, together say that the
+# machine is at a limit below the level; half of a step's finding is taken over, and no more than this share kept.
+_LESS_POWER, _BEHIND_K, _TAKEN_OVER, _MOST_BEYOND = 0.9, 0.1, 0.5, 0.4
+
+
+def share_beyond_limit(
+    before: float, u: float, power_W: float, expected_W: float, behind_K: float, step_s: float
+) -> float:
+    """The share of the highest level beyond a machine's limit after a step, where heat is not metered.
+
+    A machine that has to warm its water first, or whose burner ends below the highest set-point, gives at high levels
+    what it gives at a lower one. `u`: the level as a share of the highest, `power_W` measured and `expected_W` by the
+    law at that level, `behind_K`: how far the zone stayed behind the plan.
+    """
+    if not (np.isfinite([u, power_W, expected_W]).all() and u >= _ALL_ASKED and expected_W > 0.0):
+        return before
+    reached = u * power_W / expected_W
+    if reached < _LESS_POWER * u and behind_K > _BEHIND_K:
+        return float(np.clip(before + _TAKEN_OVER * (1.0 - reached - before), before, _MOST_BEYOND))
+    return max(before - (_FADING_1_H * step_s / HOUR_S if reached >= _LESS_POWER * u else 0.0), 0.0)
+
 
 # Share of the highest level from which an actuator counts as fully used.
 _FULLY_USED = 0.95

@@ -7,14 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
+from controllers.actuation.actuator import ActuationChoice, choose_actuation
 from controllers.actuation.actuators import Actuators
-from controllers.actuation.choice import ActuationChoice, choose_actuation
 from controllers.checks import ControllerConfigError
-from controllers.monitoring.watch_state import ScaledModel
+from controllers.monitoring.watch import ScaledModel
 from controllers.mpc.config import FreeResponseConfig, MPCConfig
-from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.plan_model import Evaluator, PlanModel
-from controllers.optimisation.problem import ProblemShape, blocked_moves, every_step
+from controllers.optimisation.problem import EquipmentLayout, ProblemShape, blocked_moves, every_step
 from controllers.optimisation.solution import Solver
 from controllers.optimisation.solvers.ipopt import IpoptSolver
 from controllers.optimisation.solvers.milp import MilpSolver
@@ -23,7 +22,7 @@ from controllers.optimisation.solvers.sqp import SQPSolver
 from controllers.optimisation.statement.terms import Terms
 from thermoforce_mpc.data import HOUR_S, Layout
 from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
-from thermoforce_mpc.model.machine.part_load import level_costs
+from thermoforce_mpc.model.machine.power import level_costs
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.predictor import Predictor

@@ -1,21 +1,31 @@
-"""What is believed of the building at the begin of a step: zones, meters, sun, gaps, forecast and forced state."""
+"""What is believed of the building at the begin of a step: zones, meters, sun, gaps, forecast and forced state.
+
+What will be: the free forecast with its band, by the model as it is adapted now, and whether predictions come true.
+
+Each actuator is watched on its home zone (`single_actuator_records`), so that control of one may be handed back alone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
+from controllers.checks import message_of
 from controllers.monitoring.meters import Meters
+from controllers.monitoring.single_actuator import single_actuator_context, single_actuator_records
 from controllers.monitoring.sun_on_sensors import SunOnSensors
+from controllers.monitoring.watch import ScaledModel, Track, Watch, WatchState
 from controllers.monitoring.zone_sensors import Sensor, Zones, ZoneSensors
 from controllers.mpc.config import MPCConfig
+from controllers.mpc.planner import Planner, Planners
 from controllers.mpc.state import MPCState
-from thermoforce_mpc.data import Array, Boundary, Observation, Record
+from thermoforce_mpc.data import Array, Boundary, Observation, Plan, Record
 from thermoforce_mpc.data.series import gapless
-from thermoforce_mpc.execution.cooperative import Computation
+from thermoforce_mpc.execution.cooperative import Computation, gather, within
 from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.forecast_gaps import completed, whole
-from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.predictor import PredictionContext, Predictor, PredictorState
 from thermoforce_mpc.model.sun_on_sensor import off_sensors
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
@@ -115,3 +125,170 @@ class ReadingsFilter:
 def joined(texts: Sequence[str]) -> str:
     """Parts of a sentence, without those that are empty."""
     return "; ".join(filter(None, texts))
+
+
+Item = TypeVar("Item")
+
+
+class WatchedPredictions:
+    """Moves what the watches (A,) need in and out of the state of an MPC; it holds no state.
+
+    `planner` gives that of a model with the adaptations of all actuators; `model`: as identified; `enabled`: whether
+    predictions are compared.
+    """
+
+    def __init__(
+        self,
+        watches: Sequence[Watch],
+        planner: Callable[[Sequence[ScaledModel | None]], Planner],
+        model: ThermalModel,
+        *,
+        enabled: bool,
+    ) -> None:
+        self._watches, self._planner, self._model = tuple(watches), planner, model
+        self.enabled = enabled
+
+    def begin(self, time_s: float) -> tuple[WatchState, ...]:
+        """The state of each watch at the begin of a run (A,)."""
+        return tuple(watch.begin(time_s) for watch in self._watches)
+
+    def validate(self, now: MPCState, history: Record, forced_K: Array | None) -> MPCState:
+        """The state with the predictions that came due compared; where control returns, with the model that held.
+
+        `forced_K` (Z, A, n + 1, r): forced states until now, see `single_actuator_records`.
+        """
+        records = single_actuator_records(self._model, history, forced_K)
+        for a, (watch, record) in enumerate(zip(self._watches, records, strict=True)):
+            before = now.watch[a]
+            try:
+                after = watch.validate(before, record, now.adaptation[a], now.predictor)
+            except Exception as error:  # what watches must not stop what it watches
+                news = f"predictions could not be judged ({message_of(error)})"
+                now = replace(now, watch=_with(now.watch, a, replace(before, news=news)))
+                continue
+            if before.alarm and not after.alarm:
+                used = after.tracks[0]
+                predictor = later_state(now.predictor, used.predictor)
+                now = replace(now, adaptation=_with(now.adaptation, a, used.adaptation), predictor=predictor)
+            now = replace(now, watch=_with(now.watch, a, after))
+        return now
+
+    def record_prediction(self, now: MPCState, context: PredictionContext, planner: Planner) -> MPCState:
+        """The state with the predictions of a plan recorded for all actuators in use, where one is due."""
+        states = list(now.watch)
+        for a, watch in enumerate(self._watches):
+            if not watch.due(float(context.boundary.time_s[0])) or states[a].alarm:
+                continue
+            if context.operator.home[a] in context.unmeasured:
+                continue  # what stands in for a temperature is no prediction
+            issued = watch.issued(
+                states[a].tracks[0], single_actuator_context(context, a), planner.operator.of_actuator(a)
+            )
+            states[a] = replace(states[a], tracks=(issued,))
+        return replace(now, watch=tuple(states))
+
+    def predict_in_background(self, observation: Observation, now: MPCState) -> Computation[MPCState]:
+        """The state with new predictions of the models that are watched while another controller acts."""
+        states = list(now.watch)
+        for a, watch in enumerate(self._watches):
+            if not states[a].alarm or not watch.due(observation.time_s):
+                continue
+            tracks = yield from gather([self._predicted(observation, now, a, track) for track in states[a].tracks])
+            states[a] = replace(states[a], tracks=tuple(tracks))
+        return replace(now, watch=tuple(states))
+
+    def _predicted(self, observation: Observation, now: MPCState, a: int, track: Track) -> Computation[Track]:
+        planner = self._planner(_with(now.adaptation, a, track.adaptation))
+        try:
+            context = yield from planner.predictor.contexting(observation, track.predictor)
+        except Exception:  # as in planning; without predictions a model does not get control back
+            return track
+        if context.operator.home[a] in context.unmeasured:
+            return track
+        issued = self._watches[a].issued(track, single_actuator_context(context, a), planner.operator.of_actuator(a))
+        return replace(issued, predictor=context.state)
+
+    def record_request(self, observation: Observation, plan: Plan) -> Plan:
+        """The plan, its state with the levels asked for."""
+        assert isinstance(plan.state, MPCState)
+        if not self.enabled:
+            return plan
+        states, news = list(plan.state.watch), []
+        for a, watch in enumerate(self._watches):
+            # What a command asks for is a loop's; its level is expected, not asked.
+            levels = [
+                float("nan") if (u := block.u[a]) is None or block.command[a] is not None else u * block.duration_s
+                for block in plan.blocks
+            ]
+            states[a] = watch.record_request(states[a], observation.time_s, sum(levels) / watch.step_s)
+            if states[a].news:
+                news.append(self._model.names.of_actuator(a, f"watch: {states[a].news}"))
+        return replace(plan.with_news(*news), state=replace(plan.state, watch=tuple(states)))
+
+    def doubtful(self, now: MPCState, a: int) -> bool:
+        """See `Watch.doubtful`."""
+        return self._watches[a].doubtful(now.watch[a])
+
+
+def later_state(kept: PredictorState | None, used: PredictorState | None) -> PredictorState | None:
+    """The state of a predictor that returns to use, or the one `kept` meanwhile where others went on planning."""
+    if not (kept and kept.forced and used and used.forced) or used.forced.time_s[-1] >= kept.forced.time_s[-1]:
+        return used
+    return replace(kept, forced=None)  # it was computed with the operator of another model
+
+
+def _with(values: tuple[Item, ...], at: int, value: Item) -> tuple[Item, ...]:
+    return (*values[:at], value, *values[at + 1 :])
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """A prediction before actions are chosen: its context, the planner of the model it was made with, and the state."""
+
+    context: PredictionContext
+    planner: Planner
+    state: MPCState
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why there is no plan in this step, as a value: the reason, the solver's status, seconds spent, and the state."""
+
+    reason: str
+    state: MPCState
+    solver_status: str = "not started"
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+
+class PlanPredictor:
+    """Predicts for the steps of a plan, within `seconds` of wall time; it holds no state.
+
+    What is forecast now will validate the zone sensors, and is compared with what comes by `watched`.
+    """
+
+    def __init__(
+        self, planners: Planners, sensors: ZoneSensors, watched: WatchedPredictions, n_steps: int, seconds: float
+    ) -> None:
+        self._planners, self._sensors = planners, sensors
+        self._watched, self._n_steps, self._seconds = watched, n_steps, seconds
+
+    def ahead(self, observation: Observation) -> Observation:
+        """The observation with the boundary forecast of the plan's steps only."""
+        return Observation(observation.history, observation.boundary.head(self._n_steps))
+
+    def predict(self, readings: Readings, state: MPCState) -> Computation[Forecast | Failure]:
+        """The forecast, with the state after it; the state as it was where it fails."""
+        try:
+            planner = self._planners.of(state.adaptation)
+            contexting = planner.predictor.contexting(self.ahead(readings.observation), state.predictor)
+            context = yield from within(self._seconds, contexting)
+        except Exception as error:  # whatever a forecaster raises, there is another way to act
+            return Failure(f"no prediction ({message_of(error)})", state)
+        return Forecast(context, planner, replace(state, predictor=context.state))
+
+    def record(self, forecast: Forecast, readings: Readings) -> Forecast:
+        """The forecast with a state that remembers what was predicted, for the sensors and the watch."""
+        context, state = forecast.context, forecast.state
+        sensors = self._sensors.anchored(state.sensors, readings.history, context)
+        state = self._watched.record_prediction(replace(state, sensors=sensors), context, forecast.planner)
+        return replace(forecast, state=state)

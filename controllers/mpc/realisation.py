@@ -11,10 +11,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from controllers.actuation.actuators import Actuators, Demand
-from controllers.actuation.power_limit import PowerLimit
-from controllers.mpc.prediction import Failure
-from controllers.mpc.readings import joined
+from controllers.actuation.actuators import Actuators, Demand, PowerLimit
+from controllers.mpc.readings import Failure, joined
 from controllers.mpc.state import MPCState
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
 from controllers.safety.overrides import ComfortGuard, Override, Situation, unplanned_status

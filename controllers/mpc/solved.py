@@ -10,25 +10,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.actuation.actuators import Actuators, Demand
-from controllers.actuation.power_limit import PowerLimit
+from controllers.actuation.actuators import Actuators, Demand, PowerLimit
 from controllers.actuation.room_setpoints import room_blocks, within_C
 from controllers.mpc.commanding import Commanded
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.formulation import Instance
-from controllers.mpc.prediction import Forecast
-from controllers.mpc.readings import Readings, joined
+from controllers.mpc.readings import Forecast, Readings, joined
 from controllers.mpc.state import MPCState
 from controllers.optimisation.plan_model import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Plan, PlanStatus
+from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL
-from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.operator.features import ZONE
+from thermoforce_mpc.model.operator.parameters import ZONE
 
 # Share of its highest level within which an actuator is taken to be at a limit.
 _NEARLY = 0.02

@@ -9,8 +9,8 @@ import numpy as np
 from controllers.actuation.actuator import ActuationState
 from controllers.monitoring.meters import MeterState
 from controllers.monitoring.sun_on_sensors import SunState
-from controllers.monitoring.watch_state import ScaledModel, WatchState
-from controllers.monitoring.zone_sensor_state import SensorState
+from controllers.monitoring.watch import ScaledModel, WatchState
+from controllers.monitoring.zone_sensors import SensorState
 from controllers.mpc.margins import Margins
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import DAY_S, Array, Boundary, Names, Observation, Record, month_of

@@ -14,10 +14,10 @@ from scipy import sparse
 
 from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape
 from controllers.optimisation.programme import FAR, QPData
+from controllers.optimisation.statement.algebra import groups_of, structure_of
 from controllers.optimisation.statement.functions import check_of, functions_of
 from controllers.optimisation.statement.parameter_values import Numbers
 from controllers.optimisation.statement.problem_statement import PARTS
-from controllers.optimisation.statement.structure import groups_of, structure_of
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import Buffered

@@ -14,7 +14,7 @@ from typing import Protocol
 
 from pydantic import Field
 
-from controllers.monitoring.watch_state import WatchState
+from controllers.monitoring.watch import WatchState
 from controllers.monitoring.zone_sensors import Zones
 from controllers.safety.fallback_policy import FallbackPolicy
 from thermoforce_mpc.data import Layout, Observation, PlanStatus

@@ -36,7 +36,7 @@ def connect(monkeypatch):
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
 def test_case(case, connect, monkeypatch):
-    monkeypatch.setattr("thermoforce_mpc.connections.home_assistant._TAKEN_S", 0.3)
+    monkeypatch.setattr("thermoforce_mpc.connections.home_assistant.TAKEN_S", 0.3)
     recorded = CONTRACT[case.__name__]
     acts = iter(recorded["acts"])
     with served(recorded["exchanges"], "TOKEN") as url:

@@ -87,7 +87,7 @@ def test_a_wrong_password_is_said_without_it(connect, tmp_path):
 @pytest.mark.parametrize("version", ["5", "3.1.1"])
 def test_what_could_not_be_published_never_arrives(version, tmp_path, monkeypatch):
     """paho keeps a failed publish of quality 1 and sends it when the broker is back, last of all."""
-    monkeypatch.setattr("thermoforce_mpc.connections.mqtt._TIMEOUT_S", 1.0)
+    monkeypatch.setattr("thermoforce_mpc.connections.mqtt.TIMEOUT_S", 1.0)
     (tmp_path / "broker").mkdir()
     broker = Broker(tmp_path / "broker")
     broker.start()
@@ -135,7 +135,7 @@ def test_a_retained_command_of_mqtt_5_ends_with_its_time_and_what_is_given_back_
 
 @needs_broker
 def test_what_the_device_says_is_waited_for(connect, broker, monkeypatch):
-    monkeypatch.setattr("thermoforce_mpc.connections.mqtt._TAKEN_S", 0.4)
+    monkeypatch.setattr("thermoforce_mpc.connections.mqtt.TAKEN_S", 0.4)
 
     def answers(client, userdata, message):
         taken = min(float(json.loads(message.payload)["t"]), 24.0)

@@ -118,7 +118,7 @@ def test_the_page_says_who_imports_the_controllers():
 
 
 def test_every_dotted_name_in_a_docstring_is_there():
-    """Such as `identification.estimation.modes`, or with a name in the module at its end; `prices.csv` is a file."""
+    """Such as `identification.pipeline`, or with a name in the module at its end; `prices.csv` is a file."""
     trees = _modules()
     rooms = {name.split(".")[1] for name in trees if name.startswith("thermoforce_mpc.")}
     bound = {name: _bound(tree.body) for name, tree in trees.items()}

@@ -28,7 +28,7 @@ from thermoforce_mpc.errors import DataError, InputError, WeatherError
 from thermoforce_mpc.experiment.measured_model import check_measurements
 from thermoforce_mpc.measurements.map.starting_map import starting_map
 from thermoforce_mpc.measurements.tables import files as tables
-from thermoforce_mpc.scenario.yaml_file import read_yaml
+from thermoforce_mpc.scenario.settings import read_yaml
 from thermoforce_mpc.state_file import StateFormat
 
 MAP = {

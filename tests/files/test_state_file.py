@@ -10,7 +10,7 @@ from enum import Enum
 import numpy as np
 import pytest
 
-from controllers.monitoring.watch_state import Judged, Track, WatchState
+from controllers.monitoring.watch import Judged, Track, WatchState
 from controllers.mpc.margins import Margins
 from controllers.mpc.state import MPCState
 from controllers.state_classes import STATE_CLASSES

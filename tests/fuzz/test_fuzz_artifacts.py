@@ -16,8 +16,7 @@ from operators import HEAT_MAP, random_operator
 from thermoforce_mpc.errors import ArtifactError
 from thermoforce_mpc.model.card import Competence, HorizonScore, ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
-from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.machine.water import ReturnWater
+from thermoforce_mpc.model.machine.power import PowerModel, ReturnWater
 from thermoforce_mpc.model.saved import ARRAYS_NAME, JSON_NAME, read_model_file, write_model_file
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 

@@ -30,7 +30,7 @@ from thermoforce_mpc.connections.sole import set_by, sole_control
 from thermoforce_mpc.data import Block
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.live import KeptState, LiveBuilding, WallClock, control
-from thermoforce_mpc.live.kept import Kept
+from thermoforce_mpc.live.building import Kept
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.report.display import RunDisplay
 

@@ -18,7 +18,7 @@ from simulated_building import RULES, START, SimulatedBuilding, mpc
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.experiment.explaining import alternatives_of, decision_at
 from thermoforce_mpc.live import LiveBuilding, control
-from thermoforce_mpc.live.kept import real_run
+from thermoforce_mpc.live.building import real_run
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.model.screening import ReadingLimits, screened_history
 from thermoforce_mpc.records.live_journal import LiveJournal

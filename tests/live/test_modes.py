@@ -17,7 +17,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.connections.sole import sole_control
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.live import KeptState, LiveBuilding, WallClock, control
-from thermoforce_mpc.live.kept import real_run
+from thermoforce_mpc.live.building import real_run
 from thermoforce_mpc.live.probing import ProbingPlan, probe_building, probing_key
 from thermoforce_mpc.live.shadow import ShadowBook, judged_day
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap

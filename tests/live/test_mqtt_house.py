@@ -41,9 +41,9 @@ class MqttHome:
 
     def __init__(self, broker, folder, monkeypatch, port=None) -> None:
         self.home, self.folder, self.broker, self._stamp = TimedHome(), folder, broker, None
-        monkeypatch.setattr("thermoforce_mpc.connections.mqtt._now", self.now)
-        monkeypatch.setattr("thermoforce_mpc.connections.mqtt._TIMEOUT_S", 0.7)
-        monkeypatch.setattr("thermoforce_mpc.connections.mqtt._TAKEN_S", 3.0)
+        monkeypatch.setattr("thermoforce_mpc.connections.mqtt.utc_now", self.now)
+        monkeypatch.setattr("thermoforce_mpc.connections.mqtt.TIMEOUT_S", 0.7)
+        monkeypatch.setattr("thermoforce_mpc.connections.mqtt.TAKEN_S", 3.0)
         lines = ["time,topic,value"]
         for row in self.home.rows:
             lines += [f"{row['time'].isoformat()},{TOPICS[name]},{row[name]:.6f}" for name in SENSORS]
@@ -53,7 +53,7 @@ class MqttHome:
         self.unavailable = self.torn = False
         self.connect(port)
         self.events = lambda row: None
-        self.home.on_row = self._row
+        self.home.on_row = self.row
 
     def connect(self, port=None) -> None:
         self.connection = build_connection(
@@ -97,7 +97,7 @@ class MqttHome:
         self._publish({"time": self.home.at, "T": self.home.T, "out": out})
         return self._recorded()
 
-    def _row(self, row) -> None:
+    def row(self, row) -> None:
         self.events(row)
         self._publish(row)
 
@@ -207,14 +207,14 @@ def test_killed_the_house_takes_over_and_the_next_start_goes_on(broker, tmp_path
         house.run(24)
     house.connection.close()
     told_when = house.home.at
-    house.home.on_row = house._row
+    house.home.on_row = house.row
     house.home.wait_until(told_when.ceil("1h") + 2 * HOUR)
     rows = [row for row in house.home.rows if row["time"] > told_when + HOUR]
     assert rows
     assert all(row["set"] == own_setpoint_C(row["time"]) for row in rows)
     assert heard.wait("mpc/availability")[-1] in ("online", "offline")
     monkeypatch.undo()
-    monkeypatch.setattr("thermoforce_mpc.connections.mqtt._now", house.now)
+    monkeypatch.setattr("thermoforce_mpc.connections.mqtt.utc_now", house.now)
     house.connect()
     decisions = house.run(6)
     assert [one.plan.status for one in decisions] == ["solved"] * 6

@@ -16,7 +16,7 @@ from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Period, PlanStatus
 from thermoforce_mpc.errors import StorageError
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
-from thermoforce_mpc.loop.kept_steps import KeptSteps
+from thermoforce_mpc.loop.loop import KeptSteps
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.records.journal import Journal, JournalError, read_journal
 from thermoforce_mpc.records.run_folder import steps_frame, trajectory_frame

@@ -14,8 +14,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.forced_state import forced_history
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse, RcParameters
 from thermoforce_mpc.model.operator.building import forced_rollout, single
-from thermoforce_mpc.model.operator.features import time_of_day
-from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.operator.parameters import linear_operator, time_of_day
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 

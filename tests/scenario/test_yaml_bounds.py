@@ -10,9 +10,8 @@ import pytest
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.scenario.settings import merge, parse_overrides, read_yaml, validate
+from thermoforce_mpc.scenario.settings import MOST_BYTES, merge, parse_overrides, read_yaml, validate
 from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.scenario.yaml_file import MOST_BYTES
 
 LAUGHS = "a0: &a0 [lol]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12))
 

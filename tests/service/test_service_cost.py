@@ -8,7 +8,7 @@ import pytest
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.service.session import Session
+from thermoforce_mpc.service.sessions import Session
 
 
 def memory_of(work) -> int:

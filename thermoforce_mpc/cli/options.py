@@ -304,7 +304,7 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     scenario = load_scenario(path, given)
     check_named_code([scenario.model_dump()], [keys], options.get("code", ()), str(path or options.get("variants")))
     if "url" in keys.get("plant", ()):
-        from thermoforce_mpc.plants.boptest.token import allow_token
+        from thermoforce_mpc.plants.boptest.plant import allow_token
 
         allow_token(scenario.plant.url)
     return scenario

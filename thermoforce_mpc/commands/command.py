@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.scenario.strict_model import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 # Commands nearer to one another than this are one, in their unit.
 SAME = 1e-6

@@ -23,10 +23,10 @@ from thermoforce_mpc.comparison.outcome import (
     pairs,
     ranked,
     reference_of,
+    results_json,
     tariff_title,
     verdicts,
 )
-from thermoforce_mpc.comparison.results_json import results_json
 from thermoforce_mpc.records.plain_files import write_plain
 from thermoforce_mpc.records.run_folder import write_json
 from thermoforce_mpc.report.findings import COST, DISCOMFORT

@@ -28,7 +28,7 @@ from thermoforce_mpc.errors import ConfigError, PlantError, suggestion
 from thermoforce_mpc.files import secret_from
 from thermoforce_mpc.measurements.tables.raw_table import SWITCH
 from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
-from thermoforce_mpc.scenario.strict_model import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 _TIMEOUT_S = 10.0
 # States asked for at once: a meter that reports every second has 86 400 a day.
@@ -38,7 +38,7 @@ _AGAIN_S = 120.0
 # By then what an entity said is in the history, s.
 _RECORDED_S = 60.0
 # How long a device may take to say what it was set to, and between two looks, s.
-_TAKEN_S, _LOOK_S = 8.0, 0.25
+TAKEN_S, _LOOK_S = 8.0, 0.25
 # While Home Assistant is down nothing is stored of anything: a silence of all entities so many times as long as usual
 # (99th percentile), and at least so long, s.
 _SILENCE, _SILENCE_S = 10.0, 900.0
@@ -217,7 +217,7 @@ class HomeAssistantConnection:
             raise PlantError(f"{entity} is off, so that a set-point does nothing: switch it to heat there")
         target = self._target(actuator, level, state["attributes"])
         self._service(actuator.domain, target.service, {"entity_id": entity, **target.data})
-        until = time.monotonic() + _TAKEN_S
+        until = time.monotonic() + TAKEN_S
         while True:
             state = self._state(entity)
             held = state["state"] if target.attribute is None else state["attributes"].get(target.attribute)

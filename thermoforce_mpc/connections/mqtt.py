@@ -33,13 +33,13 @@ from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.files import secret_from, storage_errors, write_whole
 from thermoforce_mpc.measurements.tables.raw_table import SWITCH
 from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
-from thermoforce_mpc.scenario.strict_model import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.version import VERSION
 
 _LOG = logging.getLogger(__name__)
-_TIMEOUT_S, _KEEPALIVE_S = 10.0, 30
+TIMEOUT_S, _KEEPALIVE_S = 10.0, 30
 # How long a device may take to say what it was set to, s.
-_TAKEN_S = 10.0
+TAKEN_S = 10.0
 _HEADER = "time,topic,value\n"
 _MOST_PAYLOAD = 100_000
 
@@ -173,7 +173,7 @@ class MqttConnection:
     def measurements(self) -> Path:
         """See `Connection.measurements`; raises `PlantError` where the broker is away."""
         self.begin()
-        until = time.monotonic() + _TIMEOUT_S
+        until = time.monotonic() + TIMEOUT_S
         while not self.connected:
             if time.monotonic() > until:
                 raise PlantError(f"broker {self._host}:{self._port}: {self._problem}")
@@ -191,7 +191,7 @@ class MqttConnection:
         if unknown := [name for name in levels if name not in self._actuators]:
             raise ConfigError(f"connection mqtt: actuators: none is given for '{unknown[0]}'")
         self.begin()
-        until = _now() + timedelta(seconds=seconds)
+        until = utc_now() + timedelta(seconds=seconds)
         messages, awaited = [], {}
         for name, level in levels.items():
             one = self._actuators[name]
@@ -203,7 +203,7 @@ class MqttConnection:
             if one.state is not None:
                 awaited[one.state] = value
         self._publish(messages)
-        deadline = time.monotonic() + _TAKEN_S
+        deadline = time.monotonic() + TAKEN_S
         with self._change:
             while wrong := {key: v for key, v in awaited.items() if not _alike(self._heard.get(key), v)}:
                 if not self._change.wait(max(deadline - time.monotonic(), 0.0)) and time.monotonic() >= deadline:
@@ -249,7 +249,7 @@ class MqttConnection:
         protocol = paho.MQTTv5 if self._version == "5" else paho.MQTTv311
         more: dict[str, Any] = {} if self._version == "5" else {"clean_session": True}
         client = paho.Client(paho.CallbackAPIVersion.VERSION2, client_id=name, protocol=protocol, **more)
-        client.connect_timeout = _TIMEOUT_S
+        client.connect_timeout = TIMEOUT_S
         if self._user is not None:
             client.username_pw_set(self._user, self._password)
         if self._context is not None:
@@ -278,9 +278,9 @@ class MqttConnection:
         try:
             client.connect(self._host, self._port, keepalive=_KEEPALIVE_S, **self._anew())
             client.loop_start()
-            if not ready.wait(_TIMEOUT_S) or refused:
+            if not ready.wait(TIMEOUT_S) or refused:
                 raise PlantError(f"{where}: {refused[0] if refused else 'no answer'}: nothing was set")
-            deadline = time.monotonic() + _TIMEOUT_S
+            deadline = time.monotonic() + TIMEOUT_S
             waiting = [
                 client.publish(topic, text, qos=1, retain=retain, properties=self._expiring(expires))
                 for topic, text, retain, expires in messages
@@ -360,7 +360,7 @@ class MqttConnection:
             self._append(rows)
 
     def _append(self, rows: Iterable[str]) -> None:
-        at, lines = _now().isoformat(timespec="milliseconds"), io.StringIO()
+        at, lines = utc_now().isoformat(timespec="milliseconds"), io.StringIO()
         csv.writer(lines, lineterminator="\n").writerows((at, *row.split("\x00", 1)) for row in rows)
         try:
             new = not self._record.exists()
@@ -370,7 +370,8 @@ class MqttConnection:
             _LOG.warning("%s: what came is not recorded (%s)", self._record, error.strerror or error)
 
 
-def _now() -> datetime:
+def utc_now() -> datetime:
+    """The clock of commands and records."""
     return datetime.now(UTC)
 
 
@@ -440,7 +441,7 @@ def _keep_lately(record: Path, days: float) -> None:
         with storage_errors(record.parent):
             record.parent.mkdir(parents=True, exist_ok=True)
         return
-    since = (_now() - timedelta(days=days)).isoformat()
+    since = (utc_now() - timedelta(days=days)).isoformat()
     text = record.read_text(encoding="utf-8", errors="replace")
     lines = text.splitlines()
     kept = [line for line in lines[1:] if line[:10] >= since[:10]]

@@ -20,8 +20,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.protocols import Connection
 from thermoforce_mpc.registry import Registry
 from thermoforce_mpc.scenario.own_code import called, options_model, unfit
-from thermoforce_mpc.scenario.settings import merge, read_yaml, validate
-from thermoforce_mpc.scenario.strict_model import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel, merge, read_yaml, validate
 
 REGISTRY: Registry[Callable[..., Connection]] = Registry(
     "connection",

@@ -20,7 +20,7 @@ from thermoforce_mpc.experiment.identifying import (
 )
 from thermoforce_mpc.experiment.windows import check_prices, check_window, scored_period
 from thermoforce_mpc.loop.closed_loop import RunResult, StepKeeper, StepRecord, run_closed_loop
-from thermoforce_mpc.loop.kept_steps import KeptSteps
+from thermoforce_mpc.loop.loop import KeptSteps
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.free_response.registry import build_free_response, needs_identified
 from thermoforce_mpc.model.screening import limits_of

@@ -23,7 +23,7 @@ from thermoforce_mpc.data.cache import known_marks, note_marks
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.model.free_response.backbones.loading import is_fetched
-from thermoforce_mpc.plants.boptest.token import allow_token
+from thermoforce_mpc.plants.boptest.plant import allow_token
 from thermoforce_mpc.plants.registry import REGISTRY, plant_name
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.own_code import code_file, is_policy, looked_at

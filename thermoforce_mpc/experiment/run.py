@@ -30,8 +30,8 @@ from thermoforce_mpc.experiment.run_models import (
 )
 from thermoforce_mpc.experiment.scenario_result import ScenarioResult, headline, print_summary, write_results
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
-from thermoforce_mpc.loop.kept_steps import KeptSteps
-from thermoforce_mpc.plants.boptest.token import allow_token
+from thermoforce_mpc.loop.loop import KeptSteps
+from thermoforce_mpc.plants.boptest.plant import allow_token
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.records.own_kpis import with_own_kpis

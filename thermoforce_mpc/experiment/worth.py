@@ -19,7 +19,7 @@ from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Boundary, Period, Record
 from thermoforce_mpc.data.dataframes import table
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.modes import BAND, STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.machine.change import Share
 from thermoforce_mpc.model.thermal_model import ThermalModel

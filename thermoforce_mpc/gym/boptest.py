@@ -16,8 +16,8 @@ from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.files import storage_errors
 from thermoforce_mpc.gym.env import BuildingEnv, Episodes
-from thermoforce_mpc.gym.points import PointsView
 from thermoforce_mpc.gym.sources import EmbeddedSource, PointSource, ServiceSource
+from thermoforce_mpc.gym.view import PointsView
 from thermoforce_mpc.gym.wrappers import DiscretizedActionWrapper, NormalizedActionWrapper, NormalizedObservationWrapper
 from thermoforce_mpc.plants.embedded.cases import CASES
 

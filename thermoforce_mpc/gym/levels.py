@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from controllers.policy.seen import FORECAST, PolicySpec
+from controllers.policy.trained import FORECAST, PolicySpec
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.gym.view import ObservationBox, View

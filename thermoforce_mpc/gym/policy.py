@@ -8,8 +8,7 @@ from typing import Any
 import gymnasium
 from gymnasium.wrappers.common import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit
 
-from controllers.policy.seen import PolicySpec, Seen
-from controllers.policy.trained import ALGORITHMS
+from controllers.policy.trained import ALGORITHMS, PolicySpec, Seen
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import write_whole

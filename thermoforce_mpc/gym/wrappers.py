@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from controllers.policy.seen import of_bins, scaled, unscaled
+from controllers.policy.trained import of_bins, scaled, unscaled
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.gym.view import Observed
 

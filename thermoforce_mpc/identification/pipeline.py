@@ -21,7 +21,7 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.confounding import unknown_heat
 from thermoforce_mpc.identification.effects.couplings import assembled, others_of, with_metered_shares
 from thermoforce_mpc.identification.effects.meters import (
-    ForeignLoads,
+    OtherLoads,
     foreign_loads,
     identified_heat_input,
     power_of_machine,
@@ -157,7 +157,7 @@ class _Records:
     runs: Sequence[Record]
     pairs: Sequence[Pair]
     histories: Sequence[Record]
-    foreign: ForeignLoads
+    foreign: OtherLoads
     doubts: Sequence[Remark]
     notes: Sequence[str]
     hashes: Mapping[str, str]

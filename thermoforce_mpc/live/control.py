@@ -21,8 +21,7 @@ from thermoforce_mpc.connections.watchdog import Watchdog
 from thermoforce_mpc.data import Block, Boundary, CommandValue, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ControllerRaised, NoForecast, PlantError, ThermoForceError
-from thermoforce_mpc.live.building import Applied, LiveBuilding
-from thermoforce_mpc.live.kept import Kept, KeptState
+from thermoforce_mpc.live.building import Applied, Kept, KeptState, LiveBuilding
 from thermoforce_mpc.loop.forecasts import OUTAGE_H
 from thermoforce_mpc.loop.loop import Believed, Decided, Loop
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts

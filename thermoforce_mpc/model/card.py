@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
+from thermoforce_mpc.model.machine.other_load import OtherLoad
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
 _GIVEN = "given"
@@ -129,7 +129,7 @@ class ModelCard:
     notes: tuple[str, ...] = ()
     competence: Competence | None = None
     sun_on_sensor: SunOnSensor | None = None
-    foreign_heat: ForeignLoad | None = None
+    foreign_heat: OtherLoad | None = None
     blocked_hours: tuple[int, ...] = ()
     blocked_cooling_hours: tuple[int, ...] = ()
 

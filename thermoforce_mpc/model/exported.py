@@ -24,8 +24,7 @@ import numpy as np
 from thermoforce_mpc.errors import DataError, suggestion
 from thermoforce_mpc.model.operator import casadi_export
 from thermoforce_mpc.model.operator.casadi_export import heat_input_expression
-from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import N_FEATURES, OUTDOOR, OperatorParameters
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel

@@ -20,7 +20,7 @@ from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.machine.change import UNKNOWN, Share, share_of_change
-from thermoforce_mpc.model.machine.foreign_load import own_W
+from thermoforce_mpc.model.machine.other_load import own_W
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.certificate import Certificate

@@ -151,8 +151,7 @@ def windows_of(spec: PlantSpec, testcase: TestCase) -> tuple[str, ...] | None:
 
 def boptest_plant(spec: PlantSpec, testcase: TestCase, options: Any, seed: int, testid: str | None = None) -> Plant:
     """The plant behind a service; with `testid` the test that it has already."""
-    from thermoforce_mpc.plants.boptest.plant import BoptestPlant
-    from thermoforce_mpc.plants.boptest.token import check_token
+    from thermoforce_mpc.plants.boptest.plant import BoptestPlant, check_token
 
     check_token(spec.url)
     uncertainty = spec.forecast_uncertainty

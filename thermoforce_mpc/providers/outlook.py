@@ -22,7 +22,7 @@ from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.protocols import Answer, Provider
 from thermoforce_mpc.providers.registry import build_provider
 from thermoforce_mpc.providers.service import OUTDOOR, PRICE, SUN
-from thermoforce_mpc.scenario.strict_model import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 _LOG = logging.getLogger(__name__)
 # An answer is asked for anew after so long, where the service does not say when; a service that failed, after so long.

@@ -13,7 +13,7 @@ import numpy as np
 from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Record
 from thermoforce_mpc.data.clock import words_of
-from thermoforce_mpc.data.superposition import compose
+from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.loop.closed_loop import in_force, with_level
 from thermoforce_mpc.loop.forecasts import holes, price_paid

@@ -8,7 +8,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.modes import BAND, STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
 from thermoforce_mpc.loop.closed_loop import RunResult, Sample
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.report.courses import RESOLUTION

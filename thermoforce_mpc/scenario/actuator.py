@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import ZERO_C_K, Array
-from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, check_range
+from thermoforce_mpc.scenario.settings import PointName, StrictModel, check_range
 
 # Least difference of supply air and room as a share of that at reference: nearer, the air neither heats nor cools.
 _LEAST_SHARE = 0.05

@@ -13,8 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, month_of
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario.settings import read_yaml, validate
-from thermoforce_mpc.scenario.strict_model import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel, read_yaml, validate
 
 if TYPE_CHECKING:  # loaded only where a calendar is
     import pandas as pd

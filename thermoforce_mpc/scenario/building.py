@@ -13,7 +13,7 @@ from thermoforce_mpc.data import ZERO_C_K, Layout, Names
 from thermoforce_mpc.errors import suggestion
 from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
 from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
-from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, check_range
+from thermoforce_mpc.scenario.settings import PointName, StrictModel, check_range
 
 
 class Supply(StrictModel):

@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field, field_validator
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import ConfigError, suggestion
-from thermoforce_mpc.scenario.strict_model import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 if TYPE_CHECKING:  # loaded only where a calendar is
     import pandas as pd

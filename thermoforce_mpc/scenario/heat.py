@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.scenario.strict_model import Factor, PointName, StrictModel
+from thermoforce_mpc.scenario.settings import Factor, PointName, StrictModel
 
 # Dry air at 20 °C: 1.2 kg/m³ · 1006 J/kgK.
 AIR_J_M3K = 1207.0

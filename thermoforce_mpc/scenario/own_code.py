@@ -17,7 +17,7 @@ from pydantic import Field, create_model
 
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.files import read_bounded
-from thermoforce_mpc.scenario.strict_model import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 _MOST_BYTES = 5_000_000
 

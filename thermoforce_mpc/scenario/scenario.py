@@ -8,8 +8,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from thermoforce_mpc.registry import known_name
 from thermoforce_mpc.scenario.comfort import Comfort, window_name
-from thermoforce_mpc.scenario.settings import StrictModel
-from thermoforce_mpc.scenario.strict_model import one_of
+from thermoforce_mpc.scenario.settings import StrictModel, one_of
 from thermoforce_mpc.scenario.testcase import Price
 
 _KINDS = ("embedded", "boptest", "fmu")

@@ -1,19 +1,336 @@
-"""Read YAML files and `--set` overrides; error messages name file, key and allowed values."""
+"""Read YAML files and `--set` overrides; error messages name file, key and allowed values.
+
+YAML as the package reads it: plain values only, bounded in size, depth and repetition, errors with their line.
+
+A subset of YAML 1.2's core schema: text, numbers, true and false (also yes, no, on, off), null, lists, mappings,
+anchors and merge keys. Tags, dates and numbers in base 8 or 60 are not read: 2026-01-01 and 12:30 stay text.
+
+Base class of everything that users configure: what cannot be right is refused where it enters.
+"""
 
 from __future__ import annotations
 
 import difflib
+import functools
 import math
+import re
 import reprlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError
+import yaml
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    WithJsonSchema,
+    field_validator,
+    model_validator,
+)
 
 from thermoforce_mpc.errors import ConfigError, suggestion
-from thermoforce_mpc.scenario.strict_model import StrictModel
-from thermoforce_mpc.scenario.yaml_file import MOST_DEPTH, YamlDocument, parse_value, read_yaml
+from thermoforce_mpc.files import odd_number, read_bounded
+
+# Largest magnitude by the unit at the end of a key: far beyond any building, but finite. Temperatures in °C also have a
+# least value; no key is in kelvin.
+_MOST = {
+    "_C": 200.0, "_K": 500.0, "_h": 24.0 * 366, "_hours": 24.0 * 366, "_s": 366 * 86400.0, "_days": 3660.0,
+    "days": 3660.0, "_steps": 1e6, "_m2": 1e7, "_W": 1e9, "_kW": 1e6,
+}  # fmt: skip
+_LEAST = {"_C": -100.0}
+_SHOWN = {"_C": "°C", "_m2": "m²"}
+_MOST_ANY = 1e12
+_NO_NUMBER = "expected a number, not true or false (nor yes, no, on, off)"
+# BOPTEST's names are those of Modelica variables, with the zone in brackets; EnergyPlus' are words.
+_POINT = re.compile(r"[A-Za-z_][\w.:/-]*( [\w.:/-]+)*(\[[\w .:,-]+\][\w.]*)*")
+
+
+def _possible_point(name: str) -> str:
+    if not _POINT.fullmatch(name) or len(name) > 200:
+        raise ValueError(
+            "no point has this name: letters, digits, _ . : / - and single spaces, an index in [ ], a letter first"
+        )
+    return name
+
+
+PointName = Annotated[str, AfterValidator(_possible_point)]
+"""Name of a point at the plant's interface."""
+
+
+def _no_truth_value(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise ValueError(_NO_NUMBER)
+    return value
+
+
+Factor = Annotated[float, BeforeValidator(_no_truth_value), Field(ge=-1e6, le=1e6)]
+"""Factor of a point in a sum."""
+
+
+def one_of(*usual: str) -> WithJsonSchema:
+    """The JSON Schema of a name that is one of the `usual` ones, or a plugin's."""
+    return WithJsonSchema({"anyOf": [{"enum": list(usual)}, {"type": "string"}]})
+
+
+class StrictModel(BaseModel):
+    """Base class of all configuration models; values are immutable.
+
+    Refused: unknown keys, NaN and infinity, true and false where a number is meant, text that only Python takes for one
+    (1_0), and numbers that no building can have, by the unit that a key's name ends with. A class variable is a
+    constant: files that name it with its own value are read, another value is refused.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _constants_are_no_options(cls, data: Any) -> Any:
+        named = cls.__class_vars__ & data.keys() if isinstance(data, Mapping) else set()
+        for key in named:
+            constant, value = getattr(cls, key), data[key]
+            same = constant.model_dump().items() >= value.items() if _is_model(constant, value) else value == constant
+            if not same:
+                shown = "what it is" if _is_model(constant, value) else f"{constant}"
+                raise ValueError(f"{key} is no option any more: it stays {shown}; leave the key out")
+        return {key: value for key, value in data.items() if key not in named} if named else data
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _numbers_are_no_truth_values(cls, value: Any, info: ValidationInfo) -> Any:
+        name = info.field_name or ""
+        if _takes_numbers_only(cls, name):
+            for one in _leaves(value):
+                if isinstance(one, bool):
+                    raise ValueError(_NO_NUMBER)
+                if isinstance(one, str) and not _may_be_text(cls, name) and odd_number(one):
+                    raise ValueError(f"{one!r:.60} is not a number")
+        return value
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _numbers_are_possible(cls, value: Any, info: ValidationInfo) -> Any:
+        name = info.field_name or ""
+        if not _takes_numbers_only(cls, name):
+            return value
+        unit = max((unit for unit in _MOST if name.endswith(unit)), key=len, default="")
+        most = _MOST.get(unit, _MOST_ANY)
+        least = _LEAST.get(unit, -most)
+        for one in _leaves(value):
+            if isinstance(one, int | float) and not least <= one <= most:
+                in_unit = f" {_SHOWN.get(unit, unit.removeprefix('_'))}" if unit else ""
+                raise ValueError(f"no building has {one:g}; expected {least:g} to {most:g}{in_unit}")
+        return value
+
+
+def _is_model(constant: Any, value: Any) -> bool:
+    return isinstance(constant, BaseModel) and isinstance(value, Mapping)
+
+
+@functools.cache
+def _takes_numbers_only(model: type[BaseModel], name: str) -> bool:
+    """Whether the values of a field are numbers (and text), alone or in lists and mappings."""
+    kinds = set(_kinds(model.model_fields[name].annotation))
+    others = bool in kinds or Any in kinds or object in kinds
+    nested = any(isinstance(kind, type) and issubclass(kind, BaseModel) for kind in kinds)
+    return bool(kinds & {int, float}) and not others and not nested
+
+
+@functools.cache
+def _may_be_text(model: type[BaseModel], name: str) -> bool:
+    """Whether a value of the field may be any text, such as the name of a column."""
+    annotation = model.model_fields[name].annotation
+    return str in _kinds(annotation) and get_origin(annotation) is not dict
+
+
+def _kinds(annotation: Any) -> Iterator[Any]:
+    below = get_args(annotation)
+    if below:
+        for one in below:
+            yield from _kinds(one)
+    elif isinstance(annotation, type) or annotation is Any:
+        yield annotation
+
+
+def _leaves(value: Any) -> Iterator[Any]:
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, list | tuple | set | frozenset):
+        for one in value:
+            yield from _leaves(one)
+    else:
+        yield value
+
+
+def check_range(minimum: float, maximum: float, unit: str) -> None:
+    """Raise `ValueError` unless the ends of a range are in order, and in K temperatures of a building, not in °C."""
+    if not minimum < maximum:
+        raise ValueError(f"minimum ({minimum}) must be below maximum ({maximum})")
+    for name, value in {"minimum": minimum, "maximum": maximum}.items():
+        if unit == "K" and not 200.0 <= value <= 500.0:
+            raise ValueError(f"{name} is {value:g} K; in unit K a temperature is between 200 and 500 (20 °C is 293.15)")
+
+
+# The largest shipped file has 5 kB; PyYAML reads about 100 kB a second.
+MOST_BYTES = 250_000
+MOST_DEPTH = 32
+# Values with every alias written out.
+MOST_VALUES = 50_000
+# A number of more digits is not a setting, and Python refuses to print one of more than 4300.
+_MOST_DIGITS = 40
+_HALVES = re.compile("[\ud800-\udfff]")
+_CORE = "tag:yaml.org,2002:"
+
+Place = tuple[str | int, ...]
+
+
+class YamlDocument(dict[str, Any]):
+    """Keys and values of a file, with the line of each by its path of keys and indices; 0: not from the file."""
+
+    def __init__(self, values: Mapping[str, Any], lines: Mapping[Place, int]) -> None:
+        super().__init__(values)
+        self.lines = dict(lines)
+
+    def line(self, path: Place) -> int | None:
+        """Line of the value at `path`, or of the innermost one above it; None for one that is not from the file."""
+        return next((self.lines[path[:n]] for n in range(len(path), 0, -1) if path[:n] in self.lines), 0) or None
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe loader with the bounds of this module; refuses what PyYAML would guess or silently drop."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._depth = self._values = 0
+        # Number of values in each node with an anchor that was read to its end.
+        self._sizes: dict[int, int] = {}
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event = self.peek_event()
+        mark = event.start_mark
+        if isinstance(event, yaml.AliasEvent):
+            node = super().compose_node(parent, index)
+            if id(node) not in self._sizes:
+                raise _wrong(f"'*{event.anchor}' contains itself", mark)
+            self._values += self._sizes[id(node)]
+        else:
+            if event.tag not in (None, "!"):
+                raise _wrong(f"the tag {event.tag!r:.60} is not read here; write a plain value", mark)
+            if isinstance(event, yaml.ScalarEvent) and _HALVES.search(event.value):
+                raise _wrong("a character that cannot be written (half of a surrogate pair)", mark)
+            before, self._values, self._depth = self._values, self._values + 1, self._depth + 1
+            if self._depth > MOST_DEPTH:
+                raise _wrong(f"nested deeper than {MOST_DEPTH} levels", mark)
+            node = super().compose_node(parent, index)
+            self._sizes[id(node)] = self._values - before
+            self._depth -= 1
+        if self._values > MOST_VALUES:
+            raise _wrong(f"more than {MOST_VALUES:,} values, aliases written out", mark)
+        return node
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key, _ in node.value:
+            if key.tag == _CORE + "merge":
+                continue
+            if not isinstance(key, yaml.ScalarNode) or key.tag != _CORE + "str":
+                shown = f"{key.value!r:.60} is read as {key.tag.removeprefix(_CORE)}, " if key.id == "scalar" else ""
+                raise _wrong(f"a key must be text: {shown}put it in quotes", key.start_mark)
+            if key.value in seen:
+                raise _wrong(f"key '{key.value:.60}' appears twice", key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+    def number(self, node: yaml.ScalarNode) -> int | float:
+        """Value of a number."""
+        if len(node.value) > _MOST_DIGITS:
+            raise _wrong(f"a number of {len(node.value)} characters; at most {_MOST_DIGITS}", node.start_mark)
+        if node.tag == _CORE + "int":
+            return int(node.value)
+        return float(node.value.lower().replace(".inf", "inf").replace(".nan", "nan"))
+
+
+_Loader.yaml_implicit_resolvers = {}  # those of YAML 1.1, which read 12:30 as 750
+_Loader.add_constructor(_CORE + "int", _Loader.number)
+_Loader.add_constructor(_CORE + "float", _Loader.number)
+for _name, _pattern, _first in (
+    ("bool", r"(?i:true|false|yes|no|on|off)", "tTfFyYnNoO"),
+    ("null", r"~|(?i:null)|", ["~", "n", "N", ""]),
+    ("int", r"[-+]?[0-9]+", "-+0123456789"),
+    ("float", r"[-+]?(\.[0-9]+|[0-9]+\.?[0-9]*)([eE][-+]?[0-9]+)?|[-+]?\.(?i:inf)|\.(?i:nan)", "-+.0123456789"),
+    ("merge", r"<<", "<"),
+):
+    _Loader.add_implicit_resolver(_CORE + _name, re.compile(rf"(?:{_pattern})\Z"), list(_first))
+
+
+def read_yaml(path: Path) -> YamlDocument:
+    """Read one YAML mapping; raises `ConfigError` naming file, line and reason."""
+    return parse_yaml(read_bounded(Path(path), MOST_BYTES, ConfigError), path)
+
+
+def parse_yaml(content: bytes, path: Path) -> YamlDocument:
+    """The YAML mapping that is the content of the file at `path`; raises `ConfigError` naming file, line and reason."""
+    try:
+        document, lines = _load(content.decode("utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not valid YAML: {_reason(error)}") from error
+    if document is None:
+        document = {}
+    if not isinstance(document, dict):
+        raise ConfigError(f"{path}: expected keys and values at the top, found {type(document).__name__}")
+    return YamlDocument(document, lines)
+
+
+def parse_value(text: str, where: str) -> Any:
+    """Return the value of a YAML text, such as that of an option; raises `ConfigError` naming `where`."""
+    if len(text) > MOST_BYTES:
+        raise ConfigError(f"{where}: more than {MOST_BYTES:,} characters")
+    try:
+        return _load(text)[0]
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{where}: the value is not valid YAML: {_reason(error)}") from error
+
+
+def _load(text: str) -> tuple[Any, dict[Place, int]]:
+    loader = _Loader(text)
+    try:
+        node = loader.get_single_node()
+        if node is None:
+            return None, {}
+        # Before construction, which moves what a merge key names into its mapping.
+        lines = dict(_lines(node, ()))
+        return loader.construct_document(node), lines
+    finally:
+        loader.dispose()
+
+
+def _lines(node: yaml.Node, path: Place) -> Any:
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                yield (*path, key.value), key.start_mark.line + 1
+                yield from _lines(value, (*path, key.value))
+    elif isinstance(node, yaml.SequenceNode):
+        for index, value in enumerate(node.value):
+            yield (*path, index), value.start_mark.line + 1
+            yield from _lines(value, (*path, index))
+
+
+def _wrong(problem: str, mark: yaml.Mark) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(None, None, problem, mark)
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, yaml.MarkedYAMLError):
+        mark = error.problem_mark or error.context_mark
+        said = " ".join(filter(None, (error.context, error.problem)))
+        return f"{said:.300}" + (f" (line {mark.line + 1})" if mark else "")
+    return " ".join(str(error).split())[:300]
+
 
 __all__ = [
     "StrictModel", "configs_folder", "find_config", "is_config", "merge", "named_configs", "nested", "parse_overrides",

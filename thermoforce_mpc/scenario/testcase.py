@@ -29,9 +29,7 @@ from thermoforce_mpc.scenario.building import (
     layout_of,
 )
 from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
-from thermoforce_mpc.scenario.settings import validate
-from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, one_of
-from thermoforce_mpc.scenario.yaml_file import MOST_BYTES, parse_yaml
+from thermoforce_mpc.scenario.settings import MOST_BYTES, PointName, StrictModel, one_of, parse_yaml, validate
 
 __all__ = ["PRICES", "Actuator", "ForecastPoints", "MeasuredPoints", "Price", "TestCase"]
 

@@ -20,8 +20,7 @@ from thermoforce_mpc.plants.embedded.emulator import Emulator
 from thermoforce_mpc.service.access import HostNames, Rate, Refusal, check_authorization
 from thermoforce_mpc.service.endpoints import FORMS, NAMESPACE, Endpoint, document, endpoints
 from thermoforce_mpc.service.points import served_points
-from thermoforce_mpc.service.session import Session
-from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
+from thermoforce_mpc.service.sessions import Session, Sessions, UnknownTestid
 from thermoforce_mpc.version import VERSION
 
 _LOG = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ from typing import Any
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H
 from thermoforce_mpc.service.points import PointInfo, ServedPoints
 from thermoforce_mpc.service.scenario import LEVELS
-from thermoforce_mpc.service.session import LEAST_STEP_S, MOST_STEP_S, Reply, Session
+from thermoforce_mpc.service.sessions import LEAST_STEP_S, MOST_STEP_S, Reply, Session
 from thermoforce_mpc.version import VERSION
 
 Schema = dict[str, Any]

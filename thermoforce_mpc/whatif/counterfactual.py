@@ -2,6 +2,8 @@
 
 The free response of a past day is known, measured minus forced by the levels applied, so nothing is forecast: the other
 levels' forced response takes the place of theirs, and weather, sun and people stay as they were.
+
+A record as days: energy, weather as the building feels it, temperature.
 """
 
 from __future__ import annotations
@@ -11,20 +13,118 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Boundary, FreeForecast, Names, Record
-from thermoforce_mpc.data.dataframes import seconds_at, table
+from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Boundary, FreeForecast, Names, Record
+from thermoforce_mpc.data.dataframes import control_free, seconds_at, table
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.data.series import WEATHER, bridged, interpolated
-from thermoforce_mpc.data.superposition import control_free
+from thermoforce_mpc.data.series import WEATHER, bridged, interpolated, lagged
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.modes import BAND, STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
 from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.free_response.checks import LEVELS
-from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.whatif.identified import step_response_of
+
+# Least share of a day's steps with energy and outdoor temperature for it to count, and with sun, where that is metered:
+# a sensor may be silent at night.
+_LEAST_MEASURED, _LEAST_SUN = 0.9, 0.25
+# Time constants of the weather's low passes, h; 0: the day's own mean.
+LAGS_H: tuple[float, ...] = (0.0, 12.0, 24.0, 48.0)
+
+
+@dataclass(frozen=True)
+class Days:
+    """Whole days of a record; `left_out` have gaps.
+
+    `number` (n,): day since the record's time 0. `energy_kWh` (n,): of all machines, or the heat that was moved.
+    `T_out_C`, `solar_W_m2` (lags, n): daily means of °C and W/m² through a low pass of each of `LAGS_H`. `T_zone_C` (Z,
+    n): daily means, °C. `weekend` (n,): False throughout where the record has no date.
+    """
+
+    number: NDArray[np.int64]
+    energy_kWh: Array
+    T_out_C: Array
+    solar_W_m2: Array
+    T_zone_C: Array
+    weekend: NDArray[np.bool_]
+    left_out: int
+
+    @property
+    def n(self) -> int:
+        """Number of days."""
+        return int(self.number.size)
+
+
+def days_of(record: Record, meter: str, name: str, past: Record | None = None) -> Days:
+    """The whole days of `record`, midnight to midnight; the energy is that of `meter`, 'power_W' or 'heat_W'.
+
+    `past`: what was recorded just before, from which the weather's low passes start. Raises `DataError`, with `name`,
+    where the step does not divide a day or no whole day is there.
+    """
+    per_day = DAY_S / record.step_s
+    if abs(per_day - round(per_day)) > 1e-6:
+        raise DataError(f"{name}: a step of {record.step_s:g} s does not divide a day; resample the record")
+    k = round(per_day)
+    low_out, low_sun = _low_passes(record, past)
+    first = int(np.ceil(record.time_s[0] / DAY_S - 1e-9))
+    last = int(np.floor(record.time_s[-1] / DAY_S + 1e-9))
+    offset = round((first * DAY_S - record.time_s[0]) / record.step_s)
+    # Heat that is taken out of a zone is negative in a record: cold that was used is energy like heat.
+    total = (record.power_W if meter == "power_W" else np.abs(record.heat_W)).sum(axis=0)
+    total = np.where(np.isfinite(total), total, np.nan)
+    measured = np.isfinite(total) & np.isfinite(record.T_out_C[:-1])
+    sunny = np.isfinite(record.solar_W_m2[:-1])
+    least_sun = _LEAST_SUN if sunny.any() else 0.0
+    rows: list[tuple[int, float, Array, Array, Array]] = []
+    left_out = 0
+    for day in range(first, last):
+        at = slice(offset + (day - first) * k, offset + (day - first + 1) * k)
+        if measured[at].mean() < _LEAST_MEASURED or sunny[at].mean() < least_sun:
+            left_out += 1
+            continue
+        energy = float(np.nanmean(total[at])) * DAY_S / J_PER_KWH
+        zone = np.array([np.nanmean(row[at]) if np.isfinite(row[at]).any() else np.nan for row in record.T_zone_C])
+        rows.append((day, energy, low_out[:, at].mean(axis=1), low_sun[:, at].mean(axis=1), zone))
+    if not rows:
+        raise DataError(
+            f"{name}: no whole day from midnight to midnight has energy, outdoor temperature and, where it is metered, "
+            f"sun ({left_out} have gaps)"
+        )
+    number, energies, outs, suns, zones = zip(*rows, strict=True)
+    weekend = np.zeros(len(rows), dtype=bool)
+    if record.origin is not None:
+        import pandas as pd
+
+        # At noon, since days begin an hour before or after midnight where the clock has moved since 1 January.
+        weekend = np.array([(record.origin + pd.Timedelta(days=day, hours=12)).weekday() >= 5 for day in number])
+    return Days(
+        np.array(number), np.array(energies), np.array(outs).T, np.array(suns).T, np.array(zones).T, weekend, left_out
+    )  # fmt: skip
+
+
+def _low_passes(record: Record, past: Record | None) -> tuple[Array, Array]:
+    """Outdoor temperature and irradiance through each low pass, (lags, n + 1)."""
+    filtered = []
+    for name in ("T_out_C", "solar_W_m2"):
+        values = interpolated(getattr(record, name))
+        before = np.empty(0)
+        if past is not None and 0.0 <= record.time_s[0] - past.time_s[-1] <= DAY_S and past.step_s == record.step_s:
+            before = interpolated(getattr(past, name))
+        joined = np.concatenate([before, values])
+        rows = []
+        for lag in LAGS_H:
+            if lag == 0.0:
+                rows.append(values)
+                continue
+            pole = float(np.exp(-record.step_s / HOUR_S / lag))
+            start = float(joined[: max(1, round(DAY_S / record.step_s))].mean())
+            rows.append(lagged(joined, pole, start)[1 + before.size :])
+        filtered.append(np.array(rows))
+    return filtered[0], filtered[1]
+
 
 # Error of a change of power, as a share, up to which its law alone counts.
 _EXACT = 0.1

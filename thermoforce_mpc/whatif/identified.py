@@ -10,7 +10,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation, Record
 from thermoforce_mpc.data.series import bridged
-from thermoforce_mpc.identification.estimation.modes import BAND, STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Predictor

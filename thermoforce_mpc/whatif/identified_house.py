@@ -31,7 +31,7 @@ from thermoforce_mpc.data.series import bridged, interpolated
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.checks import check_levels, day_period, forecast_times
 from thermoforce_mpc.plants.shell import Releasing

@@ -14,8 +14,7 @@ from thermoforce_mpc.data import Array, Observation
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.model.operator.building import forced_rollout
-from thermoforce_mpc.model.operator.features import N_FEATURES
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import N_FEATURES, OperatorParameters
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse

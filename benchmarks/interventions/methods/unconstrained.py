@@ -18,8 +18,7 @@ from benchmarks.interventions.methods.thermoforce import identified
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.model.forced_state import forced_history
 from thermoforce_mpc.model.operator.building import single
-from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
-from thermoforce_mpc.model.operator.parameters import HIDDEN
+from thermoforce_mpc.model.operator.parameters import HIDDEN, N_FEATURES, feature_matrix
 from thermoforce_mpc.protocols import FreeResponse
 
 _DECAY = (100.0, 10.0, 1.0, 1e-1, 1e-2)

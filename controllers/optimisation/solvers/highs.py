@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy import sparse
 
 from controllers.optimisation.programme import QPData
-from controllers.optimisation.solvers.qp_backends import SolverResult
+from controllers.optimisation.solvers.qp import SolverResult
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.scenario.settings import StrictModel
 

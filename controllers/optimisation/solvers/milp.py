@@ -21,7 +21,7 @@ from controllers.optimisation.problem import ProblemShape
 from controllers.optimisation.programme import QPData
 from controllers.optimisation.solution import Solver, SolverAnswer, StatementSolver
 from controllers.optimisation.solvers.highs import Highs, MilpConfig
-from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, SolverResult
+from controllers.optimisation.solvers.qp import Piqp, QPConfig, SolverResult
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 

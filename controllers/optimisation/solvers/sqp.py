@@ -15,7 +15,7 @@ from pydantic import Field
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.problem import ProblemShape
 from controllers.optimisation.solution import Solver, SolverAnswer, StatementSolver
-from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig
+from controllers.optimisation.solvers.qp import Piqp, QPConfig
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel

@@ -20,13 +20,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.optimisation.statement.algebra import Algebra
+from controllers.optimisation.statement.algebra import Algebra, Structure
 from controllers.optimisation.statement.problem_statement import Stated, parameter_sizes, state
-from controllers.optimisation.statement.structure import Structure
 from thermoforce_mpc.data.compiled import sources_of
 from thermoforce_mpc.dependencies import cache_folder
 from thermoforce_mpc.model.operator.casadi_export import gain_function, network_size
-from thermoforce_mpc.model.operator.features import N_FEATURES
+from thermoforce_mpc.model.operator.parameters import N_FEATURES
 
 # Files kept.
 _MOST_FILES = 120

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from controllers.optimisation.problem import MPCProblem, ProblemShape
+from controllers.optimisation.statement.algebra import PoleGroup, Structure, difference_equation
 from controllers.optimisation.statement.problem_statement import gain_sizes, parameter_sizes
-from controllers.optimisation.statement.structure import PoleGroup, Structure, difference_equation
 from thermoforce_mpc.data import J_PER_KWH, Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import ExportedGain, network_of
-from thermoforce_mpc.model.operator.features import OUTDOOR
+from thermoforce_mpc.model.operator.parameters import OUTDOOR
 
 # Half of the least width of a comfort band: solvers keep away from bounds that meet.
 _HALF_BAND_K = 1e-3

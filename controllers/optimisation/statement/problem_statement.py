@@ -42,11 +42,10 @@ from dataclasses import dataclass
 import casadi as ca
 
 from controllers.optimisation.problem import POWER_UNIT_W
-from controllers.optimisation.statement.algebra import MOST_RUNNING, Algebra
-from controllers.optimisation.statement.structure import Structure
+from controllers.optimisation.statement.algebra import MOST_RUNNING, Algebra, Structure
 from controllers.optimisation.statement.terms import PlanExpressions
 from thermoforce_mpc.model.operator.casadi_export import network_size
-from thermoforce_mpc.model.operator.features import N_FEATURES
+from thermoforce_mpc.model.operator.parameters import N_FEATURES
 
 Parameters = Mapping[str, ca.SX]
 # What the cost is made of, currency: `stored heat` is minus what it is worth at the end, `other` the curvature and the

@@ -91,8 +91,8 @@ def test_houses_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("computed_here")
 def test_two_houses_for_real(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With two days in the place of the week."""
-    monkeypatch.setattr(house, "_WEEK_DAYS", 2)
-    monkeypatch.setattr(house, "_WARMUP_DAYS", 2)
+    monkeypatch.setattr(house, "WEEK_DAYS", 2)
+    monkeypatch.setattr(house, "WARMUP_DAYS", 2)
     file = tmp_path / "verdicts.json"
     done = CliRunner().invoke(cli, ["bench", "verdicts", "--quick", "--days", "3", "--jobs", "1", "--json", str(file)])
     assert done.exit_code == 0, done.output

@@ -11,8 +11,7 @@ from in_do_mpc import do_mpc_cost
 from benchmarks.zones.do_mpc_building import DoMpcBuilding
 from benchmarks.zones.scaling import building_operator, building_problem, exponent, solve_times
 from controllers.optimisation.problem import MPCProblem, PowerCap, ProblemShape, every_step
-from controllers.optimisation.solvers.qp import QPSolver
-from controllers.optimisation.solvers.qp_backends import QPConfig
+from controllers.optimisation.solvers.qp import QPConfig, QPSolver
 from thermoforce_mpc.errors import DataError
 
 

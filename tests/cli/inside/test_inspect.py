@@ -13,8 +13,7 @@ from thermoforce_mpc.experiment import run_models
 from thermoforce_mpc.experiment.identifying import may_act
 from thermoforce_mpc.model.card import Competence, HorizonScore, ModelCard
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.part_load import LevelCost
-from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.machine.power import LevelCost, PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel

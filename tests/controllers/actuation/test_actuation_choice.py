@@ -11,17 +11,14 @@ from houses import House, record
 from simple_house import SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.actuation.actuator import ActuationConfig
+from controllers.actuation.actuator import ActuationConfig, choose_actuation
 from controllers.actuation.actuators import Actuators
-from controllers.actuation.choice import choose_actuation
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.part_load import LevelCost
-from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.machine.water import ReturnWater
+from thermoforce_mpc.model.machine.power import LevelCost, PowerModel, ReturnWater
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
-from controllers.actuation.actuators import Actuators
-from controllers.actuation.power_limit import PowerLimit
+from controllers.actuation.actuators import Actuators, PowerLimit
 from thermoforce_mpc.data import Layout, Names
 
 STEP_S = 900.0

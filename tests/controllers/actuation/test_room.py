@@ -16,20 +16,16 @@ from controllers.actuation.actuator import Actuation
 from controllers.actuation.actuators import Actuators
 from controllers.actuation.room_setpoints import room_blocks
 from controllers.checks import ControllerConfigError
-from controllers.monitoring.zone_sensor_state import Sensed
-from controllers.monitoring.zone_sensors import Zones
+from controllers.monitoring.zone_sensors import Sensed, Zones
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
-from controllers.mpc.margin_rules import LearnedMargin
-from controllers.mpc.margins import Margins
+from controllers.mpc.margins import LearnedMargin, Margins
 from controllers.mpc.readings import Readings
 from controllers.mpc.solved import first_demands
 from controllers.mpc.state import MPCState
-from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.problem import Cooling, ProblemShape, Weights, every_step
+from controllers.optimisation.problem import Cooling, EquipmentLayout, ProblemShape, Weights, every_step
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
-from controllers.optimisation.solvers.qp import QPSolver
-from controllers.optimisation.solvers.qp_backends import QPConfig
+from controllers.optimisation.solvers.qp import QPConfig, QPSolver
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Observation, Period, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError

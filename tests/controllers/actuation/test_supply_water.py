@@ -12,11 +12,10 @@ from mpc_problems import N, machinery_of, random_building, random_building_probl
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
 from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError
-from controllers.monitoring.watch_tests import level_fault
+from controllers.monitoring.watch import level_fault
 from controllers.optimisation.problem import Cooling, PowerCap, ProblemShape, every_step
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
-from controllers.optimisation.solvers.qp import QPSolver
-from controllers.optimisation.solvers.qp_backends import QPConfig
+from controllers.optimisation.solvers.qp import QPConfig, QPSolver
 from controllers.optimisation.solvers.sqp import SQPConfig, SQPSolver
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Layout, Names, Record

@@ -15,7 +15,7 @@ from controllers.coordination import JointPlan, Member, SharedPower, plan_jointl
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import ProblemShape, every_step
 from controllers.optimisation.solution import Solution, failed
-from controllers.optimisation.solvers.qp_backends import QPConfig
+from controllers.optimisation.solvers.qp import QPConfig
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from simple_house import simple_model
 
-from controllers.monitoring.watch_state import GAIN_BOUNDS, scaled
+from controllers.monitoring.watch import GAIN_BOUNDS, scaled
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.machine.load import MachineLoad

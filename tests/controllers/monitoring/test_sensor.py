@@ -12,7 +12,7 @@ from two_houses import TWO, TwoHouses, two_model
 
 from controllers import ThermoForceMPC
 from controllers.checks import ControllerConfigError
-from controllers.monitoring.zone_sensor_state import SensorConfig
+from controllers.monitoring.zone_sensors import SensorConfig
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, Boundary, FreeForecast, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError

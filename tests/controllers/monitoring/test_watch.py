@@ -11,9 +11,20 @@ from faults import FaultyHouse, draught_K
 from simple_house import FIXED_W, GAIN_K, PER_U_W, POLE, OutdoorResponse, SimpleHouse, native_level, simple_model
 
 from controllers import ThermoForceMPC
-from controllers.monitoring.watch import Watch, e_value
-from controllers.monitoring.watch_state import Issued, Judged, Track, WatchConfig, WatchState
-from controllers.monitoring.watch_tests import applied_levels, effect_fault, level_fault, machine_ratio, missing_effect
+from controllers.monitoring.watch import (
+    Issued,
+    Judged,
+    Track,
+    Watch,
+    WatchConfig,
+    WatchState,
+    applied_levels,
+    e_value,
+    effect_fault,
+    level_fault,
+    machine_ratio,
+    missing_effect,
+)
 from controllers.mpc.config import MPCConfig
 from controllers.registry import controller_config
 from controllers.safety.fallback_policy import FallbackConfig, FallbackPolicy, GoodPlan

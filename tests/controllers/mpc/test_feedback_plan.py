@@ -10,7 +10,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.checks import ControllerConfigError
-from controllers.monitoring.watch_state import scaled
+from controllers.monitoring.watch import scaled
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.modulation.selection import prove

@@ -14,7 +14,7 @@ from controllers.actuation.actuator import ActuationState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.card import Competence
-from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
+from thermoforce_mpc.model.machine.other_load import OtherLoad
 
 FULL_W = FIXED_W + PER_U_W
 BLOCKS = {"mode": "duty", "block_s": 900.0, "min_on_s": 1800.0, "min_off_s": 1800.0}
@@ -76,7 +76,7 @@ def test_a_plan_counts_with_the_blocks_that_a_step_can_hold_under_the_cap():
 
 def test_what_else_is_on_the_meter_leaves_less_of_a_cap_and_of_a_peak():
     seen, model = alone(), simple_model()
-    other = ForeignLoad((500.0,) * 24, 0.0, 5.0, (-20.0, 30.0), 0.0)
+    other = OtherLoad((500.0,) * 24, 0.0, 5.0, (-20.0, 30.0), 0.0)
     beside = replace(model, power=(replace(model.power[0], foreign=other),))
     kW = FULL_W / 1000.0
     np.testing.assert_allclose(limits_W(beside, seen, 1.2 * kW + 0.5), limits_W(model, seen, 1.2 * kW))

@@ -23,7 +23,7 @@ from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
-from thermoforce_mpc.model.machine.water import ReturnWater
+from thermoforce_mpc.model.machine.power import ReturnWater
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.testcases import load_testcase

@@ -11,8 +11,7 @@ from two_houses import TwoHouses, two_model, two_observation
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc.solved import end_of_move_C, reason_of
-from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.problem import Cooling
+from controllers.optimisation.problem import Cooling, EquipmentLayout
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL
 

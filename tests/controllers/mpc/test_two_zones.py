@@ -12,10 +12,9 @@ from two_houses import SHARED, TWO, TwoHouses, reordered, two_model, two_observa
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.monitoring.single_actuator import single_actuator_records
-from controllers.monitoring.watch_state import WatchState
-from controllers.monitoring.watch_tests import applied_levels
+from controllers.monitoring.watch import WatchState, applied_levels
 from controllers.mpc.acting import NoModelController
-from controllers.mpc.prediction import later_state
+from controllers.mpc.readings import later_state
 from controllers.mpc.state import MPCState
 from controllers.rules.pi import PIController
 from controllers.rules.thermostat import Thermostat

@@ -19,8 +19,7 @@ from controllers.optimisation.problem import MPCProblem, Weights
 from controllers.optimisation.solution import Solution
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.solvers.milp import MilpConfig, MilpSolver
-from controllers.optimisation.solvers.qp import QPSolver
-from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, SolverResult
+from controllers.optimisation.solvers.qp import Piqp, QPConfig, QPSolver, SolverResult
 from controllers.optimisation.solvers.sqp import SQPConfig, SQPSolver
 from controllers.optimisation.statement import functions
 from controllers.optimisation.statement.terms import PlanExpressions

@@ -11,9 +11,8 @@ from scipy.spatial import ConvexHull
 
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.planner import build_solver, plan_shape
-from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.plan_model import Evaluator
-from controllers.optimisation.problem import MPCProblem, ProblemShape, Weights, every_step
+from controllers.optimisation.problem import EquipmentLayout, MPCProblem, ProblemShape, Weights, every_step
 from controllers.optimisation.solution import Solution
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.machine.load import MachineLoad

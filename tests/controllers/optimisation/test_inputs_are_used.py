@@ -19,8 +19,7 @@ from controllers.optimisation.solution import Solver
 from controllers.optimisation.solvers.highs import Highs, MilpConfig
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.solvers.milp import MilpSolver
-from controllers.optimisation.solvers.qp import QPSolver
-from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig
+from controllers.optimisation.solvers.qp import Piqp, QPConfig, QPSolver
 from controllers.optimisation.solvers.sqp import SQPConfig, SQPSolver
 from controllers.optimisation.statement.terms import PlanExpressions
 

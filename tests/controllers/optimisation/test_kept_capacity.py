@@ -12,7 +12,7 @@ from simple_house import OutdoorResponse
 from two_houses import TwoHouses, two_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.mpc.margin_rules import learned_share
+from controllers.mpc.margins import learned_share
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import MachineLoad

@@ -11,13 +11,11 @@ from mpc_problems import N, machinery_of, random_building, random_building_probl
 from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.planner import build_solver, plan_shape
-from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.plan_model import PlanModel
-from controllers.optimisation.problem import MPCProblem, ProblemShape, every_step
+from controllers.optimisation.problem import EquipmentLayout, MPCProblem, ProblemShape, every_step
 from controllers.optimisation.solvers.ipopt import IpoptSolver
 from controllers.optimisation.solvers.milp import Highs, MilpConfig, MilpSolver
-from controllers.optimisation.solvers.qp import QPSolver
-from controllers.optimisation.solvers.qp_backends import QPConfig
+from controllers.optimisation.solvers.qp import QPConfig, QPSolver
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.heat_input import HeatInput

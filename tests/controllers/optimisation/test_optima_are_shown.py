@@ -20,8 +20,7 @@ from controllers.optimisation.problem import MPCProblem, ProblemShape, Weights, 
 from controllers.optimisation.solution import Solution, Solver, SolverAnswer, checked
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.solvers.milp import MilpConfig, MilpSolver
-from controllers.optimisation.solvers.qp import QPSolver
-from controllers.optimisation.solvers.qp_backends import QPConfig
+from controllers.optimisation.solvers.qp import QPConfig, QPSolver
 from controllers.optimisation.solvers.sqp import SQPConfig, SQPSolver
 from controllers.optimisation.statement.terms import PlanExpressions
 from thermoforce_mpc.model.operator.building import BuildingOperator, single

@@ -22,9 +22,8 @@ from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import ProblemShape, Weights, blocked_moves, every_step
 from controllers.optimisation.solution import SolverAnswer, checked
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
-from controllers.optimisation.solvers.qp import QPSolver
-from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, SolverResult
-from controllers.optimisation.statement.structure import difference_equation
+from controllers.optimisation.solvers.qp import Piqp, QPConfig, QPSolver, SolverResult
+from controllers.optimisation.statement.algebra import difference_equation
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import driven_rollout, single
 from thermoforce_mpc.model.operator.heat_input import HeatInput

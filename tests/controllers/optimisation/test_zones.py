@@ -10,13 +10,11 @@ import pytest
 from mpc_problems import N, machinery_of, random_building, random_building_problem, random_operator, random_problem
 
 from controllers.checks import ControllerConfigError
-from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.plan_model import PlanModel
-from controllers.optimisation.problem import PowerCap, ProblemShape, Weights, blocked_moves, every_step
+from controllers.optimisation.problem import EquipmentLayout, PowerCap, ProblemShape, Weights, blocked_moves, every_step
 from controllers.optimisation.solution import SolverAnswer, checked
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
-from controllers.optimisation.solvers.qp import QPSolver
-from controllers.optimisation.solvers.qp_backends import QPConfig
+from controllers.optimisation.solvers.qp import QPConfig, QPSolver
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.parameters import linear_operator

@@ -17,8 +17,7 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.readings import ReadingsFilter
 from controllers.mpc.state import MPCState
 from controllers.optimisation.solution import Solution
-from controllers.optimisation.solvers.qp import QPSolver
-from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig
+from controllers.optimisation.solvers.qp import Piqp, QPConfig, QPSolver
 from controllers.safety.fallback_policy import FallbackConfig
 from thermoforce_mpc.data import HOUR_S, FreeForecast, Observation, Plan, PlanStatus
 from thermoforce_mpc.loop.closed_loop import run_closed_loop

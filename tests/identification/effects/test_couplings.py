@@ -12,7 +12,7 @@ from thermoforce_mpc.data import HOUR_S, Layout, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import assembled
-from thermoforce_mpc.identification.estimation.modes import BAND, Effect
+from thermoforce_mpc.identification.estimation.regression import BAND, Effect
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.parameters import linear_operator

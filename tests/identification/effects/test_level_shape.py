@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from houses import House, record
 
-from controllers.actuation.actuator import ActuationConfig
-from controllers.actuation.choice import choose_actuation
+from controllers.actuation.actuator import ActuationConfig, choose_actuation
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.effects.level_laws import laws_of
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.part_load import LevelCost, level_costs
-from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.machine.power import LevelCost, PowerModel, level_costs
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario

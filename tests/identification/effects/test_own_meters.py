@@ -11,7 +11,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Layout
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.meters import foreign_loads
 from thermoforce_mpc.identification.pipeline import identify
-from thermoforce_mpc.model.free_response.persistence import Persistence
+from thermoforce_mpc.model.free_response.linear_weather import Persistence
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import load_model
 

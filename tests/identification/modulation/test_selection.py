@@ -15,8 +15,7 @@ from thermoforce_mpc.identification.modulation.training import with_network
 from thermoforce_mpc.model.forced_state import forced_history, heat_drive
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.certificate import certificate
-from thermoforce_mpc.model.operator.features import feature_matrix
-from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.operator.parameters import feature_matrix, linear_operator
 
 HOUSE = House()
 # Off and full level, as a machine that is switched is probed.

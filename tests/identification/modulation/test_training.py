@@ -16,9 +16,8 @@ from thermoforce_mpc.identification.estimation.regression import pair_regression
 from thermoforce_mpc.identification.estimation.rest import rest_of
 from thermoforce_mpc.identification.modulation.training import Misfit, TrainingData
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
-from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
-from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.operator.parameters import feature_matrix, linear_operator
 
 SD, GAMMA = 0.15, 0.6
 FREE = RcParameters(

@@ -10,8 +10,7 @@ from houses import random_levels
 from thermal_networks import effect_K, random_theta, simulated, theta_of, with_gap
 
 from thermoforce_mpc.identification.network.estimate import RoomFit, RoomRun, estimate_room, posterior
-from thermoforce_mpc.identification.network.priors import Prior
-from thermoforce_mpc.identification.network.room import Law, RoomNetwork
+from thermoforce_mpc.identification.network.room import Law, Prior, RoomNetwork
 
 METERED = RoomNetwork((1,), (50.0,))
 # What people and weather bring is a quarter of the heat, for hours.

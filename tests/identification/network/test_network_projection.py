@@ -7,7 +7,7 @@ import pytest
 from thermal_networks import KnownFit, effect_K, random_theta, theta_of
 
 from thermoforce_mpc.data import Layout
-from thermoforce_mpc.identification.estimation.modes import unit_steps
+from thermoforce_mpc.identification.estimation.regression import unit_steps
 from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
 from thermoforce_mpc.identification.network.projection import projected
 from thermoforce_mpc.identification.network.room import RoomNetwork

@@ -13,7 +13,7 @@ from simple_house import SimpleHouse
 from thermoforce_mpc.data import DAY_S, Layout, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.probing.probe import ProbingConfig, ProbingController
-from thermoforce_mpc.live.kept import Kept, KeptState
+from thermoforce_mpc.live.building import Kept, KeptState
 from thermoforce_mpc.loop.probing import probe
 
 CONFIG = ProbingConfig(trial_levels=(0.5,), trial_steps=4, warmup_days=1.0, candidates=4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from thermoforce_mpc.identification.validation.blocks import is_significant, quantile, standard_errors_saved
+from thermoforce_mpc.identification.validation.errors_ahead import is_significant, quantile, standard_errors_saved
 
 
 def _shares(overlap: int, *, n: int, smooth: int, tries: int = 2000, better: float = 1.0) -> float:

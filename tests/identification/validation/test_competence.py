@@ -11,8 +11,13 @@ from houses import House, make_pair, record, weather
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
-from thermoforce_mpc.identification.estimation.regression import before_held_out, held_out, run_regression, seen_rows
+from thermoforce_mpc.identification.estimation.regression import (
+    STEP_RESPONSE_H,
+    before_held_out,
+    held_out,
+    run_regression,
+    seen_rows,
+)
 from thermoforce_mpc.identification.validation.competence import (
     LEAD_TIMES_H,
     MOST_ERROR_K,

@@ -9,8 +9,7 @@ import pytest
 
 from thermoforce_mpc.data import HOUR_S, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
-from thermoforce_mpc.model.free_response.persistence import Persistence
+from thermoforce_mpc.model.free_response.linear_weather import LinearWeather, Persistence
 from thermoforce_mpc.model.free_response.substitute import WithSubstitutes, absurdity
 
 N = 24

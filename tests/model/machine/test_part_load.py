@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.part_load import LevelCost, PowerShape, cheapest, level_costs
-from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.machine.power import LevelCost, PowerModel, PowerShape, cheapest, level_costs
 
 LEVELS = np.array([0.2, 0.4, 0.7])
 

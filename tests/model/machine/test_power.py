@@ -10,8 +10,7 @@ import pytest
 from machine_history import machine_history
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.machine.power import fit_both_directions, fit_load, fit_power
-from thermoforce_mpc.model.machine.water import ReturnWater
+from thermoforce_mpc.model.machine.power import ReturnWater, fit_both_directions, fit_load, fit_power
 
 
 def _machine(u, T):

@@ -9,9 +9,7 @@ import pytest
 from machine_history import machine_history
 
 from thermoforce_mpc.identification.effects.level_laws import part_load_costs
-from thermoforce_mpc.model.machine.part_load import PowerShape
-from thermoforce_mpc.model.machine.power import PowerModel, fit_power
-from thermoforce_mpc.model.machine.water import warmth
+from thermoforce_mpc.model.machine.power import PowerModel, PowerShape, fit_power, warmth
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 HOUR = 3600.0

@@ -20,9 +20,8 @@ from thermoforce_mpc.model.exported import rollout_function, step_function
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import forced_rollout
 from thermoforce_mpc.model.operator.casadi_export import modulation_function
-from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
-from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, feature_matrix, linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 N = 24

@@ -13,8 +13,8 @@ from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.boptest.proposal import ServicePoints, proposed_testcase
 from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.scenario.settings import parse_value
 from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.scenario.yaml_file import parse_value
 from thermoforce_mpc.service.server import serving
 
 

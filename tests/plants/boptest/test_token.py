@@ -8,7 +8,7 @@ from click.testing import CliRunner
 import thermoforce_mpc as tf
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.plants.boptest.token import allow_token, check_token
+from thermoforce_mpc.plants.boptest.plant import allow_token, check_token
 
 URL = "http://service.invalid:8000"
 SCENARIO = (

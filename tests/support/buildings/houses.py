@@ -121,7 +121,7 @@ def make_pair(house: House, seed: int, days: float = 1.6) -> Pair:
 def effect_rmse(model, house: House, seed: int = 99, step_s: float = 3600.0, hours: int = 24) -> tuple[float, float]:
     """RMSE (K) and RMS (K) of the 24-h effect of random plans against none, by the house's own equations."""
     from thermoforce_mpc.model.operator.building import forced_rollout
-    from thermoforce_mpc.model.operator.features import feature_matrix
+    from thermoforce_mpc.model.operator.parameters import feature_matrix
 
     operator = model.only.operator.resampled(step_s)
     time_s, T_out, solar = weather(20, step_s, seed)

@@ -6,8 +6,7 @@ import numpy as np
 import numpy_problem
 from scipy.optimize import linprog, minimize
 
-from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.problem import MPCProblem, Weights
+from controllers.optimisation.problem import EquipmentLayout, MPCProblem, Weights
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput

@@ -16,7 +16,7 @@ from thermoforce_mpc.cli.options import FiniteRange, measured_options, plot_opti
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.data.dataframes import seconds_at
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.whatif.days import Days
+from thermoforce_mpc.whatif.counterfactual import Days
 from thermoforce_mpc.whatif.saving import Saving, verified_saving
 
 if TYPE_CHECKING:

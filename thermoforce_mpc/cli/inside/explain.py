@@ -13,7 +13,7 @@ from rich.table import Table
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.data.superposition import compose
+from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.experiment.explaining import (
     ExplainedStep,
     alternatives_json,
@@ -22,7 +22,7 @@ from thermoforce_mpc.experiment.explaining import (
     hour_ends,
 )
 from thermoforce_mpc.records.run_folder import write_json
-from thermoforce_mpc.report.whole_tables import plain_table, print_whole
+from thermoforce_mpc.report.findings import plain_table, print_whole
 
 if TYPE_CHECKING:
     from controllers.mpc.alternatives import Alternatives

@@ -109,9 +109,8 @@ def _init_of_service(folder: Path, testcase: str, url: str) -> None:
     """Write a test case proposed from the points of a service, and a scenario that runs it there."""
     from thermoforce_mpc.plants.boptest.proposal import points_of_service, proposed_testcase
     from thermoforce_mpc.plants.testcases import load_scenario
-    from thermoforce_mpc.scenario.settings import validate
+    from thermoforce_mpc.scenario.settings import parse_yaml, validate
     from thermoforce_mpc.scenario.testcase import TestCase
-    from thermoforce_mpc.scenario.yaml_file import parse_yaml
 
     proposed = proposed_testcase(testcase, points_of_service(url, testcase))
     validate(TestCase, parse_yaml(proposed.encode(), folder / "testcase.yaml"), "proposed test case")

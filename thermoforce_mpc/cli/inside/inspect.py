@@ -11,7 +11,7 @@ import click
 from rich.table import Table
 
 from thermoforce_mpc.cli.options import PATH
-from thermoforce_mpc.report.whole_tables import plain_table
+from thermoforce_mpc.report.findings import plain_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -100,7 +100,7 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
         console.print(f"  {machine} feeds {', '.join(fed) or 'nothing'}", soft_wrap=True)
     certified = f"NOT CERTIFIED: {', '.join(wrong)}" if wrong else "every pair CERTIFIED"
     console.print(f"Certificate: {certified}", soft_wrap=True)
-    from thermoforce_mpc.identification.estimation.modes import BAND, STEP_RESPONSE_H
+    from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
     from thermoforce_mpc.whatif.identified import step_response_of
 
     hours = STEP_RESPONSE_H[-1]
@@ -200,7 +200,7 @@ def _show_card(card: ModelCard, console: Console, notes_shown: Set[str]) -> None
         say(f"  note: {note}")
     if notes_shown & set(card.notes):
         say("  and the notes above that are of the same measurements")
-    from thermoforce_mpc.model.machine.part_load import level_costs
+    from thermoforce_mpc.model.machine.power import level_costs
 
     for cost in level_costs(card.uncertainty):
         heat = f"; heat per level {cost.heat:.2f} ± {cost.heat_sd:.2f} times that of full level"
@@ -251,7 +251,7 @@ def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Co
     lags_h = [h for h in _LAGS_H if f"step_response_{h}h_sd_K" in uncertainty]
     if not lags_h:
         return
-    from thermoforce_mpc.identification.estimation.modes import BAND
+    from thermoforce_mpc.identification.estimation.regression import BAND
 
     table = plain_table(["hours later", "expected", "from", "to"])
     for hours in lags_h:

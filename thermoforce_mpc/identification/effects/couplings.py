@@ -9,7 +9,7 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H, Effect, in_steps
+from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H, Effect, in_steps
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput

@@ -19,9 +19,7 @@ from thermoforce_mpc.data import Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.model.machine.heat_capacity import kinds_for
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE
-from thermoforce_mpc.model.machine.part_load import LevelCost
-from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.machine.water import COMPARED_AT, squares_of
+from thermoforce_mpc.model.machine.power import COMPARED_AT, LevelCost, PowerModel, squares_of
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 OUTDOORS = "heat_per_K"

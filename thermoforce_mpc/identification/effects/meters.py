@@ -10,9 +10,9 @@ import numpy as np
 from thermoforce_mpc.data import Array, Layout, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.model.machine.foreign_load import ForeignLoad, foreign_load, own_W
 from thermoforce_mpc.model.machine.heat_capacity import HeatFit, fit_heat, kinds_for
 from thermoforce_mpc.model.machine.load import LEAST_RUNNING, LEVEL_EDGE, running_share
+from thermoforce_mpc.model.machine.other_load import OtherLoad, other_load, own_W
 from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
@@ -25,11 +25,11 @@ _CYCLES_BELOW = (0.02, *np.linspace(0.1, 0.6, 11).round(2).tolist(), 1.0)
 
 
 @dataclass(frozen=True)
-class ForeignLoads:
+class OtherLoads:
     """What else is on the power meter of each machine (M,) and the heat meter of each actuator (A,); None: nothing."""
 
-    power: tuple[ForeignLoad | None, ...]
-    heat: tuple[ForeignLoad | None, ...]
+    power: tuple[OtherLoad | None, ...]
+    heat: tuple[OtherLoad | None, ...]
     layout: Layout
 
     def taken_off(self, record: Record) -> Record:
@@ -47,20 +47,20 @@ class ForeignLoads:
         return [f"{meter}: {other.in_words()}" for meter, other in meters if other is not None]
 
 
-def foreign_loads(histories: Sequence[Record], layout: Layout) -> ForeignLoads:
+def foreign_loads(histories: Sequence[Record], layout: Layout) -> OtherLoads:
     """What else is on the meters; nothing where signed levels never are off, and without records."""
     if not histories:
-        return ForeignLoads((None,) * len(layout.names.machines), (None,) * len(layout.home), layout)
+        return OtherLoads((None,) * len(layout.names.machines), (None,) * len(layout.home), layout)
     u, power_W, heat_W = (
         np.concatenate([getattr(h, name) for h in histories], axis=1) for name in ("u", "power_W", "heat_W")
     )
     time_s, T_out_C = (np.concatenate([getattr(h, name)[:-1] for h in histories]) for name in ("time_s", "T_out_C"))
 
-    def found(fed: Sequence[int], meter_W: Array) -> ForeignLoad | None:
+    def found(fed: Sequence[int], meter_W: Array) -> OtherLoad | None:
         signed = any(layout.lowest[a] < 0.0 for a in fed)
-        return None if signed else foreign_load(u[list(fed)], time_s, T_out_C, meter_W)
+        return None if signed else other_load(u[list(fed)], time_s, T_out_C, meter_W)
 
-    return ForeignLoads(
+    return OtherLoads(
         tuple(found(layout.fed_by(m), meter_W) for m, meter_W in enumerate(power_W)),
         tuple(found([a], sign * meter_W) for a, (sign, meter_W) in enumerate(zip(layout.signs, heat_W, strict=True))),
         layout,

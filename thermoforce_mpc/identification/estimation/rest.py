@@ -16,8 +16,7 @@ from scipy.optimize import minimize, nnls
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.data.series import lagged
-from thermoforce_mpc.identification.estimation.modes import unit_responses
-from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.estimation.regression import RegressionData, unit_responses
 from thermoforce_mpc.model.free_response.rc import RcParameters
 
 # Pairs cancel all drift; the rest is the model error of a few hundredths of a K. It is correlated over about an hour,

@@ -14,16 +14,18 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.modulation.training import TrainingData, train
-from thermoforce_mpc.identification.validation.blocks import block_numbers, is_significant, standard_errors_saved
-from thermoforce_mpc.identification.validation.errors_ahead import Fold
+from thermoforce_mpc.identification.validation.errors_ahead import (
+    Fold,
+    block_numbers,
+    is_significant,
+    standard_errors_saved,
+)
 from thermoforce_mpc.model.forced_state import forced_history
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE, MachineLoad
-from thermoforce_mpc.model.machine.part_load import SWITCH_FROM, part_load
-from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.machine.power import SWITCH_FROM, PowerModel, part_load
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.certificate import certificate
-from thermoforce_mpc.model.operator.features import feature_matrix
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, feature_matrix
 
 # A held-out comparison decides at this probability (Student's t, one-sided), if the RMS is below this share.
 _SIGNIFICANT, _RELEVANT = 0.95, 0.98

@@ -18,8 +18,7 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.estimation.rest import Rest
-from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import N_FEATURES, OUTDOOR, OperatorParameters
 
 # Initial standard deviation of hidden weights: features are normalised, so slopes of order 1 use the range of tanh.
 _HIDDEN_SD = 0.5

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares, nnls
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.estimation.modes import unit_steps
+from thermoforce_mpc.identification.estimation.regression import unit_steps
 from thermoforce_mpc.identification.network.building import RESPONSE_H
 
 # Time constants, h: shortest, longest of any building, least ratio of neighbours.

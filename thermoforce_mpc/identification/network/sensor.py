@@ -21,7 +21,7 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import resolution_K
 from thermoforce_mpc.identification.network.building import NetworkInputs, room_run
 from thermoforce_mpc.identification.network.estimate import RoomRun, estimate_room, gain_of_one_more, searched
-from thermoforce_mpc.identification.network.priors import SENSOR_SD_K
+from thermoforce_mpc.identification.network.room import SENSOR_SD_K
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, off_sensors, sensor_lag, sun_at
 

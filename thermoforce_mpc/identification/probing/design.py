@@ -14,7 +14,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.series import lagged
-from thermoforce_mpc.identification.estimation.modes import poles, unit_responses
+from thermoforce_mpc.identification.estimation.regression import poles, unit_responses
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 

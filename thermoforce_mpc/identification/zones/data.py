@@ -13,9 +13,9 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.level_laws import Estimates
 from thermoforce_mpc.identification.effects.meters import identified_heat_input
-from thermoforce_mpc.identification.estimation.modes import Effect
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
 from thermoforce_mpc.identification.estimation.regression import (
+    Effect,
     RegressionData,
     before_held_out,
     held_out,

@@ -16,8 +16,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.effects.confounding import Unknown
 from thermoforce_mpc.identification.effects.level_laws import part_load_costs
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
-from thermoforce_mpc.identification.validation.competence import judge
-from thermoforce_mpc.identification.validation.reasons import UNJUDGED
+from thermoforce_mpc.identification.validation.competence import UNJUDGED, judge
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.machine.power import PowerModel

@@ -18,9 +18,8 @@ from thermoforce_mpc.identification.effects.level_laws import (
     weather_of,
     with_outdoors,
 )
-from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H, Effect, unit_steps
 from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.identification.estimation.regression import without_others
+from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H, Effect, unit_steps, without_others
 from thermoforce_mpc.identification.network.building import (
     RESPONSE_H,
     BuildingFit,

@@ -16,8 +16,7 @@ from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H, Effect
-from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H, Effect, RegressionData
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData, fold_of
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters

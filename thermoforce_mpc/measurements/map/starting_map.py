@@ -11,8 +11,7 @@ import pandas as pd
 import yaml
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses
-from thermoforce_mpc.measurements.map.words import tags, unit_of, words_of
+from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses, tags, unit_of, words_of
 from thermoforce_mpc.measurements.tables.clock import all_year, instants
 from thermoforce_mpc.measurements.tables.files import all_readings, found_files, head_of, named_after, stamps_of
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules

@@ -16,14 +16,18 @@ from thermoforce_mpc.execution.cooperative import Computation, Request, perform,
 from thermoforce_mpc.model.free_response.backbones.base import Context, clock, frozen_pass
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED, load_backbone, shipped_folder
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
-from thermoforce_mpc.model.free_response.linear_weather import DISTURBANCES_H, fits_linear_weather, mean_course
+from thermoforce_mpc.model.free_response.linear_weather import (
+    DISTURBANCES_H,
+    Persistence,
+    fits_linear_weather,
+    mean_course,
+)
 from thermoforce_mpc.model.free_response.multi_resolution import (
     FEWEST_VALUES,
     Resolution,
     merged,
     resolutions_of,
 )
-from thermoforce_mpc.model.free_response.persistence import Persistence
 from thermoforce_mpc.scenario.settings import suggestion
 
 if TYPE_CHECKING:

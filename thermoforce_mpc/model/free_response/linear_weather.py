@@ -5,6 +5,8 @@ and irradiance, plus a daily wave. Weights of outdoor temperature and irradiance
 gain to the outdoor temperature to 1 (not a constraint: neighbours and ground may hold the zone). With fixed poles the
 *simulated* temperature is linear in the parameters, so the fit is a convex bounded least-squares problem over the whole
 history instead of one-step changes, which gives the better 24-h forecast.
+
+Persistence forecast: the reference for other forecasters, and the fallback for short histories.
 """
 
 from __future__ import annotations
@@ -22,6 +24,23 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, R
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
+
+
+class Persistence:
+    """`FreeResponse` that holds the last finite value; quantiles from past changes over each lead time."""
+
+    name = "persistence"
+
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
+        """See `FreeResponse.forecast`; raises `DataError` if no value was measured."""
+        free = checked_free(free_C, history)
+        n = boundary.n_steps
+        last = free[np.flatnonzero(np.isfinite(free))[-1]]
+        errors = np.full((free.size, n), np.nan)
+        for lead in range(1, min(n, free.size - 1) + 1):
+            errors[: free.size - lead, lead - 1] = free[lead:] - free[:-lead]
+        return FreeForecast(LEVELS, quantiles_from_errors(np.full(n, last), errors), "persistence")
+
 
 # Time constants from room air to massive structure, h.
 TIME_CONSTANTS_H = np.array([0.5, 2.0, 6.0, 20.0, 60.0, 200.0])

@@ -63,7 +63,7 @@ def _rc(*, rc: RcParameters | None) -> FreeResponse:
 
 def _persistence() -> FreeResponse:
     """The last value holds: the least to beat; it stands in with less than a day of history."""
-    from thermoforce_mpc.model.free_response.persistence import Persistence
+    from thermoforce_mpc.model.free_response.linear_weather import Persistence
 
     return Persistence()
 

@@ -19,8 +19,7 @@ from thermoforce_mpc.errors import DataError, ThermoForceError
 from thermoforce_mpc.execution.cooperative import Computation
 from thermoforce_mpc.model.free_response.checks import checked_forecast, checked_free
 from thermoforce_mpc.model.free_response.following import Computed, following
-from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
-from thermoforce_mpc.model.free_response.persistence import Persistence
+from thermoforce_mpc.model.free_response.linear_weather import LinearWeather, Persistence
 from thermoforce_mpc.protocols import FreeResponse
 
 # Lead times at which a forecast is compared with the record, h.

@@ -1,24 +1,37 @@
 """Total electric power as a function of the level: a fixed part while on and a part proportional to u, both with T_out.
 
 P(u, T_out, T_return) = [on·(c0 + c1·T_out) + u·(c2 + c3·T_out)]·(1 + κ (T_return − reference)), the last factor or a
-term in u² for warm water (`water.py`). Without the fixed part the model underestimates the power at part load; on a
+term in u² for warm water (`ReturnWater`). Without the fixed part the model underestimates the power at part load; on a
 machine with speed-independent losses that costs a controller 25 % of the energy.
+
+What heat costs at part load: by the laws of power and heat, or level by level as it was measured.
+
+Where heat is not measured, it is estimated from the temperature instead. Level by level, costs stand on the model card,
+with their uncertainty.
+
+Warm water and electric power: a heat pump or condensing boiler takes more power per heat the warmer its water is.
+
+Radiators follow the level within an hour. Power is then that of the level and a part u·w in the warmth w, the level
+that the water follows over the time constant of the emitter; a level or a share of time that stays, which is what a
+plan decides, has w = u: a part in u². Where that does not explain the power and the return water is measured, the power
+has a factor 1 + κ (T_return − reference) instead; in predictions the return temperature is the zone temperature plus
+the mean difference of the last day.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.optimize import lsq_linear
+from scipy.optimize import lsq_linear, minimize_scalar, nnls
 
-from thermoforce_mpc.data import Array, Record
-from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.data.series import lagged
 from thermoforce_mpc.model.machine.load import (
     LEAST_RUNNING,
     LEAST_W,
@@ -33,15 +46,103 @@ from thermoforce_mpc.model.machine.load import (
     running_share,
     usable_steps,
 )
-from thermoforce_mpc.model.machine.water import (
-    AS_GOOD,
-    LONGEST_S,
-    MOST_LEFT,
-    WATER_S,
-    ReturnWater,
-    fit_return_water,
-    squares_of,
-)
+from thermoforce_mpc.model.machine.other_load import OtherLoad
+
+# Times that are tried, s. A floor takes longer than the last but one: there no step of a plan warms its own water.
+WATER_S = (0.25 * HOUR_S, 0.5 * HOUR_S, HOUR_S, 2.0 * HOUR_S, 6.0 * HOUR_S)
+LONGEST_S = 2.0 * HOUR_S
+# Share of the error of a power without it that may be left: else something else than the water makes most of it.
+MOST_LEFT = 0.6
+# Error over that with the measured return water up to which it stands for that: a plan sees the level, not the water.
+AS_GOOD = 1.5
+# Warmth at which levels are compared: that of a machine that gives half its heat.
+COMPARED_AT = 0.5
+# Least number of running steps with a measured return temperature to identify κ.
+_LEAST_STEPS = 20
+# 1 K of lift changes a heat pump's efficiency by 2 to 3 %, partly through the heat instead of the power.
+_PRIOR_PER_K, _PRIOR_SD_PER_K = 0.01, 0.01
+_BOUNDS_PER_K = (-0.02, 0.05)
+# Extrapolation beyond the return temperatures of the data, K.
+_TRUST_K = 5.0
+
+
+def warmth(u: Array, step_s: float, water_s: float) -> Array:
+    """Mean over each step of the level that the water follows over `water_s`, (n,); it begins at the mean of `u`."""
+    levels = np.nan_to_num(u)
+    ends = lagged(levels, float(np.exp(-step_s / water_s)), float(levels.mean()))
+    return np.asarray(0.5 * (ends[:-1] + ends[1:]))
+
+
+def squares_of(histories: Sequence[Record], water_s: float) -> Array:
+    """Level times warmth in each step of records of one actuator, (n,)."""
+    return np.concatenate([h.u[0] * warmth(h.u[0], h.step_s, water_s) for h in histories])
+
+
+@dataclass(frozen=True)
+class ReturnWater:
+    """Factor on electric power by return water temperature.
+
+    `per_K`: κ, 1/K; `reference_C`: return temperature of the fitted load, °C; `range_C`: valid range, °C (held beyond);
+    `above_zone_K`: mean difference of return and zone temperature while the machine runs, K.
+    """
+
+    per_K: float
+    reference_C: float
+    range_C: tuple[float, float]
+    above_zone_K: float
+
+    def factor(self, T_return_C: Array) -> Array:
+        """Return the factor on the power at `T_return_C` °C; 1 if it is NaN (not measured)."""
+        T = np.clip(T_return_C, *self.range_C)
+        return np.where(np.isfinite(T), 1.0 + self.per_K * (T - self.reference_C), 1.0)
+
+    def expected_C(self, history: Record, T_zone_C: Array) -> Array:
+        """The expected return temperature with the zone at `T_zone_C` °C and the machine on, same shape, °C.
+
+        The difference is that of the last day of `history` while running, or of the identification where there is none.
+        """
+        if history.n_steps:
+            last_day = history.last(max(1, round(DAY_S / history.step_s)))
+            above_K = above_zone(last_day.T_return_C[0], last_day.T_zone_C[0, :-1], last_day.u[0])
+        else:
+            above_K = float("nan")
+        return np.asarray(T_zone_C + (above_K if np.isfinite(above_K) else self.above_zone_K))
+
+
+def above_zone(T_return_C: Array, T_zone_C: Array, u: Array) -> float:
+    """Return the mean of return − zone temperature over running steps, weighted by u, K; NaN without measurements."""
+    weight = np.where(np.isfinite(T_return_C) & np.isfinite(T_zone_C) & (u > LEVEL_EDGE), u, 0.0)
+    if not weight.sum() > 0:
+        return float("nan")
+    return float(np.average(np.nan_to_num(T_return_C - T_zone_C), weights=weight))
+
+
+def fit_return_water(
+    T_return_C: Array, T_zone_C: Array, u: Array, misfit_of: Callable[[Array], float], full_W: float
+) -> ReturnWater | None:
+    """Fit κ by least squares with a prior; None if too few running steps have a measured return temperature.
+
+    `T_return_C`, `u` (n,): means over each step; `T_zone_C` (n,) at its start. `misfit_of`: sum of squared residuals,
+    W², of the load fitted with given factors (n,). `full_W`: an error of a step has `RESIDUAL_SCALE` times that.
+    """
+    running = np.isfinite(T_return_C) & (u > LEVEL_EDGE)
+    if running.sum() < _LEAST_STEPS:
+        return None
+    low, high = float(T_return_C[running].min()), float(T_return_C[running].max())
+    reference = float(np.average(T_return_C[running], weights=u[running]))
+    above_K = above_zone(T_return_C, T_zone_C, u)
+    if not np.isfinite(above_K):
+        return None
+
+    def water(per_K: float) -> ReturnWater:
+        return ReturnWater(per_K, reference, (low - _TRUST_K, high + _TRUST_K), above_K)
+
+    def loss(per_K: float) -> float:
+        prior = ((per_K - _PRIOR_PER_K) / _PRIOR_SD_PER_K) ** 2
+        return misfit_of(water(per_K).factor(T_return_C)) / (RESIDUAL_SCALE * full_W) ** 2 + prior
+
+    minimum = minimize_scalar(loss, bounds=_BOUNDS_PER_K, method="bounded", options={"xatol": 1e-5})
+    return water(float(minimum.x))
 
 
 @dataclass(frozen=True)
@@ -84,7 +185,7 @@ class PowerModel:
     source: str = "given"
     water: ReturnWater | None = None
     cooling: MachineLoad | None = None
-    foreign: ForeignLoad | None = None
+    foreign: OtherLoad | None = None
     water_s: float | None = None
 
     def metered(self, u: Array, time_s: Array, T_out_C: Array, T_return_C: Array | float = float("nan")) -> Array:
@@ -283,3 +384,148 @@ def _with_prior(design: Array, load_W: Array, prior: Array, full_W: float, runni
     first = fitted(RESIDUAL_SCALE * full_W)
     error = (design @ first - load_W)[running]
     return fitted(error_of_a_step(error, RESIDUAL_SCALE * full_W)) if len(prior) else first
+
+
+# Excess of power per heat at half level from which a machine of several actuators is switched. Below it is what a few
+# days of data leave uncertain: an exponent of a radiator that is wrong by 0.2 looks like a fixed part of 8 %.
+SWITCH_FROM = 0.1
+# Excess of the cost of heat over that of full level, and over that of the cheapest level, up to which a lower one is
+# taken all the same: it moves a room less.
+_SAME_AS_FULL, _SAME_AS_CHEAPEST = 0.03, 0.02
+# Names on the model card (`ModelCard.uncertainty`).
+_COST, _COST_SD = "cost_of_heat_at_level_", "cost_of_heat_sd_at_level_"
+_HEAT, _HEAT_SD = "heat_per_level_at_level_", "heat_per_level_sd_at_level_"
+# Share of full power by which a middle level is above the line from the lowest to full level where a machine is at its
+# limit; a fixed part, and water that gets hotter, leave none.
+_BENT = 0.1
+# Weight of full level, which is 1 by definition, in the fit of the shape.
+_EXACT = 1e3
+
+
+@dataclass(frozen=True)
+class LevelCost:
+    """Power per heat at `level` over that at full level (`cost`), heat per level likewise, and their deviations."""
+
+    level: float
+    cost: float
+    cost_sd: float
+    heat: float
+    heat_sd: float
+
+    def numbers(self) -> dict[str, float]:
+        """As numbers for a model card."""
+        at, values = f"{self.level:.3f}", (self.cost, self.cost_sd, self.heat, self.heat_sd)
+        return {name + at: value for name, value in zip((_COST, _COST_SD, _HEAT, _HEAT_SD), values, strict=True)}
+
+    def __str__(self) -> str:
+        return (
+            f"at level {self.level:.2f} heat costs {self.cost:.2f} ± {self.cost_sd:.2f} times as much as at full level"
+        )
+
+
+def level_costs(uncertainty: Mapping[str, float]) -> tuple[LevelCost, ...]:
+    """Read costs from the numbers of a model card, by level; empty where there are none."""
+    at = sorted(name.removeprefix(_COST) for name in uncertainty if name.startswith(_COST))
+    names = (_COST, _COST_SD, _HEAT, _HEAT_SD)
+    return tuple(LevelCost(float(level), *(uncertainty[name + level] for name in names)) for level in at)
+
+
+def cheapest(costs: Sequence[LevelCost]) -> LevelCost | None:
+    """The lowest of the levels at which heat costs about least; None: that is full level."""
+    least = min([1.0 + _SAME_AS_FULL - _SAME_AS_CHEAPEST, *(one.cost for one in costs)])
+    as_cheap = [one for one in costs if one.cost <= least + _SAME_AS_CHEAPEST]
+    return min(as_cheap, key=lambda one: one.level, default=None)
+
+
+def at_its_limit(costs: Sequence[LevelCost]) -> bool:
+    """Whether power hardly rises above a middle level: a machine at a limit gives no more heat there either."""
+    levels = [one.level for one in costs] + [1.0]
+    power = [one.cost * one.heat * one.level for one in costs] + [1.0]
+    return any(
+        middle > np.interp(level, [levels[0], 1.0], [power[0], 1.0]) + _BENT
+        for level, middle in zip(levels[1:-1], power[1:-1], strict=True)
+    )
+
+
+@dataclass(frozen=True)
+class PowerShape:
+    """Power over the level, as shares of that at full level: `fixed` while on, `per_u` of u and `curve` of u²."""
+
+    fixed: float
+    per_u: float
+    curve: float
+
+    @classmethod
+    def through(cls, costs: Sequence[LevelCost], heat: Sequence[float]) -> PowerShape:
+        """The shape nearest to what heat costs, none of its parts below 0.
+
+        `heat`: heat at each level of `costs`, as a share of that of full level, by the model that plans.
+        """
+        u = np.array([*(one.level for one in costs), 1.0])
+        power = np.array([*(one.cost * share for one, share in zip(costs, heat, strict=True)), 1.0])
+        weights = np.append(1.0 / u[:-1], _EXACT)
+        parts, _ = nnls(weights[:, None] * np.stack([np.ones(u.size), u, u**2], axis=1), weights * power)
+        return cls(*(parts / parts.sum()))
+
+    def of(self, power: PowerModel) -> PowerModel:
+        """A machine's power with this shape, and at full level as it is.
+
+        What warm water takes is not in the shape, which compares levels in the same water, and is added to it.
+        """
+        load, water_W = power.load, power.load.curve_W if power.water_s else 0.0
+        low, high = load.T_out_range_C
+        (fixed_low, per_low), (fixed_high, per_high) = load.parts(low), load.parts(high)
+        other_W = load.curve_W - (1.0 - COMPARED_AT) * water_W
+        full_low, full_high = (float(x) + other_W for x in (fixed_low + per_low, fixed_high + per_high))
+        curve_W = self.curve * min(full_low, full_high)
+        slope = (full_high - full_low) / max(high - low, 1e-9)
+        # What the part in u², which has no slope over the outdoor temperature, lacks is in the part per level.
+        total = (full_low - curve_W - slope * low, slope)
+        share = self.fixed / max(self.fixed + self.per_u, 1e-9)
+        rest = 1.0 - share
+        # A little of the part per level is left, so that rounding cannot make it negative.
+        cold_W = min(COMPARED_AT * water_W, 0.99 * rest * (min(full_low, full_high) - curve_W))
+        coefficients = (share * total[0], share * total[1], rest * total[0] - cold_W, rest * total[1])
+        curve_W += cold_W / COMPARED_AT
+        return replace(power, load=MachineLoad(coefficients, load.T_out_range_C, load.lowest_level, curve_W=curve_W))
+
+
+@dataclass(frozen=True)
+class PartLoad:
+    """Shares of full power and full heat that do not depend on the level while the machine runs, in middling weather.
+
+    `heat_fixed` is 0 where heat is not measured and counts as proportional to the level.
+    """
+
+    power_fixed: float
+    heat_fixed: float
+
+    @property
+    def at_half(self) -> float:
+        """Power per heat at half level over that at full level."""
+        return self.at(0.5)
+
+    def at(self, level: float) -> float:
+        """Power per heat at `level` over that at full level."""
+        more = 1.0 / level - 1.0
+        return (1.0 + more * self.power_fixed) / (1.0 + more * self.heat_fixed)
+
+    def __str__(self) -> str:
+        return (
+            f"{100 * self.power_fixed:.0f} % of full power and {100 * self.heat_fixed:.0f} % of full heat are a fixed "
+            f"part while on; at half level {self.at_half:.2f} times the power per heat of full level"
+        )
+
+
+def part_load(power: PowerModel, heat: MachineLoad | None) -> PartLoad | None:
+    """Return the part load of a machine; None if the power law was fitted to off and full level only."""
+    law = power.load
+    if not law.levels_seen:
+        return None
+    T = 0.5 * sum(law.T_out_range_C)
+    fixed, per_u = (float(part) for part in law.parts(T))
+    heat_fixed = 0.0
+    if heat is not None and heat.levels_seen:
+        heat_on, heat_per_u = (float(part) for part in heat.parts(T))
+        heat_fixed = heat_on / (heat_on + heat_per_u)
+    return PartLoad(fixed / (fixed + per_u), heat_fixed)

@@ -18,8 +18,7 @@ from thermoforce_mpc.data import SINGLE, Array
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.certificate import Certificate, certificate
-from thermoforce_mpc.model.operator.features import N_FEATURES
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import N_FEATURES, OperatorParameters
 
 # What all pairs of one actuator have in common.
 _OF_ACTUATOR = (

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.operator.features import N_FEATURES, ZONE
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import N_FEATURES, ZONE, OperatorParameters
 
 Expression = TypeVar("Expression", ca.SX, ca.MX)
 

@@ -23,8 +23,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.operator.features import ZONE
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import ZONE, OperatorParameters
 
 # More corners than this are reduced to their convex hull, and a hull with more than that to its bounding box.
 _PRUNE_ABOVE, _BOX_ABOVE = 48, 768

@@ -10,7 +10,7 @@ from scipy.stats import norm
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.mpc.margin_rules import backoff_K, with_recourse_K
+from controllers.mpc.margins import backoff_K, with_recourse_K
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Observation, Record
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import HeatInput

@@ -9,7 +9,7 @@ import pytest
 from simple_house import FIXED_W, PER_U_W, OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.mpc.margin_rules import Innovations, share_beyond_limit
+from controllers.mpc.margins import Innovations, share_beyond_limit
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Measurement, Observation, Period
 from thermoforce_mpc.loop.closed_loop import run_closed_loop

@@ -12,8 +12,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc.controller import MPCState
-from controllers.mpc.margin_rules import OF_LOOPS, LearnedMargin, learned_K, of_plans
-from controllers.mpc.margins import Margins
+from controllers.mpc.margins import OF_LOOPS, LearnedMargin, Margins, learned_K, of_plans
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.predictor import PredictionContext

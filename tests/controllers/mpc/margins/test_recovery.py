@@ -13,8 +13,7 @@ from two_houses import two_model, two_observation
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.actuation.actuator import Actuation, ActuationConfig
 from controllers.actuation.actuators import Actuators
-from controllers.mpc.margin_rules import LearnedMargin
-from controllers.mpc.margins import MarginRules, Margins
+from controllers.mpc.margins import LearnedMargin, MarginRules, Margins
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Measurement, Observation
 from thermoforce_mpc.loop.closed_loop import run_closed_loop

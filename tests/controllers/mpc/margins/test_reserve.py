@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from controllers.actuation.actuator import Actuation, ActuationConfig
-from controllers.mpc.margin_rules import is_fast, reserve_K
+from controllers.mpc.margins import is_fast, reserve_K
 from thermoforce_mpc.model.card import Competence, HorizonScore, ModelCard
 from thermoforce_mpc.model.operator.parameters import linear_operator
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S
-from thermoforce_mpc.model.machine.foreign_load import foreign_load
+from thermoforce_mpc.model.machine.other_load import other_load
 
 STEP_S, N = 900.0, 4 * 96
 TIME_S = 30 * DAY_S + STEP_S * np.arange(N)
@@ -31,7 +31,7 @@ def test_what_the_meter_shows_while_off_is_told_by_hour_and_weather(seed):
     rng = np.random.default_rng(seed)
     u, T = levels(rng), weather(rng)
     other = coil_W(T) * (1.0 + 0.05 * rng.standard_normal(N))
-    found = foreign_load(u, TIME_S, T, FULL_W * u[0] + other)
+    found = other_load(u, TIME_S, T, FULL_W * u[0] + other)
     assert found is not None
     assert np.sqrt(np.mean((found(TIME_S, T) - coil_W(T)) ** 2)) < 0.25 * coil_W(T).mean()
     assert abs(found(TIME_S, T).mean() / coil_W(T).mean() - 1.0) < 0.05
@@ -42,16 +42,16 @@ def test_what_the_meter_shows_while_off_is_told_by_hour_and_weather(seed):
 def test_a_machine_alone_on_its_meter_has_none():
     rng = np.random.default_rng(1)
     u, T = levels(rng), weather(rng)
-    assert foreign_load(u, TIME_S, T, FULL_W * u[0]) is None
-    assert foreign_load(u, TIME_S, T, FULL_W * u[0] + 0.01 * FULL_W) is None, "a standby is not worth a law"
-    assert foreign_load(u, TIME_S, T, np.zeros(N)) is None, "a dead meter"
+    assert other_load(u, TIME_S, T, FULL_W * u[0]) is None
+    assert other_load(u, TIME_S, T, FULL_W * u[0] + 0.01 * FULL_W) is None, "a standby is not worth a law"
+    assert other_load(u, TIME_S, T, np.zeros(N)) is None, "a dead meter"
 
 
 def test_a_machine_that_runs_on_is_not_taken_for_another_load():
     rng = np.random.default_rng(2)
     u, T = levels(rng), weather(rng)
     after = np.concatenate([[0.0], u[0, :-1]]) * (u[0] == 0.0)
-    assert foreign_load(u, TIME_S, T, FULL_W * (u[0] + 0.5 * after)) is None
+    assert other_load(u, TIME_S, T, FULL_W * (u[0] + 0.5 * after)) is None
 
 
 def test_without_enough_steps_off_nothing_is_told():
@@ -59,17 +59,17 @@ def test_without_enough_steps_off_nothing_is_told():
     T = weather(rng)
     always = np.ones((1, N))
     always[0, :8] = 0.0
-    assert foreign_load(always, TIME_S, T, FULL_W * always[0] + coil_W(T)) is None
+    assert other_load(always, TIME_S, T, FULL_W * always[0] + coil_W(T)) is None
     two = np.vstack([levels(rng), 1.0 - levels(np.random.default_rng(3))])
     two[1] = 1.0 - two[0]
-    assert foreign_load(two, TIME_S, T, FULL_W + coil_W(T)) is None, "one of them is always on"
+    assert other_load(two, TIME_S, T, FULL_W + coil_W(T)) is None, "one of them is always on"
 
 
 def test_a_load_that_hour_and_weather_hardly_tell_is_said():
     rng = np.random.default_rng(4)
     u, T = levels(rng), weather(rng)
     tank = 3000.0 * (rng.random(N) < 0.1)
-    found = foreign_load(u, TIME_S, T, FULL_W * u[0] + tank)
+    found = other_load(u, TIME_S, T, FULL_W * u[0] + tank)
     assert found is not None
     assert "hardly tell it" in found.in_words()
 
@@ -82,4 +82,4 @@ def test_what_an_emitter_still_gives_off_is_not_taken_for_another_load():
         heat = np.zeros(N)
         for k in range(1, N):
             heat[k] = kept * heat[k - 1] + (1.0 - kept) * FULL_W * u[0, k]
-        assert foreign_load(u, TIME_S, T, heat) is None, f"a time constant of {lag_h} h"
+        assert other_load(u, TIME_S, T, heat) is None, f"a time constant of {lag_h} h"

@@ -34,7 +34,7 @@ _FADES_H, _FADES_SHARE, _SURE_SD = 3.0, 0.3, 3.0
 
 
 @dataclass(frozen=True)
-class ForeignLoad:
+class OtherLoad:
     """A foreign load: `by_hour_W` (24,) at `reference_C` outdoors, its change with the outdoor temperature, and error.
 
     The change holds within `T_out_range_C`. `rmse_W`: of the fit, over the steps in which the machine was off.
@@ -73,7 +73,7 @@ class ForeignLoad:
         return words
 
 
-def foreign_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> ForeignLoad | None:
+def other_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> OtherLoad | None:
     """The foreign load on the meter of a machine; None where there is none, or the machine was hardly off.
 
     `u` (A, n): levels of all that it feeds; `time_s` (n,): starts of the steps; `meter_W` (n,): of power, or of heat in
@@ -99,7 +99,7 @@ def foreign_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> For
     found = _coefficients(design, load_W)
     found = _coefficients(design, load_W, error_of_a_step(design @ found - load_W, _ERROR * mean_W))
     rmse_W = float(np.sqrt(np.mean((design @ found - load_W) ** 2)))
-    return ForeignLoad(
+    return OtherLoad(
         tuple(np.maximum(found[:HOURS], 0.0).tolist()),
         float(found[HOURS]),
         reference_C,
@@ -109,7 +109,7 @@ def foreign_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> For
 
 
 def own_W(
-    meter_W: Array, foreign: Sequence[ForeignLoad | None], record: Record, signs: Sequence[int] | None = None
+    meter_W: Array, foreign: Sequence[OtherLoad | None], record: Record, signs: Sequence[int] | None = None
 ) -> Array:
     """The meters (k, n) without the `foreign` load on each (k,), W; `signs` (k,): direction of each, 1 by default."""
     time_s, T_out_C = record.time_s[:-1], record.T_out_C[:-1]
