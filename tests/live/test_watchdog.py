@@ -14,6 +14,7 @@ from waiting import wait_for
 
 from thermoforce_mpc.connections.sole import sole_control
 from thermoforce_mpc.connections.watchdog import Watchdog
+from thermoforce_mpc.errors import PlantError
 
 # A controller that sets a level for a second, says so, and then does nothing more.
 _SETS = """
@@ -67,6 +68,34 @@ def test_a_building_that_another_controller_took_over_is_left_to_that_one(tmp_pa
     time.sleep(1.0)
     assert level(tmp_path) == 0.7
     assert "gave back" not in (tmp_path / "dog").read_text()
+
+
+@pytest.mark.slow
+def test_a_building_that_cannot_be_reached_at_first_is_asked_again_after_the_controller_died(tmp_path, controller):
+    controller.kill()
+    (tmp_path / "levels.json").unlink()
+    (tmp_path / "levels.json").mkdir()
+    wait_for("a try", lambda: "could not be given back" in (tmp_path / "dog").read_text())
+    (tmp_path / "levels.json").rmdir()
+    wait_for("the building is given back", (tmp_path / "levels.json").exists)
+    assert level(tmp_path) is None
+
+
+@pytest.mark.slow
+def test_what_a_controller_could_not_give_back_at_its_end_the_watchdog_does(tmp_path):
+    levels = tmp_path / "levels.json"
+    dog = Watchdog("files", {"levels": str(levels)}, levels, 0.0, tmp_path / "dog")
+
+    def fails():
+        with sole_control(levels):
+            dog.set(["pump"], 1.0)
+            raise PlantError("the building did not take back pump")
+
+    with pytest.raises(PlantError):
+        fails()
+    dog.close()
+    wait_for("the building is given back", levels.exists)
+    assert level(tmp_path) is None
 
 
 @pytest.mark.slow

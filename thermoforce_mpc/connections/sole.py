@@ -20,6 +20,10 @@ from thermoforce_mpc.protocols import Connection
 _MOST_BYTES = 10_000
 
 
+class SetByAnother(ConfigError):
+    """Another process sets what is asked for."""
+
+
 def set_by(connection: Connection, name: str = "", options: Mapping[str, Any] | None = None) -> Path | str:
     """What a connection sets, see `Connection`; where it does not say, its `name` and `options`, '' without a name."""
     says = getattr(connection, "sets", None)
@@ -41,7 +45,7 @@ def _place(what: Path | str) -> Path:
 
 
 def last_to_set(what: Path | str) -> str:
-    """Who sets `what`, or died while it did, as `process 123 since …`; '' where the last one ended by itself.
+    """Who sets `what`, or failed or died while it did, as `process 123 since …`; '' where the last one ended well.
 
     Raises `ConfigError` where that cannot be read.
     """
@@ -50,13 +54,14 @@ def last_to_set(what: Path | str) -> str:
 
 
 @contextmanager
-def sole_control(what: Path | str) -> Iterator[None]:
+def sole_control(what: Path | str, process: int | None = None) -> Iterator[None]:
     """Keep other controllers from setting `what`, of `set_by`, while the block lasts; a process that dies releases it.
 
     A file is locked beside it, for every user of the machine; all else in the user's cache folder, for this user.
+    `process`: for whom it is set, by default this one; `last_to_set` says it yet where the block ends by an exception.
 
     Raises:
-        ConfigError: another process sets it; names that one.
+        SetByAnother: another process sets it; names that one.
         StorageError: it cannot be locked.
     """
     what = what.resolve() if isinstance(what, Path) else what
@@ -68,7 +73,7 @@ def sole_control(what: Path | str) -> Iterator[None]:
         lock = FileLock(place, timeout=0)
         lock.acquire()
     except Timeout as error:
-        raise ConfigError(
+        raise SetByAnother(
             f"{what} is set by another controller ({other or 'a process that does not say which'}), and two would undo "
             "one another: end that one first"
         ) from error
@@ -76,9 +81,10 @@ def sole_control(what: Path | str) -> Iterator[None]:
         raise StorageError(f"{what}: {place} cannot be locked ({error.strerror or error})") from error
     try:
         since = datetime.now(UTC).isoformat(timespec="seconds")
-        place.write_text(f"process {os.getpid()} since {since}, in {Path.cwd()}\n", encoding="utf-8", errors="replace")
+        who = f"process {os.getpid() if process is None else process} since {since}, in {Path.cwd()}\n"
+        place.write_text(who, encoding="utf-8", errors="replace")
         yield
-    finally:
         # The file stays: one that waits for it while it is removed would lock what nobody sees.
         place.write_text("", encoding="utf-8")
+    finally:
         lock.release()

@@ -16,12 +16,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
 from thermoforce_mpc.connections.registry import build_connection
-from thermoforce_mpc.connections.sole import last_to_set, sole_control
+from thermoforce_mpc.connections.sole import SetByAnother, last_to_set, sole_control
 from thermoforce_mpc.errors import ConfigError
 
 _LOG = logging.getLogger(__name__)
@@ -148,7 +148,7 @@ def _what(head: Mapping[str, Any]) -> Path | str:
 
 
 def _is_ours(head: Mapping[str, Any]) -> bool:
-    """Whether nobody set the building after our controller, which has died."""
+    """Whether nobody set the building after our controller, which has died or failed."""
     with suppress(ConfigError, OSError):
         return last_to_set(_what(head)).startswith(f"process {head['controller']} ")
     return True
@@ -157,14 +157,12 @@ def _is_ours(head: Mapping[str, Any]) -> bool:
 def _given_back(head: Mapping[str, Any], names: Sequence[str], alive: bool) -> bool:
     """Give everything back; whether that is done, or another controller's. `alive`: our controller holds the lock."""
     try:
-        if alive:
+        # While the building cannot be reached it stays our controller's, and is asked again.
+        with nullcontext() if alive else sole_control(_what(head), head["controller"]):
             _give_back(head, names)
-        else:
-            with sole_control(_what(head)):
-                _give_back(head, names)
-    except ConfigError as error:
+    except SetByAnother as error:
         _say(f"not given back: {error}")
-        return not alive  # another controller took over
+        return True
     except Exception as error:  # somebody's connection may raise anything
         _say(f"{', '.join(names)} could not be given back ({type(error).__name__}: {error}): tried again")
         return False
