@@ -9,12 +9,16 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 from connected_home import HOUR, SENSORS, START, TimedHome, controlled, rules_of
+from simulated_building import RULES as SIMULATED_RULES
+from simulated_building import START as SIMULATED
+from simulated_building import SimulatedBuilding, mpc
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Block, Boundary, Plan, PlanStatus
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.live import Decision, People
+from thermoforce_mpc.live import Decision, LiveBuilding, People, control
 from thermoforce_mpc.live.shared import shared_with
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 
 NOW = pd.Timestamp("2026-01-20 10:00", tz="UTC")
 ORIGIN = pd.Timestamp("2026-01-01", tz="UTC")
@@ -65,6 +69,13 @@ def test_away_ends_in_the_clock_of_the_house_so_that_it_is_warm_then(people):
     assert people.shown(NOW)["away"]
 
 
+@pytest.mark.parametrize(
+    ("asked", "in_UTC"), [("2026-10-25T02:30", "2026-10-25T00:30"), ("2026-03-29T02:30", "2026-03-29T01:00")]
+)
+def test_away_ends_in_hours_that_the_clock_has_twice_or_never(people, asked, in_UTC):
+    assert people.ask("away", asked, NOW).away_until == f"{in_UTC}:00+00:00"
+
+
 def test_a_boost_is_warmer_and_ends(people):
     people.ask("boost", "90", NOW)
     lower, upper, _ = bounds(people)
@@ -77,6 +88,7 @@ def test_a_boost_is_warmer_and_ends(people):
 @pytest.mark.parametrize(
     ("key", "word"),
     [("lower", "99"), ("lower", "warm"), ("lower", "nan"), ("upper", "inf"), ("away", "soon"), ("away", "2020-01-01"),
+     ("away", "01.03.2026"), ("away", "02/03/2026"),
      ("boost", "-5"), ("boost", "1000"), ("boost", "nan"), ("window", "1"), ("comfort", "21")],
 )  # fmt: skip
 def test_what_cannot_be_asked_is_refused_and_changes_nothing(people, key, word):
@@ -86,11 +98,16 @@ def test_what_cannot_be_asked_is_refused_and_changes_nothing(people, key, word):
 
 
 @pytest.mark.parametrize(
-    "text", ["{", "[]", '{"x": 1}', '{"lower_C": 99, "comfort_until": "2027-01-01T00:00Z"}', '{"away_until": "soon"}']
-)
+    "text",
+    ["{", "[]", '{"x": 1}', '{"lower_C": 99, "comfort_until": "2027-01-01T00:00Z"}', '{"away_until": "soon"}',
+     '{"by_hand": {"x": 5}}', '{"by_hand": [1]}', '{"by_hand": {"x": [21, "soon"]}}',
+     '{"by_hand": {"x": [21, "2027-01-01"]}}',
+     '{"by_hand": {"x": ["21", "2027-01-01T00:00Z"]}}', '{"by_hand": {"x": [NaN, "2027-01-01T00:00Z"]}}', "[" * 99_999],
+)  # fmt: skip
 def test_a_damaged_file_asks_for_nothing(people, tmp_path, text, caplog):
     (tmp_path / "people.json").write_text(text)
     assert bounds(people)[2] == ()
+    assert people.by_hand(NOW) == {}
     assert "nothing is asked" in caplog.text
 
 
@@ -119,6 +136,48 @@ def test_a_change_at_the_wall_is_respected_for_four_hours_and_recorded(tmp_path)
     written = [(at - START) / HOUR for at, _ in home.written]
     assert not [h for h in written if 4.0 <= h < 8.0]
     assert any(8.0 <= h < 9.0 for h in written)
+
+
+class Hears:
+    """What a watchdog is told."""
+
+    def __init__(self):
+        self.heard = []
+
+    def __getattr__(self, kind):
+        return lambda *told: self.heard.append((kind, *told))
+
+
+def test_what_is_set_by_hand_is_given_back_by_nobody(people):
+    """Neither by the controller, nor by its watchdog or the connection's, whose time would run out meanwhile."""
+    house, hears, left = SimulatedBuilding(), Hears(), []
+    house.leave = lambda: left.append(house.at)
+    people.set_by_hand("actuator", 0.4, SIMULATED + 2 * HOUR)
+    building = LiveBuilding(house, MeasurementMap.model_validate(SIMULATED_RULES), 3600.0, people=people)
+    control(building, mpc(), clock=house, steps=8, delay_s=0.0, watchdog=hears)
+    written = [(at - SIMULATED) / HOUR for at, _, _ in house.written]
+    assert written
+    assert min(written) >= 6.0
+    assert len(left) == 6
+    assert hears.heard[:6] == [("released",)] * 6
+    assert {told[1] for told in hears.heard if told[0] == "set"} == {("actuator",)}
+
+
+TWO_ROOMS = {
+    "time": {"zone": "UTC"}, "step": "1h", "outdoor": "out",
+    "zones": {z: {"temperature": z, "lower": 20.0, "upper": 23.0} for z in ("hall", "bath")},
+    "actuators": {f"{z}_valve": {"zone": z, "level": f"u_{z}", "machine": "pump"} for z in ("hall", "bath")},
+    "machines": {"pump": {"power": "P", "price": 0.25, "command": {"kind": "setpoint", "column": "supply"}}},
+}  # fmt: skip
+
+
+def test_a_command_for_several_rooms_has_the_machines_name_and_is_left_alone_where_one_room_is(people):
+    building = LiveBuilding(SimulatedBuilding(), MeasurementMap.model_validate(TWO_ROOMS), 3600.0, people=people)
+    assert building.to_set({"hall_valve": 21.0, "bath_valve": 21.0}) == {"pump": 21.0}
+    assert building.to_set({"hall_valve": 21.0, "bath_valve": None}) == {"pump": None}
+    people.set_by_hand("bath_valve", 22.0, NOW)
+    building._now = NOW
+    assert building.to_set({"hall_valve": 21.0, "bath_valve": 21.0}) == {}
 
 
 @pytest.mark.slow

@@ -205,6 +205,11 @@ class HomeAssistantConnection:
         if self._watchdog is not None and native:
             self._service("timer", "cancel", {"entity_id": self._watchdog})
 
+    def leave(self) -> None:
+        """See `Connection`: the timer is ended, whose end would undo what people set."""
+        if self._watchdog is not None:
+            self._service("timer", "cancel", {"entity_id": self._watchdog})
+
     def close(self) -> None:
         """See `Connection.close`."""
         self._session.close()

@@ -211,28 +211,43 @@ class LiveBuilding:
             raise NoForecast(str(error)) from error
 
     def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
-        """Set levels, see `Connection.write`; raises what the connection raises, and where it does not answer.
-
-        One command of a machine is set once, under its name; it is left alone where one of what it feeds is. What
-        people set by hand lately stays as it is, also when the building is given back.
-        """
-        now, told, keys = self._now, dict[str, float | None](), dict[str, str]()
-        by_hand = {} if self._people is None or now is None else self._people.by_hand(now)
-        for name, value in levels.items():
-            if name in by_hand:
-                continue
-            found = self._rules.command_of(name)
-            kind, _, of = found[0].partition(".") if found else ("", "", "")
-            key = keys[name] = of if kind == "machines" else name
-            told[key] = None if key in told and told[key] is None else value
+        """Set what `to_set` says of levels; raises what the connection raises, and where it does not answer."""
+        told, now = self.to_set(levels), self._now
         if self._people is not None and now is not None:
-            self._note({name: told[key] for name, key in keys.items()}, seconds, now)
-            if not told:
-                return
+            keys = {name: self._key(name) for name in levels}
+            self._note({name: told[key] for name, key in keys.items() if key in told}, seconds, now)
+
+        def write() -> None:
+            if told or not levels:
+                self.connection.write(told, seconds)
+            elif (leave := getattr(self.connection, "leave", None)) is not None:
+                leave()
+
         try:
-            self._calls(self._writer, lambda: self.connection.write(told, seconds), self._answer_s)
+            self._calls(self._writer, write, self._answer_s)
         except Crashed as crashed:  # such as an interrupt
             raise (crashed.__cause__ or crashed) from None
+
+    def to_set(self, levels: Mapping[str, float | None]) -> dict[str, float | None]:
+        """What the connection is told of levels, see `Connection.write`, by its own names.
+
+        One command of a machine is set once, under its name; it is left alone where one of what it feeds is. What
+        people set by hand lately is not in it, and stays as it is, also when the building is given back.
+        """
+        told: dict[str, float | None] = {}
+        for name, value in levels.items():
+            key = self._key(name)
+            told[key] = None if key in told and told[key] is None else value
+        if self._people is not None and self._now is not None:
+            for name in self._people.by_hand(self._now):
+                told.pop(self._key(name), None)
+        return told
+
+    def _key(self, name: str) -> str:
+        """What the connection calls the command of an actuator: that of a machine for several rooms is the machine."""
+        found = self._rules.command_of(name)
+        kind, _, of = found[0].partition(".") if found else ("", "", "")
+        return of if kind == "machines" else name
 
     def _note(self, levels: Mapping[str, float | None], seconds: float, now: pd.Timestamp) -> None:
         for name, value in levels.items():

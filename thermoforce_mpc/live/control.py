@@ -326,11 +326,15 @@ class _Building:
     def _write(self, told: Sequence[CommandValue | None], seconds: float) -> bool:
         names = self._building.names
         levels = {name: value if isinstance(value, float) else None for name, value in zip(names, told, strict=True)}
+        # What people set by hand is not in it, and the watchdog must not give it back either.
+        told_by_name = self._building.to_set(levels)
         # Before the call: one that fails, or is interrupted, may have set them.
-        anything = any(value is not None for value in levels.values())
+        anything = any(value is not None for value in told_by_name.values())
         self._set = self._set or anything
         if self._watchdog is not None and anything:
-            self._watchdog.about_to_set(names, seconds)
+            self._watchdog.about_to_set(tuple(told_by_name), seconds)
+        if self._watchdog is not None and not told_by_name:
+            self._watchdog.released()
         try:
             self._building.write(levels, seconds)
         except Exception as error:  # somebody's connection may raise anything
@@ -338,7 +342,7 @@ class _Building:
             return False
         if self._watchdog is not None:
             if anything:
-                self._watchdog.set(names, seconds)
+                self._watchdog.set(tuple(told_by_name), seconds)
             else:
                 self._watchdog.released()
         return True

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import re
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import pandas as pd
 from thermoforce_mpc.data import Boundary
 from thermoforce_mpc.data.dataframes import stamps
 from thermoforce_mpc.errors import ConfigError, StorageError
-from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.files import read_bounded, write_whole
 
 _LOG = logging.getLogger(__name__)
 # How long bounds that somebody asks for hold, as a thermostat's until its next change; and what was set by hand, h.
@@ -28,7 +29,10 @@ _AWAY_C, _BOOST_K = (16.0, 28.0), 2.0
 _RANGE_C = (5.0, 35.0)
 # Between the bounds at least, K: as in a schedule's, they are in order.
 _BAND_K = 0.5
+# A file of wishes is a few hundred bytes.
+_MOST_BYTES = 100_000
 _LONGEST_BOOST_MIN, _LONGEST_AWAY = 480.0, pd.Timedelta("365D")
+_DATE = re.compile(r"\d{4}-\d\d-\d\d")
 KEYS = ("lower", "upper", "away", "boost", "comfort")
 """What may be asked: `lower`, `upper` in °C, `away` until a time, `boost` in min; each, and `comfort`, also `off`."""
 
@@ -56,16 +60,19 @@ class People:
     def wishes(self) -> Wishes:
         """What is asked, as the file says now."""
         try:
-            said = json.loads(self._path.read_text(encoding="utf-8"))
-            wishes = Wishes(**said)
+            if not self._path.exists():
+                return Wishes()
+            wishes = Wishes(**json.loads(read_bounded(self._path, _MOST_BYTES, ConfigError)))
             for one in (wishes.comfort_until, wishes.away_until, wishes.boost_until):
                 _passed(one, pd.Timestamp(0, tz="UTC"))
             for bound in (wishes.lower_C, wishes.upper_C):
                 _checked(bound)
+            for name, (value, until) in (wishes.by_hand or {}).items():
+                if not math.isfinite(value):
+                    raise ConfigError(f"by_hand: {name}: {value} is no value")
+                _passed(until, pd.Timestamp(0, tz="UTC"))
             return wishes
-        except FileNotFoundError:
-            return Wishes()
-        except (OSError, ValueError, TypeError, ConfigError) as error:
+        except (OSError, ValueError, TypeError, AttributeError, RecursionError, ConfigError) as error:
             if str(error) != self._failed:
                 self._failed = str(error)
                 _LOG.warning("%s cannot be used (%s): nothing is asked", self._path, error)
@@ -168,12 +175,13 @@ class People:
         if word.lower() in ("on", "true", "1"):  # a switch: until it is switched off
             return (now + _LONGEST_AWAY).isoformat()
         try:
-            at = pd.Timestamp(word)
-            at = at.tz_localize(self._zone) if at.tzinfo is None else at
+            at = pd.Timestamp(word if _DATE.match(word) else "")  # 01.03.2027 is March here, and January there
+            if at.tzinfo is None:  # of an hour that the clock has twice the first, of one that it skips its end
+                at = at.tz_localize(self._zone, ambiguous=True, nonexistent="shift_forward")
         except (ValueError, TypeError) as error:
             raise ConfigError(f"away {word!r}: no time, as 2026-12-27T18:00") from error
         if not now < at <= now + _LONGEST_AWAY:
-            raise ConfigError(f"away {word!r}: a time in the next year")
+            raise ConfigError(f"away {word!r}: a time in the next year, as 2026-12-27T18:00")
         return at.tz_convert("UTC").isoformat()
 
     def _keep(self, wishes: Wishes) -> None:
