@@ -70,6 +70,7 @@ def test_the_wheel_holds_every_file_of_the_packages_and_the_configurations(wheel
         if path.is_file() and "__pycache__" not in path.parts and path.suffix not in (".nbi", ".nbc", ".pyc")
     }
     expected |= {f"thermoforce_mpc/{path.relative_to(ROOT)}" for path in (ROOT / "configs").rglob("*.*")}
+    expected.add("thermoforce_mpc/configs/CITATION.cff")
     assert len(expected) > 400
     assert not expected - found
     assert not [name for name in found if name.split("/")[0] in ("benchmarks", "tests", "tools", "examples")]

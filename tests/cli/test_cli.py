@@ -353,7 +353,10 @@ def test_a_connection_lists_its_options_with_their_meaning():
     assert done.exit_code == 0, done.output
     assert "connection.levels  (default 'levels.json')\n      what is to be set" in done.output
     assert "or an `until` that has passed: the building's own control." in done.output
-    assert "connection.forecast  (default 'tomorrow.csv')\n      weather, prices and bounds." in done.output
+    assert (
+        "connection.forecast  (default 'tomorrow.csv')\n      a file of weather, prices and bounds, or services"
+        in done.output
+    )
 
 
 def test_controllers_lists_options_with_defaults():

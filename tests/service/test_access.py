@@ -18,6 +18,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli.live.serve import serve as command
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.service import server
 from thermoforce_mpc.service.access import Rate, Refusal, is_loopback
 from thermoforce_mpc.service.server import build_server, serve_on
 from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
@@ -63,7 +64,7 @@ def test_the_command_says_who_can_reach_it_and_takes_no_address_without_token(mo
     with pytest.raises(ConfigError, match="needs a token"):
         CliRunner().invoke(command, ["--host", "0.0.0.0"], catch_exceptions=False, standalone_mode=False)
     served = {}
-    monkeypatch.setattr("thermoforce_mpc.service.server.serve", lambda year, **options: served.update(options))
+    monkeypatch.setattr(server, "serve", lambda year, **options: served.update(options))
     monkeypatch.setenv("BOPTEST_TOKEN", TOKEN)
     said = CliRunner().invoke(command, ["--host", "0.0.0.0"], catch_exceptions=False, standalone_mode=False)
     assert "can be reached from other machines" in said.stderr

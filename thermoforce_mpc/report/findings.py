@@ -1,21 +1,15 @@
-"""What came out of a run, in figures and words: its planning, its power cap, gate and watch, and a verdict.
-
-Tables for people.
-"""
+"""What came out of a run, in figures and words: its planning, its power cap, gate and watch, and a verdict."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, PlanStatus
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL, UNDECIDED
@@ -23,38 +17,6 @@ from thermoforce_mpc.errors import counted
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, window_means
 from thermoforce_mpc.scenario.scenario import Scenario
-
-# Widest table, characters.
-_WIDEST = 1000
-
-
-def plain_table(headings: Sequence[str], title: str | None = None, *, folded: bool = False) -> Table:
-    """A table without lines but that under its headings; the first column holds names, the others figures.
-
-    `folded`: names may take several lines.
-    """
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
-    for k, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if k else "left", no_wrap=bool(k) or not folded, overflow="fold")
-    return table
-
-
-def width_of(table: Table, console: Console, *, folded: bool = False) -> int:
-    """Characters that a table needs to show all of its figures; `folded`: where names may take several lines."""
-    needed = console.measure(table, options=console.options.update(width=_WIDEST))
-    return needed.minimum if folded else needed.maximum
-
-
-def print_whole(table: Table, console: Console, *, folded: bool = False) -> None:
-    """Print a table, wider than a narrow terminal rather than with figures cut off; `folded`: see `width_of`."""
-    wide = max(console.width, width_of(table, console, folded=folded))
-    Console(file=console.file, highlight=False, markup=False, width=wide).print(table)
-
-
-def figure(key: str, value: float) -> str:
-    """A KPI as text: discomfort to 0.01 K·h, else three digits."""
-    return f"{value:.2f}" if key == "tdis_tot" else f"{value:#.3g}".rstrip(".")
-
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel

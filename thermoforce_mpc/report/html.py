@@ -16,10 +16,11 @@ from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.records.own_kpis import own_of
 from thermoforce_mpc.records.plain_files import write_plain
 from thermoforce_mpc.report.courses import RunCourse, course_of, most_blocks
-from thermoforce_mpc.report.findings import Capped, best_values, figure, gates_held, planning_of, verdict, watch_spells
+from thermoforce_mpc.report.findings import Capped, best_values, gates_held, planning_of, verdict, watch_spells
 from thermoforce_mpc.report.model_panels import answers_json, other_levels_json
 from thermoforce_mpc.report.page import UPLOT, Json, rendered
 from thermoforce_mpc.report.plans import FINEST_K, TEMPERATURES, decisions_json, plans_json
+from thermoforce_mpc.report.whole_tables import figure
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel

@@ -119,7 +119,6 @@ def test_options_of_a_point_come_before_those_of_its_signal():
     stuck = {"T_out_C": (40, 52)}
     for single in ({"T_out_C": MeterConfig(enabled=False)}, {"T_out_C": MeterConfig(frozen_h=24.0)}):
         assert not any(one.why for one in judged(stuck, Meters(Layout.single(), MeterConfig(), single))[0])
-    assert not any(one.why for one in judged(stuck, Meters(Layout.single(), MeterConfig(moved=30.0)))[0])
     two = Layout(TWO, (1, 1), (0, 1), (0, 1), (0.0, 0.0), (0.0, 0.0), (float("nan"),) * 2)
     Meters(two, single={"power_W[boiler]": MeterConfig()})
     with pytest.raises(ControllerConfigError, match=r"no 'power_W\[oven\]'; known are .*power_W\[boiler\]"):

@@ -17,7 +17,7 @@ from thermoforce_mpc.data.dataframes import seconds_at, stamps
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.predictor import Prediction
-from thermoforce_mpc.report.findings import plain_table, print_whole
+from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.map.mapping import MOST_STEP_S
 from thermoforce_mpc.report.display import RunDisplay
-from thermoforce_mpc.report.findings import plain_table, print_whole
+from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 
 if TYPE_CHECKING:

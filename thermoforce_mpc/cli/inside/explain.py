@@ -22,7 +22,7 @@ from thermoforce_mpc.experiment.explaining import (
     hour_ends,
 )
 from thermoforce_mpc.records.run_folder import write_json
-from thermoforce_mpc.report.findings import plain_table, print_whole
+from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 
 if TYPE_CHECKING:
     from controllers.mpc.alternatives import Alternatives

@@ -11,7 +11,7 @@ import click
 from rich.table import Table
 
 from thermoforce_mpc.cli.options import PATH
-from thermoforce_mpc.report.findings import plain_table
+from thermoforce_mpc.report.whole_tables import plain_table
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -17,7 +17,6 @@ import click
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange, billed_objective, map_option, own_prices_option
 from thermoforce_mpc.errors import ConfigError, ThermoForceError
-from thermoforce_mpc.records.run_folder import write_json
 
 if TYPE_CHECKING:
     from controllers.mpc.config import MPCConfig
@@ -262,6 +261,8 @@ def _advised(
     told: Callable[[Decision], None], advice: Path, book: ShadowBook | None, say: Callable[[str], None]
 ) -> Callable[[Decision], None]:
     """Says each decision that is not set, writes it to a file, and once a day what the days so far would have saved."""
+
+    from thermoforce_mpc.records.run_folder import write_json
 
     def advised(decision: Decision) -> None:
         told(decision)

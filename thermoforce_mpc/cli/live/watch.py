@@ -16,8 +16,8 @@ from rich.text import Text
 from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.experiment.explaining import hour_ends
-from thermoforce_mpc.report.findings import plain_table, width_of
 from thermoforce_mpc.report.live_view import LiveRun, RunView
+from thermoforce_mpc.report.whole_tables import plain_table, width_of
 
 _BARS = "▁▂▃▄▅▆▇█"
 # Bars of a course at most, and as many as its heading is long.

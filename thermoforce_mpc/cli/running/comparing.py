@@ -54,7 +54,7 @@ from thermoforce_mpc.experiment.windows import check_window
 from thermoforce_mpc.files import plain_number
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.report.display import zone_table
-from thermoforce_mpc.report.findings import plain_table, print_whole
+from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 from thermoforce_mpc.scenario.comfort import window_name
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.testcase import PRICES

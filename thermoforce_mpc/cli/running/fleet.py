@@ -41,7 +41,7 @@ from thermoforce_mpc.fleet.runs import (
     with_models,
     write_models,
 )
-from thermoforce_mpc.report.findings import plain_table, print_whole
+from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 
 _SHOWN_FAILURES = 10
 
