@@ -182,10 +182,10 @@ class Controller(Protocol):
 class Connection(Protocol):
     """A real building, as `tf-mpc control` sees it; any exception means that it cannot be reached at present.
 
-    It may also say what it sets, `sets() -> Path | str`, such as the file, or host and topic: no two controllers set it
-    at a time. Without that, those with the same options are taken to set the same. One that must ask for each column
-    has `reads(columns)`, which gets those of the map before the first call. Where people set everything by hand, one
-    that gives things back by itself is told with `leave()` that nothing is held any more.
+    It may also say what it sets, `sets() -> Path | str | tuple[str, ...]`, such as the file, or host and topic of each:
+    no two controllers set one of them at a time. Without that, those with the same options are taken to set the same.
+    One that must ask for each column has `reads(columns)`, which gets those of the map before the first call. Where
+    people set everything by hand, one that gives things back by itself is told with `leave()` that nothing is held.
     """
 
     def measurements(self) -> pd.DataFrame | str | Path:

@@ -683,6 +683,13 @@ def test_what_a_connection_sets_is_what_it_says_or_else_its_options(tmp_path, mo
         controlled(house, 1, sets="another")
         with pytest.raises(ConfigError, match="another controller"):
             controlled(house, 1, sets=names[0])
+    with sole_control(("broker hall", "broker bath")):
+        with pytest.raises(ConfigError, match="broker bath is set by another"), sole_control(("broker bath",)):
+            pass
+        with pytest.raises(ConfigError), sole_control(("broker attic", "broker hall")):
+            pass
+        with sole_control(("broker attic",)):  # the attempt before holds nothing
+            pass
     with sole_control(names[2]):
         house.sets = lambda: 4
         with pytest.raises(ConfigError, match=r"sets\(\) is 4"):

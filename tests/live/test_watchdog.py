@@ -34,6 +34,11 @@ with sole_control(levels):
 """
 
 
+def raise_after_setting(dog):
+    dog.set(["pump"], 1.0)
+    raise PlantError("the building did not take back pump")
+
+
 def level(folder):
     return json.loads((folder / "levels.json").read_text())["levels"]["pump"]
 
@@ -86,13 +91,20 @@ def test_what_a_controller_could_not_give_back_at_its_end_the_watchdog_does(tmp_
     levels = tmp_path / "levels.json"
     dog = Watchdog("files", {"levels": str(levels)}, levels, 0.0, tmp_path / "dog")
 
-    def fails():
-        with sole_control(levels):
-            dog.set(["pump"], 1.0)
-            raise PlantError("the building did not take back pump")
+    with pytest.raises(PlantError), sole_control(levels):
+        raise_after_setting(dog)
+    dog.close()
+    wait_for("the building is given back", levels.exists)
+    assert level(tmp_path) is None
 
-    with pytest.raises(PlantError):
-        fails()
+
+@pytest.mark.slow
+def test_of_several_things_that_are_set_each_is_kept_for_the_controller(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    levels, sets = tmp_path / "levels.json", ("broker hall", "broker bath")
+    dog = Watchdog("files", {"levels": str(levels)}, sets, 0.0, tmp_path / "dog")
+    with pytest.raises(PlantError), sole_control(sets):
+        raise_after_setting(dog)
     dog.close()
     wait_for("the building is given back", levels.exists)
     assert level(tmp_path) is None

@@ -139,9 +139,9 @@ class HomeAssistantConnection:
                     "attributes, such as climate.hall.current_temperature"
                 )
 
-    def sets(self) -> str:
+    def sets(self) -> tuple[str, ...]:
         """See `Connection`."""
-        return f"home-assistant {self._url} " + " ".join(sorted(one.entity for one in self._actuators.values()))
+        return tuple(sorted({f"home-assistant {self._url.lower()} {one.entity}" for one in self._actuators.values()}))
 
     def measurements(self) -> pd.DataFrame:
         """See `Connection.measurements`; raises `PlantError`."""

@@ -141,9 +141,11 @@ class MqttConnection:
         if self._client is not None:
             self._subscribe(self._client)
 
-    def sets(self) -> str:
+    def sets(self) -> tuple[str, ...]:
         """See `Connection`."""
-        return f"mqtt {self._host}:{self._port} " + " ".join(sorted(one.topic for one in self._actuators.values()))
+        return tuple(
+            sorted({f"mqtt {self._host.lower()}:{self._port} {one.topic}" for one in self._actuators.values()})
+        )
 
     def begin(self) -> None:
         """Connect, and record what comes from now on; asked for by the first reading too."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,21 +18,25 @@ from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.protocols import Connection
 
 _MOST_BYTES = 10_000
+Sets = Path | str | tuple[str, ...]
+"""What is set: a file, or the text of each thing that two controllers must not share."""
 
 
 class SetByAnother(ConfigError):
     """Another process sets what is asked for."""
 
 
-def set_by(connection: Connection, name: str = "", options: Mapping[str, Any] | None = None) -> Path | str:
+def set_by(connection: Connection, name: str = "", options: Mapping[str, Any] | None = None) -> Sets:
     """What a connection sets, see `Connection`; where it does not say, its `name` and `options`, '' without a name."""
     says = getattr(connection, "sets", None)
     if says is None:
         return f"connection '{name}' {dict(options or {})}" if name else ""
     what = says()
+    if isinstance(what, tuple) and all(isinstance(one, str) and one for one in what):
+        return what
     if not isinstance(what, Path | str) or not str(what):
         raise ConfigError(
-            f"connection {name or type(connection).__name__}: sets() is {what!r}, expected a path or text"
+            f"connection {name or type(connection).__name__}: sets() is {what!r}, expected a path, text or texts"
         )
     return what
 
@@ -54,16 +58,33 @@ def last_to_set(what: Path | str) -> str:
 
 
 @contextmanager
-def sole_control(what: Path | str, process: int | None = None) -> Iterator[None]:
+def sole_control(what: Sets, process: int | None = None) -> Iterator[None]:
     """Keep other controllers from setting `what`, of `set_by`, while the block lasts; a process that dies releases it.
 
-    A file is locked beside it, for every user of the machine; all else in the user's cache folder, for this user.
-    `process`: for whom it is set, by default this one; `last_to_set` says it yet where the block ends by an exception.
+    Of several texts each is locked: two controllers may share one of their topics. A file is locked beside it, for
+    every user of the machine; all else in the user's cache folder, for this user. `process`: for whom it is set, by
+    default this one; `last_to_set` says it yet where the block ends by an exception.
 
     Raises:
         SetByAnother: another process sets it; names that one.
         StorageError: it cannot be locked.
     """
+    each = sorted(set(what)) if isinstance(what, tuple) else [what]
+    with ExitStack() as held:
+        places = [held.enter_context(_locked(one)) for one in each]
+        since = datetime.now(UTC).isoformat(timespec="seconds")
+        who = f"process {os.getpid() if process is None else process} since {since}, in {Path.cwd()}\n"
+        for place in places:
+            place.write_text(who, encoding="utf-8", errors="replace")
+        yield
+        # The files stay: one that waits for one while it is removed would lock what nobody sees.
+        for place in places:
+            place.write_text("", encoding="utf-8")
+
+
+@contextmanager
+def _locked(what: Path | str) -> Iterator[Path]:
+    """The file that is locked for `what` while the block lasts."""
     what = what.resolve() if isinstance(what, Path) else what
     place = _place(what)
     try:
@@ -80,11 +101,6 @@ def sole_control(what: Path | str, process: int | None = None) -> Iterator[None]
     except OSError as error:
         raise StorageError(f"{what}: {place} cannot be locked ({error.strerror or error})") from error
     try:
-        since = datetime.now(UTC).isoformat(timespec="seconds")
-        who = f"process {os.getpid() if process is None else process} since {since}, in {Path.cwd()}\n"
-        place.write_text(who, encoding="utf-8", errors="replace")
-        yield
-        # The file stays: one that waits for it while it is removed would lock what nobody sees.
-        place.write_text("", encoding="utf-8")
+        yield place
     finally:
         lock.release()

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from thermoforce_mpc.connections.registry import build_connection
-from thermoforce_mpc.connections.sole import SetByAnother, last_to_set, sole_control
+from thermoforce_mpc.connections.sole import SetByAnother, Sets, last_to_set, sole_control
 from thermoforce_mpc.errors import ConfigError
 
 _LOG = logging.getLogger(__name__)
@@ -35,10 +35,10 @@ class Watchdog:
     """The controller's side: starts the process, and tells it of each action. One that dies is started again."""
 
     def __init__(
-        self, connection: str, options: Mapping[str, Any], sets: Path | str, grace_s: float, log: Path | None = None
+        self, connection: str, options: Mapping[str, Any], sets: Sets, grace_s: float, log: Path | None = None
     ) -> None:
         """`grace_s`: how long after the end of what was set the building is given back, s; `log`: file it writes to."""
-        of = {"path": str(sets.resolve())} if isinstance(sets, Path) else {"text": sets}
+        of = {"path": str(sets.resolve())} if isinstance(sets, Path) else {"text": sets}  # texts of several: a list
         self._told = {
             "connection": connection,
             "options": dict(options),
@@ -143,14 +143,19 @@ def watch(told: int) -> None:
                 deadline_s = None if done else _now_s() + _AGAIN_S
 
 
-def _what(head: Mapping[str, Any]) -> Path | str:
-    return Path(head["sets"]["path"]) if "path" in head["sets"] else str(head["sets"]["text"])
+def _what(head: Mapping[str, Any]) -> Sets:
+    if "path" in head["sets"]:
+        return Path(head["sets"]["path"])
+    text = head["sets"]["text"]
+    return tuple(text) if isinstance(text, list) else str(text)
 
 
 def _is_ours(head: Mapping[str, Any]) -> bool:
     """Whether nobody set the building after our controller, which has died or failed."""
     with suppress(ConfigError, OSError):
-        return last_to_set(_what(head)).startswith(f"process {head['controller']} ")
+        what = _what(head)
+        each = what if isinstance(what, tuple) else (what,)
+        return all(last_to_set(one).startswith(f"process {head['controller']} ") for one in each)
     return True
 
 

@@ -11,12 +11,11 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Protocol
 
 import pandas as pd
 
-from thermoforce_mpc.connections.sole import set_by, sole_control
+from thermoforce_mpc.connections.sole import Sets, set_by, sole_control
 from thermoforce_mpc.connections.watchdog import Watchdog
 from thermoforce_mpc.data import Block, Boundary, CommandValue, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
@@ -89,7 +88,7 @@ def control(
     kept: KeptState | None = None,
     journal: LiveJournal | None = None,
     told: Callable[[Decision], None] = lambda decision: None,
-    sets: Path | str | None = None,
+    sets: Sets | None = None,
     acts: bool = True,
     watchdog: Watchdog | None = None,
 ) -> object:
