@@ -13,6 +13,7 @@ from simple_house import simple_model
 
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
+from thermoforce_mpc.cli.building.plan import saving_in_words
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.measurements.forecast import read_forecast
@@ -103,6 +104,9 @@ def test_what_is_saved_has_a_band_and_what_it_is_compared_with(plan):
     assert saving.saved > 0.0
     assert saving.cost_alone > 0.0
     assert saving.outside_Kh <= saving.outside_alone_Kh + 0.5
+    # Of what costs more the band has the sign of the sentence.
+    dearer = saving_in_words(replace(saving, saved=-0.06, low=-0.11, high=-0.02))
+    assert dearer.startswith("Costs 0.06 more than leaving it alone (90 % band 0.02 to 0.11 more): ")
 
 
 def test_the_house_left_alone_costs_what_the_model_says(plan, home):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import socket
 import time
 
 import pandas as pd
 import pytest
+from click.testing import CliRunner
 from mosquitto import Broker, Listener, missing, wire
 from waiting import wait_for
 
+from thermoforce_mpc.cli import cli
 from thermoforce_mpc.connections.discovery import device_message
 from thermoforce_mpc.connections.registry import build_connection
 from thermoforce_mpc.errors import ConfigError, PlantError
@@ -266,3 +269,17 @@ def test_a_broker_that_is_not_there_is_said(tmp_path):
     with pytest.raises(PlantError, match=r"127.0.0.1|localhost"):
         home.write({"hall": 21.0}, 900.0)
     home.close()
+
+
+def test_recording_says_that_the_broker_is_away_and_that_nothing_came(tmp_path, monkeypatch):
+    """Weeks of recording nothing must not look like recording."""
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(cli, ["init", ".", "--for", "mqtt"]).exit_code == 0
+    words = ["record", "--map", "map.yaml", "--connection", "connection.yaml", "--hours", "0.0001"]
+    with socket.socket() as one:  # a port that nobody listens at
+        one.bind(("127.0.0.1", 0))
+        away = ["--set", "connection.host=127.0.0.1", "--set", f"connection.port={one.getsockname()[1]}"]
+        done = CliRunner().invoke(cli, [*words, *away], env={"MQTT_PASSWORD": "x"})
+    assert "ConnectionRefusedError" in done.stderr
+    assert isinstance(done.exception, PlantError)
+    assert "nothing comes: broker 127.0.0.1" in str(done.exception)

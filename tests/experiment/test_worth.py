@@ -136,6 +136,9 @@ def test_what_plans_would_have_saved_is_what_they_save_in_the_house() -> None:
     conditions = replace(conditions, price_per_kWh=ending)
     again = worth(_model(0.1), record, conditions, _Nightly(), start_s=_FIRST * HOUR_S, days=4.0, draws=3, seed=1)
     assert again.draws == found.draws
+    # Of what costs more the band has the sign of the sentence.
+    dearer = replace(found, saved=-0.31, low=-0.33, high=-0.28, cost_was=19.42)
+    assert dearer.sentence == "Plans would have cost 0.31 more (90 % band 0.28 to 0.33 more) than 19.42"
 
 
 def test_what_is_not_known_widens_the_band_and_colder_rooms_are_warmed_again() -> None:
@@ -153,7 +156,7 @@ def test_what_is_not_known_widens_the_band_and_colder_rooms_are_warmed_again() -
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"start_s": 2 * DAY_S}, "with 7 days before"),
+        ({"start_s": 2 * DAY_S}, r"2 days from 2026-01-03 00:00:00\+00:00 on are not .* with 7 days before"),
         ({"days": 30.0}, "are not in the record"),
         ({"price": np.nan}, "price_per_kWh is not known"),
         ({"power": None}, "was not measured"),
@@ -218,3 +221,9 @@ def test_worth_command(tmp_path: Path) -> None:
     assert "names no command" in text
     code, text = said("--days=1", "--houses=2")
     assert "price_per_kWh is not known" in text
+    bill = tmp_path / "bill.yaml"
+    bill.write_text("source: ours\nenergy: prices.csv\nvat: 0.5\npeak: {of: highest, per_kW_year: 40, least_kW: 2}\n")
+    code, text = said(*ask, f"--prices={bill}", f"--out={out}")
+    assert code == 0, text
+    assert "bill.yaml: peak: not counted" in text.replace("\n", "")
+    assert json.loads(out.read_text())["worth"]["cost_was"] == pytest.approx(1.5 * bought, rel=1e-3)

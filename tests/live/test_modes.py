@@ -191,8 +191,9 @@ def test_probing_by_the_command_sets_levels_that_it_draws(files):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([], "--model: give the folder of a model"),
-        (["--probe", "--model", "model"], "is found by --mode probe"),
+        ([], "--model: missing; give the folder"),
+        (["--probe", "--mode", "shadow"], "--probe: is --mode probe, and --mode is shadow"),
+        (["--probe", "--model", "model"], "--model: leave it out; a model is found by --mode probe"),
         (["--probe", "--dry-run"], "nothing is decided once"),
         ([*PLANNED, "--set", "identification.days=2"], "is for --mode probe"),
         (["--probe", "--set", "identification.model=x"], "leave them out"),

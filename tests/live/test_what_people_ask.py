@@ -193,6 +193,9 @@ def test_it_is_asked_on_the_command_line(tmp_path):
     def told(*words):
         return CliRunner().invoke(cli, ["ask", *words, "--out", str(tmp_path)])
 
+    assert "no controller writes or wrote to it" in str(told("boost", "60").exception)
+    assert "'warmer' cannot be asked; there are lower, upper" in str(told("warmer", "21").exception)
+    (tmp_path / "journal.jsonl").touch()
     assert told("boost", "60").output == "Asked: boost_min 60\n"
     assert told("lower", "21").output == "Asked: lower_C 21.0, boost_min 60\n"
     assert told("boost", "off").output == "Asked: lower_C 21.0\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ import pandas as pd
 import pytest
 from price_services import entsoe, met_norway, open_meteo, service
 
+from thermoforce_mpc.connections.registry import build_connection
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
 from thermoforce_mpc.providers.registry import REGISTRY, build_provider
@@ -397,3 +399,15 @@ def test_a_damaged_cache_is_asked_anew(outlook, tmp_path):
         file.write_text("{")
     assert make().now()["price_per_kWh"].notna().any()
     assert len(server.asked) == 4
+
+
+def test_what_is_wrong_with_services_is_said_of_their_keys():
+    """Not of the file that could stand in their place, nor by names of our classes."""
+    for wrong, said in (
+        ({"prices": {"name": "awattar"}}, "forecast.weather: missing"),
+        ({"weather": {"nme": "x"}}, "forecast.weather.nme: unknown key, did you mean 'name'?"),
+    ):
+        with pytest.raises(ConfigError, match=re.escape(said)) as error:
+            build_connection("files", {"forecast": wrong})
+        assert "valid string" not in str(error.value)
+        assert "OutlookConfig" not in str(error.value)

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from click.testing import CliRunner
 
+from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.registry import tariff_of
 from thermoforce_mpc.scenario.bill import Bill, Peak, read_bill
@@ -118,3 +120,13 @@ def test_what_is_no_bill_is_refused_with_its_key(tmp_path, change, says):
 
 def test_peak_of_no_day_is_none():
     assert Peak(of="three_days", per_kW_year=40.0).of_days(np.array([np.nan])) == 0.0
+
+
+@pytest.mark.parametrize("path", sorted(BILLS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_a_bill_is_validated_as_one(path, tmp_path):
+    assert CliRunner().invoke(cli, ["validate", str(path)]).output == f"{path}: valid bill\n"
+    wrong = tmp_path / "bill.yaml"
+    wrong.write_text(path.read_text(encoding="utf-8").replace("energy:", "enrgy:"), encoding="utf-8")
+    said = str(CliRunner().invoke(cli, ["validate", str(wrong)]).exception)
+    assert "enrgy: unknown key, did you mean 'energy'?" in said
+    assert "testcase" not in said

@@ -114,7 +114,7 @@ mpc_options = added(
 
 own_prices_option = click.option(
     "--prices",
-    type=PATH,
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Instead of the map's prices: CSV (time, price per kWh; MWh or ct in the column's name), or a bill (.yaml).",
 )
 

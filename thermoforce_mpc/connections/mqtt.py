@@ -172,13 +172,18 @@ class MqttConnection:
         """Whether the broker is there."""
         return self._client is not None and bool(self._client.is_connected())
 
+    @property
+    def problem(self) -> str:
+        """Why nothing comes: what keeps the broker away; '' where it is there."""
+        return "" if self.connected else f"broker {self._host}:{self._port}: {self._problem}"
+
     def measurements(self) -> Path:
         """See `Connection.measurements`; raises `PlantError` where the broker is away."""
         self.begin()
         until = time.monotonic() + TIMEOUT_S
-        while not self.connected:
+        while problem := self.problem:
             if time.monotonic() > until:
-                raise PlantError(f"broker {self._host}:{self._port}: {self._problem}")
+                raise PlantError(problem)
             time.sleep(0.05)
         if not self._record.exists():
             raise PlantError(f"nothing was recorded in {self._record} yet of {', '.join(self._columns)}")

@@ -17,6 +17,7 @@ from scipy.special import stdtrit
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Boundary, Period, Record
+from thermoforce_mpc.data.dataframes import stamps as stamps_at
 from thermoforce_mpc.data.dataframes import table
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
@@ -90,6 +91,7 @@ class Worth:
         if self.low > 0.0:
             return f"Plans would have saved {self.saved:.2f} {band} of {self.cost_was:.2f}, {share}"
         if self.high < 0.0:
+            band = f"(90 % band {-self.high:.2f} to {-self.low:.2f} more)"
             return f"Plans would have cost {-self.saved:.2f} more {band} than {self.cost_was:.2f}"
         return f"Whether plans would have saved is not certain: {self.saved:.2f} {band} of {self.cost_was:.2f}"
 
@@ -140,9 +142,9 @@ def worth(
     step_s = record.step_s
     first, n = round((start_s - record.time_s[0]) / step_s), round(days * DAY_S / step_s)
     if not first * step_s >= LEAST_BEFORE_DAYS * DAY_S or first + n > record.n_steps or n < 1:
-        stamps = record.stamps()
+        stamps, begin = record.stamps(), stamps_at(np.array([start_s]), record.origin)[0]
         raise DataError(
-            f"{days:g} days from {start_s / DAY_S:g} days on are not in the record ({stamps[0]} to {stamps[-1]}) with "
+            f"{days:g} days from {begin} on are not in the record ({stamps[0]} to {stamps[-1]}) with "
             f"{LEAST_BEFORE_DAYS:g} days before: choose another start, or fewer days"
         )
     for name, after in (("lower_C", 1), ("upper_C", 1), ("price_per_kWh", 0)):  # a price is that of a step

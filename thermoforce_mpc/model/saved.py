@@ -249,8 +249,12 @@ def _read_arrays(folder: Path, content: Mapping[str, Any]) -> dict[str, Array]:
 
 def _read_json(folder: Path) -> dict[str, Any]:
     path = folder / JSON_NAME
+    if folder.is_file():
+        raise ArtifactError(f"{folder}: a file; give the folder that `tf-mpc identify` wrote")
     if not folder.is_dir():
         raise ArtifactError(f"{folder}: no such folder; `tf-mpc identify` makes one")
+    if not path.exists():
+        raise ArtifactError(f"{folder}: holds no model, {JSON_NAME} is not there; `tf-mpc identify` makes one")
     document = parse_json(read_bounded(path, _MOST_JSON_BYTES, ArtifactError), str(path), ArtifactError)
     if document.get("format") != FORMAT:
         raise ArtifactError(f"{path}: not a model of thermoforce-mpc (its 'format' is not '{FORMAT}')")

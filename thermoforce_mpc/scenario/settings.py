@@ -451,18 +451,28 @@ def nested(key: str, value: Any) -> dict[str, Any]:
 
 
 def _without_consequences(items: Sequence[Any]) -> list[Any]:
-    """The errors of pydantic but those of lists that are too short because their wrong entries do not count."""
+    """The errors of pydantic but those of lists that are too short because their wrong entries do not count, and those
+    that keys and values are no text, where they could be either.
+    """
     above = {item["loc"][:n] for item in items for n in range(len(item["loc"]))}
-    return [item for item in items if item["type"] != "too_short" or item["loc"] not in above]
+
+    def follows(item: Any) -> bool:
+        loc, other = item["loc"], isinstance(item["input"], Mapping)
+        if item["type"] == "string_type" and loc[-1:] == ("str",) and other:
+            return any(one["loc"][: len(loc) - 1] == loc[:-1] and one is not item for one in items)
+        return item["type"] == "too_short" and loc in above
+
+    return [item for item in items if not follows(item)]
 
 
-def _place(data: Mapping[str, Any], item: Any) -> tuple[Any, ...]:
+def _place(model: type[BaseModel], data: Mapping[str, Any], item: Any) -> tuple[Any, ...]:
     """Return the keys and indices that lead to an error, without tags; a zone called 'room' is no tag."""
+    tags = {*UNION_TAGS, "str", *(below.__name__ for below in _models_below(model))}
     place: list[Any] = []
     here: Any = data
     for part in item["loc"]:
         inside = isinstance(here, Mapping) and part in here
-        if part in UNION_TAGS and not inside:
+        if part in tags and not inside:
             continue
         place.append(part)
         if inside or (isinstance(here, list | tuple) and isinstance(part, int) and part < len(here)):
@@ -471,7 +481,7 @@ def _place(data: Mapping[str, Any], item: Any) -> tuple[Any, ...]:
 
 
 def _explain(model: type[BaseModel], data: Mapping[str, Any], item: Any) -> str:
-    place = _place(data, item)
+    place = _place(model, data, item)
     path = [str(part) for part in place]
     line = data.line(place) if isinstance(data, YamlDocument) else None
     key = ("" if line is None else f"line {line}: ") + (".".join(path) or "(top level)")
@@ -519,6 +529,13 @@ def _all_keys(model: type[BaseModel], above: str = "") -> Iterable[str]:
         yield above + name
         for below in _models_in(field.annotation):
             yield from _all_keys(below, f"{above}{name}.")
+
+
+def _models_below(model: type[BaseModel]) -> Iterable[type[BaseModel]]:
+    for field in model.model_fields.values():
+        for below in _models_in(field.annotation):
+            yield below
+            yield from _models_below(below)
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

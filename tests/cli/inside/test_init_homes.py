@@ -80,3 +80,9 @@ def test_systemd_knows_every_key_of_the_unit(tmp_path):
         ["systemd-analyze", "verify", "--man=no", str(tmp_path / "tf-mpc.service")], capture_output=True, text=True
     )
     assert "Unknown" not in done.stderr
+
+
+def test_a_real_building_is_no_test_case(tmp_path):
+    result = told("init", tmp_path, "--for", "mqtt", "--testcase", "bestest_air")
+    assert "--testcase: --for mqtt is a real building" in str(result.exception)
+    assert not list(tmp_path.iterdir())

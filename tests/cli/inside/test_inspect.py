@@ -102,7 +102,9 @@ def test_the_manifest_tells_of_every_actuator():
 def test_the_folder_of_a_run_shows_its_model(tmp_path):
     run = tmp_path / "run"
     run.mkdir()
+    assert "holds no model" in str(CliRunner().invoke(cli, ["inspect", str(run)]).exception)
     (run / "journal.jsonl").touch()
+    assert "a file; give the folder" in str(CliRunner().invoke(cli, ["inspect", str(run / "journal.jsonl")]).exception)
     told = CliRunner().invoke(cli, ["inspect", str(run)])
     assert "this run identified no model" in str(told.exception)
     building(GOOD, POOR).save(run / "model")

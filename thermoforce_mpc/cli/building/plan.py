@@ -141,7 +141,7 @@ def plan(
         display.say("There is no plan: leave the building to its own control.")
         click.get_current_context().exit(NOT_COMPETENT if plan.status == "gate" else 1)
     table = plan_table(plan, ahead.head(plan.u.shape[1]), measured.layout)
-    _show(plan, table, measured.layout, display)
+    _show(plan, table, measured.layout, display, by_commands=bool(commands))
     found = command_rows(plan, commands)
     if commands:
         _show_commands(plan, found, display)
@@ -248,7 +248,7 @@ def saving_in_words(saving: PlannedSaving) -> str:
     if s.low > 0.0:
         what = f"Saves {s.saved:.2f} against leaving it alone {band}"
     elif s.high < 0.0:
-        what = f"Costs {-s.saved:.2f} more than leaving it alone {band}"
+        what = f"Costs {-s.saved:.2f} more than leaving it alone (90 % band {-s.high:.2f} to {-s.low:.2f} more)"
     else:
         what = f"Whether it saves against leaving it alone is not certain: {s.saved:.2f} {band}"
     return (
@@ -280,10 +280,11 @@ def _told(plan: Plan, layout: Layout | None) -> tuple[NDArray[np.bool_], NDArray
     return np.array(zones), np.array(machines)
 
 
-def _show(plan: Plan, table: pd.DataFrame, layout: Layout, display: RunDisplay) -> None:
+def _show(plan: Plan, table: pd.DataFrame, layout: Layout, display: RunDisplay, *, by_commands: bool) -> None:
     names, one_zone = plan.names, len(plan.names.zones) == 1
     zones_told, machines_told = _told(plan, layout)
-    title = "Levels to set (of a machine that is on or off: share of the step), and what they lead to by its end"
+    of = "Levels that the commands below are to bring" if by_commands else "Levels to set"
+    title = f"{of} (of a machine that is on or off: share of the step), and what they lead to by its end"
     zones = [f"{zone}, °C{' (80 % band)' if one_zone else ''}" for zone in names.zones]
     bounds = ["bounds, °C"] if one_zone else []
     shown = plain_table(["from", *names.actuators, *zones, *bounds, "power, kW", "price", "cost"], title)

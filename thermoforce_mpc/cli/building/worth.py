@@ -71,7 +71,8 @@ def worth(
     raised where the house would get colder than it was. The band holds what the model does not know of the house, and
     what the record does not tell of power. Heat that is stored at the end counts.
 
-    Prices are those of --prices, else of the map. With --commands plans set what the map names (set-points, offsets).
+    Prices are those of --prices, else of the map; of a bill what a kWh costs, not its peaks and export. With --commands
+    plans set what the map names (set-points, offsets).
 
     \b
     Example:
@@ -124,16 +125,22 @@ def _conditions(measured: Measurements, prices: Path | None, console: Console) -
     """Bounds and prices of the record's times."""
     if prices is None:
         return measured.conditions
-    from thermoforce_mpc.measurements.prices import prices_over_steps
+    from thermoforce_mpc.measurements.prices import billed_over_steps, prices_over_steps
+    from thermoforce_mpc.scenario.bill import SUFFIXES, read_bill
 
-    record = measured.record
-    price, read = prices_over_steps(prices, measured.map.time, record.origin, record.time_s, record.step_s)
+    record, clock = measured.record, measured.map.time
+    over = clock, record.origin, record.time_s, record.step_s
+    if prices.suffix in SUFFIXES:
+        bill = read_bill(prices)
+        price, _, read = billed_over_steps(prices, bill, measured.conditions.price_per_kWh, *over)
+        # They are of the whole house's exchange with the grid, which a record of its machines does not tell.
+        if left := [key for key in ("peak", "dimming", "export_per_kWh") if getattr(bill, key) is not None]:
+            console.print(f"{prices}: {', '.join(left)}: not counted, neither in what was nor in plans")
+    else:
+        of_file, read = prices_over_steps(prices, *over)
+        price = np.tile(of_file, (len(record.names.machines), 1))
     console.print(f"Prices: {read}")
-    return replace(
-        measured.conditions,
-        price_per_kWh=np.tile(price, (len(record.names.machines), 1)),
-        heating_price_per_kWh=np.empty(0),
-    )
+    return replace(measured.conditions, price_per_kWh=price, heating_price_per_kWh=np.empty(0))
 
 
 def _show(found: Worth, console: Console) -> None:

@@ -28,7 +28,7 @@ _WIDTH = 110
 # A key that only files of this kind have; any other file is a scenario.
 _KIND_OF = {
     "buildings": "fleet", "variants": "comparison", "outdoor": "map", "actuator": "testcase", "zones": "testcase",
-    "measurements": "testcase",
+    "measurements": "testcase", "source": "bill", "energy": "bill", "peak": "bill", "grid": "bill",
 }  # fmt: skip
 
 
@@ -72,6 +72,10 @@ def init(
     if home not in (None, "boptest"):
         if copy_testcase:
             raise ConfigError(f"--for {home}: a real building has no test case to copy")
+        if testcase is not None:
+            raise ConfigError(
+                f"--testcase: --for {home} is a real building, which is no test case; leave one of them out"
+            )
         texts = home_files(home, None if data is None else _headed("map", starting_map(data)))
         _write_new({folder / name: text for name, text in texts.items()})
         for name in texts:
@@ -181,11 +185,11 @@ def schema(kind: str, out: Path | None) -> None:
 @click.argument("file", type=PATH)
 @code_option
 def validate_file(file: Path, code: tuple[str, ...]) -> None:
-    """Check FILE, a scenario, test case, comparison, fleet, map or connection; an error names file, key and values.
+    """Check FILE, a scenario, test case, comparison, fleet, map, bill or connection; an error names file, key, values.
 
     A comparison has the key `variants`, a fleet `buildings`, a map `outdoor`, a test case `actuator`, `zones` or
-    `measurements`. Of a scenario, weather, prices, model and forecaster are loaded too. Whether a map fits a table
-    is said by `tf-mpc data check`. Exit code 2 when it is invalid.
+    `measurements`, a bill `source`. Of a scenario, weather, prices, model and forecaster are loaded too. Whether a map
+    fits a table is said by `tf-mpc data check`. Exit code 2 when it is invalid.
 
     Python that the file names is looked at and not run: whether it has what is named, and what it would import. With
     --code it is run, and the options of what it defines are checked. A forecaster on a hub is not fetched.
@@ -194,6 +198,7 @@ def validate_file(file: Path, code: tuple[str, ...]) -> None:
     from thermoforce_mpc.experiment.experiment import Experiment, check_contestants
     from thermoforce_mpc.experiment.outside import HUB, outside
     from thermoforce_mpc.plants.registry import check_surroundings
+    from thermoforce_mpc.scenario.bill import Bill
     from thermoforce_mpc.scenario.scenario import Scenario
     from thermoforce_mpc.scenario.settings import read_yaml, validate
 
@@ -207,7 +212,8 @@ def validate_file(file: Path, code: tuple[str, ...]) -> None:
         return
     kind = next((kind for key, kind in _KIND_OF.items() if key in data), "scenario")
     if kind != "scenario":
-        content = validate(KINDS[kind], data, str(file)).model_dump()
+        of_kind: dict[str, type[BaseModel]] = {**KINDS, "bill": Bill}
+        content = validate(of_kind[kind], data, str(file)).model_dump()
         variants = [{"controller": {"name": one["controller"], **one}} for one in content.get("variants", {}).values()]
         _look([content.get("scenario", {}), *variants], code)
         click.echo(f"{file}: valid {kind}")

@@ -31,9 +31,15 @@ def ask(key: str, value: str, out: Path, zone: str | None) -> None:
     import pandas as pd
 
     from thermoforce_mpc.live import People
+    from thermoforce_mpc.live.people import KEYS
+    from thermoforce_mpc.records.journal import NAME
+    from thermoforce_mpc.records.run_folder import LOCK
 
-    if not out.is_dir():
-        raise ConfigError(f"--out {out}: no such folder; `tf-mpc control --out` made it")
+    if key not in KEYS:
+        raise ConfigError(f"{key!r} cannot be asked; there are {', '.join(KEYS)}")
+    if not ((out / NAME).exists() or (out / LOCK).exists()):
+        what = "no controller writes or wrote to it" if out.is_dir() else "no such folder"
+        raise ConfigError(f"--out {out}: {what}; give the --out of the `tf-mpc control` that is asked")
     try:
         ZoneInfo(zone or "UTC")
     except (ZoneInfoNotFoundError, ValueError) as error:

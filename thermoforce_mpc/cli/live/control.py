@@ -125,6 +125,8 @@ def control(
     from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 
     chosen: Mapping[str, Any] = parse_overrides(assignments)
+    if probe and mode not in ("control", "probe"):
+        raise ConfigError(f"--probe: is --mode probe, and --mode is {mode}; leave one of them out")
     mode = "probe" if probe else mode
     _check_words(mode, model, chosen, dry_run)
     connection, settings = connection_settings(connection, chosen.get("connection", {}))
@@ -164,9 +166,9 @@ def _check_words(mode: str, model: Path | None, chosen: Mapping[str, Any], dry_r
             f"--set {unknown[0]}: write connection.KEY=VALUE, controller.KEY=VALUE or identification.KEY=VALUE"
         )
     if model is None and mode != "probe":
-        raise ConfigError("--model: give the folder of a model")
+        raise ConfigError("--model: missing; give the folder that `tf-mpc identify` wrote, or --mode probe to find one")
     if model is not None and mode == "probe":
-        raise ConfigError("--model: is found by --mode probe")
+        raise ConfigError("--model: leave it out; a model is found by --mode probe")
     if "identification" in chosen and mode != "probe":
         raise ConfigError("--set identification: is for --mode probe")
     if mode == "probe" and dry_run:

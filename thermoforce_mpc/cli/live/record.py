@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, PlantError
 
 
 @click.command()
@@ -25,7 +25,8 @@ def record(
     """Write the history of a building as a table for `tf-mpc identify`; where the connection has none, record it.
 
     Home Assistant has a history: its states as far as its recorder goes back, and hourly statistics before. Over MQTT
-    what comes is appended to the connection's record until Ctrl-C. Nothing is set.
+    what comes is appended to the connection's record until Ctrl-C, or for --hours, with exit code 3 where nothing came.
+    Nothing is set.
 
     \b
     Examples:
@@ -58,5 +59,12 @@ def record(
         begin()
         click.echo("Records what comes (Ctrl-C ends)")
         until = float("inf") if hours is None else time.monotonic() + 3600.0 * hours
+        problem = ""
         while time.monotonic() < until:
             time.sleep(min(1.0, max(until - time.monotonic(), 0.0)))
+            before, problem = problem, getattr(building, "problem", "")
+            if problem != before:
+                click.echo(f"{problem}; it is tried again" if problem else "Connected again", err=True)
+        if problem:
+            raise PlantError(f"nothing comes: {problem}")
+        building.measurements()  # raises where nothing was recorded
