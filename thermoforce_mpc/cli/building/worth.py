@@ -71,6 +71,8 @@ def worth(
     raised where the house would get colder than it was. The band holds what the model does not know of the house, and
     what the record does not tell of power. Heat that is stored at the end counts.
 
+    Such bands held the truth of 3 of 6 simulated houses known without probing: take them for an order of size.
+
     Prices are those of --prices, else of the map; of a bill what a kWh costs, not its peaks and export. With --commands
     plans set what the map names (set-points, offsets).
 
