@@ -176,7 +176,7 @@ def test_a_command_for_several_rooms_has_the_machines_name_and_is_left_alone_whe
     assert building.to_set({"hall_valve": 21.0, "bath_valve": 21.0}) == {"pump": 21.0}
     assert building.to_set({"hall_valve": 21.0, "bath_valve": None}) == {"pump": None}
     people.set_by_hand("bath_valve", 22.0, NOW)
-    building._now = NOW
+    building.now = NOW
     assert building.to_set({"hall_valve": 21.0, "bath_valve": 21.0}) == {}
 
 

@@ -101,7 +101,7 @@ class LiveBuilding:
         # Levels are written, and given back, also while a table is still waited for.
         self._reader, self._writer = object(), object()
         self.left_out: tuple[str, ...] = ()
-        self._now: pd.Timestamp | None = None
+        self.now: pd.Timestamp | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -150,7 +150,7 @@ class LiveBuilding:
             DataError: it cannot be used, ends more than a day before, or has readings of times to come.
             PlantError: the connection failed.
         """
-        self._now = now = instant if now is None else now
+        self.now = now = instant if now is None else now
         measured = read_measurements(
             self._call("measurements"), self._rules, step_s=self._step_s, at=instant, now=now
         ).served()
@@ -199,12 +199,12 @@ class LiveBuilding:
                 self._measured,
                 least_steps=n,
                 prices=self._prices,
-                now=self._now,
+                now=self.now,
                 left_out=left_out,
             )
             self.left_out = (*self.left_out, *left_out, *_doubt_of_outdoors(self._measured.record, ahead))
-            if self._people is not None and self._now is not None:
-                ahead, asked = self._people.applied(ahead, self.origin, self._now)
+            if self._people is not None and self.now is not None:
+                ahead, asked = self._people.applied(ahead, self.origin, self.now)
                 self.left_out = (*self.left_out, *asked)
             return ahead.head(n)
         except (InputError, PlantError) as error:
@@ -212,7 +212,7 @@ class LiveBuilding:
 
     def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
         """Set what `to_set` says of levels; raises what the connection raises, and where it does not answer."""
-        told, now = self.to_set(levels), self._now
+        told, now = self.to_set(levels), self.now
         if self._people is not None and now is not None:
             keys = {name: self._key(name) for name in levels}
             self._note({name: told[key] for name, key in keys.items() if key in told}, seconds, now)
@@ -238,8 +238,8 @@ class LiveBuilding:
         for name, value in levels.items():
             key = self._key(name)
             told[key] = None if key in told and told[key] is None else value
-        if self._people is not None and self._now is not None:
-            for name in self._people.by_hand(self._now):
+        if self._people is not None and self.now is not None:
+            for name in self._people.by_hand(self.now):
                 told.pop(self._key(name), None)
         return told
 
