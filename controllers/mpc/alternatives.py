@@ -195,14 +195,13 @@ class _Model:
         brought = self.evaluate(u)
         T_zone_C = compose(self._problem.T_free_C, brought.forced_K)
         hours = self._boundary.step_s / HOUR_S
-        outside_K = np.maximum(self._boundary.lower_C[:, 1:] - T_zone_C, T_zone_C - self._boundary.upper_C[:, 1:])
         return AlternativeCourse(
             name,
             u,
             T_zone_C,
             parts=brought.parts,
             energy_kWh=float(brought.power_W.sum()) * self._boundary.step_s / J_PER_KWH,
-            discomfort_Kh=float(np.maximum(outside_K, 0.0).sum()) * hours,
+            discomfort_Kh=float(self._boundary.outside_K(T_zone_C).sum()) * hours,
             broken=brought.broken,
         )
 

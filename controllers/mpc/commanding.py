@@ -29,6 +29,7 @@ from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving, PlanStatus
 from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.machine.change import weight_of_demand
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR, ZONE
 
@@ -39,8 +40,6 @@ NOT_BETTER = "commands that were found are not better than leaving the building 
 # Rounds in which level and temperature of a step are made to agree.
 _ROUNDS, _CLOSE = 8, 2e-3
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
-# Error of a change of power, as a share, from which its law may be as wrong as the demand of the rooms says.
-_UNKNOWN = 0.3
 # What a change of a command must save, as a share of what the building costs when it is left alone.
 _PER_CHANGE = 0.002
 # What the scatter of a level costs, as a share of that level's cost: a search takes what is judged too well (see
@@ -302,7 +301,7 @@ class CommandedPlan:
         T_out_C = 0.5 * (self.boundary.T_out_C[:-1] + self.boundary.T_out_C[1:])
         lost_K = [float(np.maximum(one.T_bounds_C[:, 1:] - T_out_C, 1.0).mean()) for one in (with_plan, alone)]
         by_demand = energy_alone * lost_K[0] / lost_K[1] / np.maximum(energy, 1e-9)
-        demand = np.where(np.arange(len(z)) > 0, uniform, 0.5) * min(power_spread / _UNKNOWN, 1.0)
+        demand = np.where(np.arange(len(z)) > 0, uniform, 0.5) * weight_of_demand(power_spread)
         as_asked = 1.0 + demand * (by_demand - 1.0)
         cost, energy = cost * as_asked, energy * as_asked
         dearest = _MeanCost(cost_alone, self._used(alone.levels))
@@ -310,7 +309,7 @@ class CommandedPlan:
         saved = cost_alone - cost + worth + (cost_alone - cost) * power_spread * z[:, A + 1]
         low, high = np.quantile(saved[1:], _QUANTILES)
 
-        outside = [self._outside_Kh(one.T_bounds_C) for one in (with_plan, alone)]
+        outside = [self.boundary.outside_K(one.T_bounds_C[:, 1:]).sum(axis=1) * step_h for one in (with_plan, alone)]
         comfort = float((problem.weights.comfort * (outside[1] - outside[0])).sum())
         return PlannedSaving(
             saved=float(saved[0]),
@@ -324,12 +323,6 @@ class CommandedPlan:
             outside_alone_Kh=float(outside[1].sum()),
             gain=float(saved[0]) + comfort,
         )
-
-    def _outside_Kh(self, T_C: Array) -> Array:
-        """K·h outside the comfort bounds of each zone (Z,) at temperatures (Z, N + 1), °C."""
-        below = np.maximum(self.boundary.lower_C[:, 1:] - T_C[:, 1:], 0.0)
-        above = np.maximum(T_C[:, 1:] - self.boundary.upper_C[:, 1:], 0.0)
-        return np.asarray((below + above).sum(axis=1) * self.problem.step_s / HOUR_S)
 
     @cached_property
     def _alone(self) -> _Followed:

@@ -223,6 +223,11 @@ class Boundary:
         """The same at other prices (M, N + 1), of heating too."""
         return replace(self, price_per_kWh=price_per_kWh, heating_price_per_kWh=np.empty(0))
 
+    def outside_K(self, T_C: Array, first: int = 0) -> Array:
+        """How far temperatures (Z, n) at the ends of n steps from `first` on lie outside the bounds, K (Z, n)."""
+        ends = slice(first + 1, first + 1 + T_C.shape[-1])
+        return np.maximum(np.maximum(self.lower_C[:, ends] - T_C, T_C - self.upper_C[:, ends]), 0.0)
+
     def head(self, n_steps: int) -> Boundary:
         """The first `n_steps` steps."""
         return Boundary(

@@ -22,7 +22,7 @@ from thermoforce_mpc.data.dataframes import table
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.model.machine.change import Share
+from thermoforce_mpc.model.machine.change import Share, weight_of_demand
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.whatif.identified import step_response_of
@@ -34,9 +34,8 @@ LEAST_BEFORE_DAYS = 7.0
 _PLANNED = ("solved", "bridged", "acceptable")
 # An effect is at most so many times as large or small (logarithm).
 _MOST_LOG = 1.0
-# Error of a change of power, as a share, below which the record bears its law out, and from which the law may be as
-# wrong as the demand of the rooms says.
-_EXACT, _UNKNOWN = 0.1, 0.3
+# Error of a change of power, as a share, below which the record bears its law out.
+_EXACT = 0.1
 # What a plan may be outside the bounds beyond what the house was, K·h a day in all zones, the step by which lower
 # bounds are then raised, K, and how often.
 _EQUAL_KH, _RAISED_K, _MOST_ROUNDS = 0.3, 0.25, 2
@@ -250,7 +249,7 @@ def _counted(
         cost_was, cost_law = float(before @ price[m]), float(after @ price[m])
         lost = [float(np.nanmean(one.T_zone_C[fed, 1:] - one.T_out_C[1:])) for one in (was, record)]
         asked_kWh = float(before.sum()) * max(lost[1], 0.0) / max(lost[0], 1.0)
-        by_demand = unknown[1] * min(share.spread / _UNKNOWN, 1.0)
+        by_demand = unknown[1] * weight_of_demand(share.spread)
         factor = 1.0 + by_demand * (asked_kWh / max(float(after.sum()), 1e-9) - 1.0)
         planned = cost_law * factor
         planned += (cost_law - cost_was) * share.spread * unknown[0]
@@ -275,10 +274,7 @@ def _stored_kWh(model: ThermalModel, house: IdentifiedHouse, was: Record, m: int
 
 def _outside_Kh(record: Record, conditions: Boundary, first: int) -> float:
     """K·h outside the bounds in all zones."""
-    at = slice(first + 1, first + record.n_steps + 1)
-    below = np.maximum(conditions.lower_C[:, at] - record.T_zone_C[:, 1:], 0.0)
-    above = np.maximum(record.T_zone_C[:, 1:] - conditions.upper_C[:, at], 0.0)
-    return float(np.nansum(below + above) * record.step_s / HOUR_S)
+    return float(np.nansum(conditions.outside_K(record.T_zone_C[:, 1:], first)) * record.step_s / HOUR_S)
 
 
 def _band(saved: float, drawn: Sequence[float]) -> tuple[float, float]:

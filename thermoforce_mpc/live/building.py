@@ -210,9 +210,13 @@ class LiveBuilding:
         except (InputError, PlantError) as error:
             raise NoForecast(str(error)) from error
 
-    def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
-        """Set what `to_set` says of levels; raises what the connection raises, and where it does not answer."""
-        told, now = self.to_set(levels), self.now
+    def write(
+        self, levels: Mapping[str, float | None], seconds: float, told: Mapping[str, float | None] | None = None
+    ) -> None:
+        """Set what `to_set` says of levels (`told`, where it was asked); raises what the connection raises, and where
+        it does not answer.
+        """
+        told, now = self.to_set(levels) if told is None else told, self.now
         if self._people is not None and now is not None:
             keys = {name: self._key(name) for name in levels}
             self._note({name: told[key] for name, key in keys.items() if key in told}, seconds, now)

@@ -335,7 +335,7 @@ class _Building:
         if self._watchdog is not None and not told_by_name:
             self._watchdog.released()
         try:
-            self._building.write(levels, seconds)
+            self._building.write(levels, seconds, told_by_name)
         except Exception as error:  # somebody's connection may raise anything
             _LOG.warning("the levels %s were not taken (%s: %s)", levels, type(error).__name__, error)
             return False

@@ -155,11 +155,9 @@ def judged_day(folder: Path, model: ThermalModel, begin: pd.Timestamp) -> Shadow
     )
     off_kWh = abs(by_model - energy) * planned_kWh / max(by_model, 1e-9)
     low_kWh, high_kWh = max(low_kWh - off_kWh, 0.0), high_kWh + off_kWh
-    lower_C, upper_C = boundary.lower_C[:, 1 : n + 1], boundary.upper_C[:, 1 : n + 1]
 
     def outside_Kh(T_C: Array) -> float:
-        beyond = np.maximum(np.maximum(lower_C - T_C, T_C - upper_C), 0.0)
-        return float(np.nansum(beyond) / len(beyond) * record.step_s / HOUR_S)
+        return float(np.nansum(boundary.outside_K(T_C)) / len(T_C) * record.step_s / HOUR_S)
 
     paid = costs[1] / planned_kWh if planned_kWh > 0.0 else 0.0
     return ShadowDay(

@@ -69,7 +69,6 @@ _SCENARIO: dict[str, Schema] = {
     "solar_uncertainty": _nothing(f"of HGloHor: {_ERROR}"),
     "seed": {"type": ["number", "null"], "minimum": 0, "multipleOf": 1, "description": "null or 0: none"},
 }
-_STEP_SET = _reply(step={"type": "number"})
 _STEP = {"step": _number("control step, s", LEAST_STEP_S, MOST_STEP_S)}
 _WARMUP = {"start_time": _number("s since 1 January", 0.0), "warmup_period": _number("s", 0.0)}
 _START = _WARMUP | {"final_time": {"type": ["number", "null"], "description": "end of the test, s since 1 January"}}

@@ -30,7 +30,6 @@ from thermoforce_mpc.data import (
 from thermoforce_mpc.data.series import bridged, interpolated
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.model.forced_state import followed
-from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.checks import check_levels, day_period, forecast_times
@@ -74,7 +73,9 @@ class IdentifiedHouse(Releasing):
         self._loops = {record.names.actuators.index(name): one for name, one in (commands or {}).items()}
         whole, _ = bridged(model.in_rooms(record))
         self._was = whole
-        operator = model.operator if effects is None else scaled(model.operator, effects)
+        operator = model.operator
+        if effects is not None:
+            operator = operator.map_pairs(lambda z, a, pair: replace(pair, gains=pair.gains * float(effects[z, a])))
         self._resampled = lru_cache(maxsize=32)(operator.resampled)
         forced_K = followed(operator, None, whole).forced_K
         free_C = whole.T_zone_C - forced_K.sum(axis=(1, 3))
@@ -83,6 +84,8 @@ class IdentifiedHouse(Releasing):
                 raise DataError(f"the temperature of zone '{zone}' was never measured: nothing to live through")
         self._free_C, self._forced_was = np.array([interpolated(row) for row in free_C]), forced_K
         self.steps = whole.n_steps
+        machines = range(len(whole.names.machines))
+        self._law_was = np.array([machine_W(model, m, whole.u, whole.T_out_C[:-1]) for m in machines])
         self._power_was = self._known_power(whole)
         self.reset(float(whole.time_s[0]), 0.0)
 
@@ -194,22 +197,16 @@ class IdentifiedHouse(Releasing):
 
     def _power(self, level: Array) -> Array:
         """Power of each machine (M,) at levels (A,): as it was, and what other levels change by the law."""
-        was, T_out_C = self._was.u[:, self._k : self._k + 1], self._was.T_out_C[self._k : self._k + 1]
-        change = [
-            (machine_W(self.model, m, level[:, None], T_out_C) - machine_W(self.model, m, was, T_out_C))[0]
-            for m in range(len(self.power_W))
-        ]
-        return np.maximum(self._power_was[:, self._k] + np.array(change), 0.0)
+        T_out_C = self._was.T_out_C[self._k : self._k + 1]
+        law = np.array([machine_W(self.model, m, level[:, None], T_out_C)[0] for m in range(len(self.power_W))])
+        return np.maximum(self._power_was[:, self._k] + (law - self._law_was[:, self._k]), 0.0)
 
     def _known_power(self, whole: Record) -> Array:
         """Power as it was (M, n), by the law where it was not measured; raises `DataError` where a machine has none."""
-        rows = []
-        for m, name in enumerate(whole.names.machines):
-            if self.model.power[m] is None:
+        for name, law in zip(whole.names.machines, self.model.power, strict=True):
+            if law is None:
                 raise DataError(f"the power of '{name}' was not measured: what other levels cost cannot be said")
-            measured, law = whole.power_W[m], machine_W(self.model, m, whole.u, whole.T_out_C[:-1])
-            rows.append(np.where(np.isfinite(measured), measured, law))
-        return np.array(rows)
+        return np.where(np.isfinite(whole.power_W), whole.power_W, self._law_was)
 
     def _go_on(self, level: Array, power_W: Array, seconds: float) -> None:
         operator, k, step_s = self._resampled(seconds), self._k, self._was.step_s
@@ -251,15 +248,3 @@ class IdentifiedHouse(Releasing):
 
     def _weather(self, name: str, at_s: Array) -> Array:
         return np.asarray(np.interp(at_s, self._was.time_s, getattr(self._was, name)))
-
-
-def scaled(operator: BuildingOperator, effects: Array) -> BuildingOperator:
-    """The operator of a building in which actuators do `effects` (Z, A) times as much to zones."""
-    pairs = tuple(
-        tuple(
-            pair if pair is None else replace(pair, gains=pair.gains * float(effects[z, a]))
-            for a, pair in enumerate(row)
-        )
-        for z, row in enumerate(operator.pairs)
-    )
-    return replace(operator, pairs=pairs)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -142,7 +141,7 @@ def _conditions(measured: Measurements, prices: Path | None, console: Console) -
         of_file, read = prices_over_steps(prices, *over)
         price = np.tile(of_file, (len(record.names.machines), 1))
     console.print(f"Prices: {read}")
-    return replace(measured.conditions, price_per_kWh=price, heating_price_per_kWh=np.empty(0))
+    return measured.conditions.at_prices(price)
 
 
 def _show(found: Worth, console: Console) -> None:

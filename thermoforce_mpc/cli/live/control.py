@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.live.probing import ProbingPlan
     from thermoforce_mpc.live.shadow import ShadowBook
     from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+    from thermoforce_mpc.model.thermal_model import ThermalModel
     from thermoforce_mpc.protocols import Connection
     from thermoforce_mpc.records.live_journal import LiveJournal
 
@@ -133,12 +134,12 @@ def control(
     rules = load_map(map_file)
     billed = {"objective": billed_objective(prices, rules)}
     options = validate(MPCConfig, merge(billed, chosen.get("controller", {})), "--set controller")
-    plan = None
+    plan, thermal = None, None
     if mode == "probe":
         spec = validate(ProbingSpec, chosen.get("identification", {}), "--set identification")
         plan = ProbingPlan.of(spec, options, rules)
     if model is not None:
-        load_model(model)
+        thermal = load_model(model)
     say = _until_lost(RunDisplay().say)
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -155,8 +156,9 @@ def control(
         run = _Run(out, building, connection, map_file, rules, options, prices, say, common)
         if plan is not None:
             model = run.probed(plan)
-        if model is not None:
-            run.control(model, mode, dry_run)
+            thermal = None if model is None else load_model(model)
+        if model is not None and thermal is not None:
+            run.control(model, thermal, mode, dry_run)
 
 
 def _check_words(mode: str, model: Path | None, chosen: Mapping[str, Any], dry_run: bool) -> None:
@@ -225,16 +227,15 @@ class _Run:
         )
         return None if found is None else found.save(folder)
 
-    def control(self, model: Path, mode: str, dry: bool) -> None:
-        """Control with a model, or say what it would do."""
+    def control(self, model: Path, thermal: ThermalModel, mode: str, dry: bool) -> None:
+        """Control with the model `thermal` of the folder `model`, or say what it would do."""
         from controllers.mpc.controller import ThermoForceMPC
         from controllers.state_classes import controller_key
         from thermoforce_mpc.live import KeptState, People, control
         from thermoforce_mpc.live.shadow import ShadowBook
         from thermoforce_mpc.live.shared import shared_with
-        from thermoforce_mpc.model.thermal_model import load_model
 
-        thermal, acts = load_model(model), mode in ("control", "probe")
+        acts = mode in ("control", "probe")
         commands = commands_of(self.building, self.rules, self.options.step_s or thermal.operator.step_s)
         mpc = ThermoForceMPC(thermal, self.options, commands=commands)
         key = controller_key(thermal, mpc.config, {name: learned.command for name, learned in commands.items()})

@@ -217,11 +217,6 @@ def all_readings(
     }
 
 
-def signal_names(path: Path, stamps: Stamps, form: CsvFormat, table: TableForm) -> list[str]:
-    """Names of the signals of a file whose columns are signals."""
-    return list(dict.fromkeys(name for part in _parts(path, form) for name in _signals(part, stamps, form, table)))
-
-
 def check_columns(
     paths: Sequence[str | Path], stamps: Stamps, wanted: Sequence[str], form: CsvFormat, table: TableForm
 ) -> None:

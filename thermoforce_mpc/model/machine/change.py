@@ -19,6 +19,13 @@ _PART_H, _LEAST_DAYS = 3.0, 6
 _DRAWS, _SEED = 100, 64
 UNKNOWN = 1.0
 """Standard error, as a share, of a change of which the record says nothing."""
+# Error of a change, as a share, from which its law may be as wrong as the demand of the rooms says.
+_AS_WRONG = 0.3
+
+
+def weight_of_demand(spread: float) -> float:
+    """How far power may go by what the rooms ask for instead of by its law, 0 to 1; `spread`: see `Share`."""
+    return min(spread / _AS_WRONG, 1.0)
 
 
 @dataclass(frozen=True)

@@ -236,12 +236,17 @@ class BuildingOperator:
 
     def map(self, change: Callable[[OperatorParameters], OperatorParameters]) -> BuildingOperator:
         """The operator with `change` applied to every pair."""
-        return self.map_actuators(lambda a, pair: change(pair))
+        return self.map_pairs(lambda z, a, pair: change(pair))
 
     def map_actuators(self, change: Callable[[int, OperatorParameters], OperatorParameters]) -> BuildingOperator:
         """The operator with `change` applied to every pair, given the actuator's number."""
+        return self.map_pairs(lambda z, a, pair: change(a, pair))
+
+    def map_pairs(self, change: Callable[[int, int, OperatorParameters], OperatorParameters]) -> BuildingOperator:
+        """The operator with `change` applied to every pair, given the numbers of zone and actuator."""
         pairs = tuple(
-            tuple(None if pair is None else change(a, pair) for a, pair in enumerate(row)) for row in self.pairs
+            tuple(None if pair is None else change(z, a, pair) for a, pair in enumerate(row))
+            for z, row in enumerate(self.pairs)
         )
         return replace(self, pairs=pairs)
 
