@@ -261,6 +261,15 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def no_secret_in(address: str, key: str, instead: str) -> None:
+    """Raise `ConfigError` where an address names a user or password (`user:password@host`); its message does not.
+
+    `instead`: where the secret belongs.
+    """
+    if "@" in address.partition("://")[2].partition("/")[0] or ("://" not in address and "@" in address):
+        raise ConfigError(f"{key}: a user or password in it would stand in logs: leave out what is before @; {instead}")
+
+
 def secret_from(file: Path | None, variables: Sequence[str], key: str) -> str:
     """A password or token: what stands in `file`, which nobody else may read, else in the first of `variables` set.
 

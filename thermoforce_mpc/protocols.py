@@ -186,6 +186,8 @@ class Connection(Protocol):
     no two controllers set one of them at a time. Without that, those with the same options are taken to set the same.
     One that must ask for each column has `reads(columns)`, which gets those of the map before the first call. Where
     people set everything by hand, one that gives things back by itself is told with `leave()` that nothing is held.
+    `present(names)` says what devices hold now of what `write` sets, by name and in its unit, without those that do not
+    say it: what is neither that nor what was before, somebody set by hand.
     """
 
     def measurements(self) -> pd.DataFrame | str | Path:

@@ -208,15 +208,16 @@ def test_a_record_reads_as_measurements(tmp_path):
 def test_home_assistant_finds_one_device_and_what_people_ask_is_heard(connect, broker):
     asked = []
     home = connect(prefix="house/mpc")
-    home.listen({key: lambda text, key=key: asked.append((key, text)) for key in ("lower", "upper", "boost", "away")})
+    asks = ("lower", "upper", "boost", "away", "mode")
+    home.listen({key: lambda text, key=key: asked.append((key, text)) for key in asks})
     home.tell({"status": "solved", "why": "cheap hours first", "plan": {"next": "21 °C from 14:00", "steps": []}})
     home.begin()
     wait_for("the broker", lambda: home.connected)
     late = Listener(broker, "#")
     (message,) = late.wait("homeassistant/device/house_mpc/config")
     found = json.loads(message)
-    assert found == device_message("house/mpc", "house_mpc", found["o"]["sw"], ("lower", "upper", "boost", "away"))
-    assert {part["p"] for part in found["cmps"].values()} == {"sensor", "climate", "number", "switch"}
+    assert found == device_message("house/mpc", "house_mpc", found["o"]["sw"], asks)
+    assert {part["p"] for part in found["cmps"].values()} == {"sensor", "climate", "number", "switch", "select"}
     assert late.wait("house/mpc/availability") == ["online"]
     assert late.wait("house/mpc/why") == ["cheap hours first"]
     other = broker.client()
@@ -229,6 +230,27 @@ def test_home_assistant_finds_one_device_and_what_people_ask_is_heard(connect, b
     other.disconnect()
     other.loop_stop()
     late.close()
+
+
+@needs_broker
+def test_one_that_only_writes_is_quiet(connect, broker, tmp_path):
+    """As the watchdog, which is no controller: it says nothing of one, and writes to no record."""
+    device = broker.client()
+    device.on_message = lambda client, userdata, message: client.publish("quiet/state", message.payload, 1, True)
+    device.subscribe("quiet/set", 1)
+    heard = Listener(broker, "#")
+    home = connect(actuators={"hall": {"topic": "quiet/set", "release": 20.0, "state": "quiet/state"}}, prefix="loud")
+    home.write({"hall": 21.5}, 900.0)
+    assert home.present(["hall"]) == {"hall": 21.5}
+    device.publish("quiet/state", "24", qos=1, retain=True).wait_for_publish(5)
+    heard.wait("quiet/state", 2)
+    other = connect(actuators={"hall": {"topic": "quiet/set", "release": 20.0, "state": "quiet/state"}}, prefix="loud")
+    assert other.present(["hall"]) == {"hall": 24.0}
+    assert not any(topic.startswith(("loud", "homeassistant/device/loud")) for topic, _, _ in heard.heard)
+    assert not (tmp_path / "mqtt.csv").exists()
+    device.disconnect()
+    device.loop_stop()
+    heard.close()
 
 
 @needs_broker
@@ -249,6 +271,9 @@ def test_a_connection_that_dies_says_so_by_its_last_will(connect, broker):
     ("options", "said"),
     [
         ({"version": "4"}, "'5' or '3.1.1'"),
+        ({"host": "house:word@broker"}, "leave out what is before @; give user"),
+        ({"host": "mqtts://house:word@broker:8883"}, "leave out what is before @; give user"),
+        ({"host": "mqtt://broker"}, "a name or address alone"),
         ({"actuators": {"a": {"topic": "a/#", "release": 1}}}, "no topic to publish to"),
         ({"actuators": {"a": {"topic": "a", "release": 1, "payload": "$valu"}}}, "payload"),
         ({"actuators": {"a": {"topic": "a"}}}, "release"),

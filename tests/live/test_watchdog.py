@@ -39,6 +39,12 @@ def raise_after_setting(dog):
     raise PlantError("the building did not take back pump")
 
 
+def raise_in_an_attempt(dog):
+    dog.set(["pump"], 1.0, {"pump": (21.0, 0.255)})
+    dog.about_to_set(["pump"], 1.0, {"pump": (20.0, 0.255)})
+    raise PlantError("the building did not take back pump")
+
+
 def level(folder):
     return json.loads((folder / "levels.json").read_text())["levels"]["pump"]
 
@@ -108,6 +114,44 @@ def test_of_several_things_that_are_set_each_is_kept_for_the_controller(tmp_path
     dog.close()
     wait_for("the building is given back", levels.exists)
     assert level(tmp_path) is None
+
+
+_HOLDS = """
+import json
+from pathlib import Path
+from thermoforce_mpc.connections.files import FilesConnection
+
+class Holds(FilesConnection):
+    "Levels that a device holds"
+    def present(self, names):
+        return json.loads(Path("held.json").read_text())
+
+def holds(levels: Path = Path("levels.json")) -> Holds:
+    "Files, and a device that says what it holds"
+    return Holds(levels=levels)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("held", "left"), [(24.0, True), (21.2, False), (20.0, False)])
+def test_what_a_device_holds_that_nobody_here_set_is_a_persons(tmp_path, monkeypatch, held, left):
+    """21.0 was set, and 20.0 was tried and may have arrived."""
+    levels, code = tmp_path / "levels.json", tmp_path / "holds.py"
+    code.write_text(_HOLDS)
+    (tmp_path / "held.json").write_text(json.dumps({"pump": held}))
+    levels.write_text('{"levels": {"pump": 21.0}}')
+    monkeypatch.chdir(tmp_path)
+    about = tmp_path / "holds-1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: holds\nVersion: 1\n")
+    (about / "entry_points.txt").write_text("[thermoforce_mpc.connections]\nholds = holds:holds\n")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    dog = Watchdog("holds", {"levels": str(levels)}, levels, 0.0, tmp_path / "dog")
+    with pytest.raises(PlantError), sole_control(levels):
+        raise_in_an_attempt(dog)
+    dog.close()
+    wait_for("the end of the watchdog", lambda: "gave back" in (tmp_path / "dog").read_text())
+    assert (level(tmp_path) == 21.0) is left
 
 
 @pytest.mark.slow

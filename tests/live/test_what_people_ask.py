@@ -89,7 +89,8 @@ def test_a_boost_is_warmer_and_ends(people):
     ("key", "word"),
     [("lower", "99"), ("lower", "warm"), ("lower", "nan"), ("upper", "inf"), ("away", "soon"), ("away", "2020-01-01"),
      ("away", "01.03.2026"), ("away", "02/03/2026"),
-     ("boost", "-5"), ("boost", "1000"), ("boost", "nan"), ("window", "1"), ("comfort", "21")],
+     ("boost", "-5"), ("boost", "1000"), ("boost", "nan"), ("window", "1"), ("comfort", "21"),
+     ("mode", "shadow"), ("mode", "off")],
 )  # fmt: skip
 def test_what_cannot_be_asked_is_refused_and_changes_nothing(people, key, word):
     with pytest.raises(ConfigError):
@@ -102,6 +103,7 @@ def test_what_cannot_be_asked_is_refused_and_changes_nothing(people, key, word):
     ["{", "[]", '{"x": 1}', '{"lower_C": 99, "comfort_until": "2027-01-01T00:00Z"}', '{"away_until": "soon"}',
      '{"by_hand": {"x": 5}}', '{"by_hand": [1]}', '{"by_hand": {"x": [21, "soon"]}}',
      '{"by_hand": {"x": [21, "2027-01-01"]}}',
+     '{"mode": "shadow"}', '{"mode": 1}',
      '{"by_hand": {"x": ["21", "2027-01-01T00:00Z"]}}', '{"by_hand": {"x": [NaN, "2027-01-01T00:00Z"]}}', "[" * 99_999],
 )  # fmt: skip
 def test_a_damaged_file_asks_for_nothing(people, tmp_path, text, caplog):
@@ -163,6 +165,48 @@ def test_what_is_set_by_hand_is_given_back_by_nobody(people):
     assert {told[1] for told in hears.heard if told[0] == "set"} == {("actuator",)}
 
 
+def test_a_mode_that_is_asked_gives_the_building_back_once_and_sets_it_again(people):
+    """Meanwhile it is planned, what would be set is nowhere believed to have acted, and nothing is written."""
+    house, decisions = SimulatedBuilding(), []
+    building = LiveBuilding(house, MeasurementMap.model_validate(SIMULATED_RULES), 3600.0, people=people)
+
+    def told(decision):
+        decisions.append(decision)
+        if len(decisions) in (3, 6):
+            people.ask("mode", "advise" if len(decisions) == 3 else "control", decision.instant)
+
+    control(building, mpc(), clock=house, steps=8, delay_s=0.0, told=told)
+    values = [(round((at - SIMULATED) / HOUR), *levels.values()) for at, levels, _ in house.written]
+    given_back = [hour for hour, level in values if level is None]
+    assert given_back == [2, 8]
+    assert {hour for hour, _ in values} == {0, 1, 2, 5, 6, 7, 8}
+    said = ["mode advise was asked: nothing is set" in decision.notes for decision in decisions]
+    assert said == [False] * 3 + [True] * 3 + [False] * 2
+    assert {decision.plan.status for decision in decisions} == {"solved"}
+
+
+class SaysWhatItHolds(TimedHome):
+    """Somebody turns its thermostat to 24 °C just after a reading, and nobody reads it again."""
+
+    def present(self, names):
+        return dict.fromkeys(names, self.rows[-1]["set"] if self.told is None else self.told)
+
+
+@pytest.mark.slow
+def test_a_change_by_hand_after_the_last_reading_is_not_given_back(tmp_path, caplog):
+    home = SaysWhatItHolds()
+
+    def turn(row):
+        if row["time"] - START >= 2.5 * HOUR:
+            home.told, home.ends, home.on_row = 24.0, None, lambda row: None
+
+    home.on_row = turn
+    people = People(tmp_path / "people.json")
+    controlled(home, home, rules_of({name: name for name in SENSORS}), 3, people=people)
+    assert home.told == 24.0
+    assert people.by_hand(home.at)["actuator"][0] == 24.0
+
+
 TWO_ROOMS = {
     "time": {"zone": "UTC"}, "step": "1h", "outdoor": "out",
     "zones": {z: {"temperature": z, "lower": 20.0, "upper": 23.0} for z in ("hall", "bath")},
@@ -213,9 +257,11 @@ class Shows:
         self.said = getattr(self, "said", {}) | said
 
 
-def test_what_is_decided_is_shown_and_what_is_heard_is_asked(people):
+def test_what_is_decided_is_shown_and_what_is_heard_is_asked(people, tmp_path):
     shows, lines = Shows(), []
-    decided = shared_with(shows, people, lines.append, lambda decision: "Tue 10:00  hall 21 °C for 60 min: cheap hours")
+    decided = shared_with(
+        shows, people, lines.append, lambda decision: "Tue 10:00  hall 21 °C for 60 min: cheap hours", tmp_path
+    )
     plan = Plan(
         (Block(0.5, 3600.0),), PlanStatus.SOLVED, "cheap hours", lower_C=np.array([20.0]), upper_C=np.array([23.0])
     )
@@ -224,6 +270,10 @@ def test_what_is_decided_is_shown_and_what_is_heard_is_asked(people):
     assert shows.said["status"] == "solved"
     assert shows.said["level"] == "hall 21 °C for 60 min"
     assert shows.said["people"]["planned_lower_C"] == 20.0
+    assert shows.said["saving"]["said"].startswith("not known yet")
+    shows.asks["mode"]("advise")
+    assert people.paused
+    assert shows.said["people"]["mode"] == "advise"
     shows.asks["boost"]("45")
     assert shows.said["people"]["boost_min"] == 45
     with pytest.raises(ConfigError):
@@ -231,11 +281,13 @@ def test_what_is_decided_is_shown_and_what_is_heard_is_asked(people):
     assert json.loads(json.dumps(shows.said))["notes"] == ["a note"]
 
 
-def test_what_cannot_be_shown_ends_no_control(people):
+def test_what_cannot_be_shown_ends_no_control(people, tmp_path):
     def fails(said):
         raise RuntimeError("broker")
 
     shows = Shows()
     shows.tell = fails
     plan = Plan((Block(0.5, 3600.0),), PlanStatus.SOLVED, "cheap hours")
-    shared_with(shows, people, lambda decision: None, lambda decision: "")(Decision(NOW, plan, plan.blocks))
+    decided = shared_with(shows, people, lambda decision: None, lambda decision: "", tmp_path, "shadow")
+    decided(Decision(NOW, plan, plan.blocks))
+    assert "mode" not in shows.asks, "a controller that sets nothing is not asked for another mode"

@@ -9,11 +9,14 @@ from collections.abc import Collection
 from typing import Any
 
 DEVICE = "ThermoForce MPC"
+MODES = ("control", "advise")
+"""Between which a controller that acts is switched; the second one gives the building back, and plans on."""
 _SENSORS = {
     "status": ("Status", {}),
     "why": ("Why", {}),
     "level": ("Set now", {"icon": "mdi:radiator"}),
     "plan": ("Plan", {"icon": "mdi:chart-line", "json_attributes_topic": "PREFIX/plan"}),
+    "saving": ("Saving", {"icon": "mdi:piggy-bank", "json_attributes_topic": "PREFIX/saving"}),
 }
 
 
@@ -24,7 +27,8 @@ def device_message(prefix: str, node: str, version: str, asks: Collection[str]) 
         part = {"p": "sensor", "name": name, "state_topic": f"{prefix}/{key}"}
         part |= {k: v.replace("PREFIX", prefix) for k, v in more.items()}
         # A state has 255 characters at most: of long ones the beginning, of the plan its next hours in words.
-        part["value_template"] = "{{ value_json.next }}" if key == "plan" else "{{ value[:250] }}"
+        said = {"plan": "{{ value_json.next }}", "saving": "{{ value_json.said[:250] }}"}
+        part["value_template"] = said.get(key, "{{ value[:250] }}")
         parts[key] = part
     if {"lower", "upper"} <= set(asks):
         parts["comfort"] = {
@@ -37,6 +41,11 @@ def device_message(prefix: str, node: str, version: str, asks: Collection[str]) 
             "temperature_high_state_topic": f"{prefix}/people",
             "temperature_high_state_template": "{{ value_json.upper_C or value_json.planned_upper_C }}",
             "temperature_high_command_topic": f"{prefix}/set/upper",
+        }  # fmt: skip
+    if "mode" in asks:
+        parts["mode"] = {
+            "p": "select", "name": "Mode", "options": list(MODES), "state_topic": f"{prefix}/people",
+            "value_template": "{{ value_json.mode }}", "command_topic": f"{prefix}/set/mode",
         }  # fmt: skip
     if "boost" in asks:
         parts["boost"] = {

@@ -25,7 +25,7 @@ from pydantic import Field
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError, PlantError, suggestion
-from thermoforce_mpc.files import secret_from
+from thermoforce_mpc.files import no_secret_in, secret_from
 from thermoforce_mpc.measurements.tables.raw_table import SWITCH
 from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -112,6 +112,7 @@ class HomeAssistantConnection:
         """
         if not (days > 0.0 and every_s > 0.0):
             raise ConfigError("connection home-assistant: days and every_s are above 0")
+        no_secret_in(url, "connection home-assistant: url", "the token in HOME_ASSISTANT_TOKEN or token_file")
         if not url.startswith(("http://", "https://")):
             raise ConfigError(f"connection home-assistant: url: {url!r}: expected http://HOST:PORT or https://…")
         self._url, self._days, self._every_s, self._watchdog = url.rstrip("/"), days, every_s, watchdog
@@ -209,6 +210,29 @@ class HomeAssistantConnection:
         """See `Connection`: the timer is ended, whose end would undo what people set."""
         if self._watchdog is not None:
             self._service("timer", "cancel", {"entity_id": self._watchdog})
+
+    def present(self, names: Iterable[str]) -> dict[str, float]:
+        """See `Connection`: what the entities hold, where they are there and hold a number or a known option."""
+        held = {}
+        for name in names:
+            one = self._actuators[name]
+            state = self._state(one.entity)
+            said = state["attributes"].get("temperature") if one.domain in _HOLDS_TEMPERATURE else state["state"]
+            if state["state"] in _GONE or said is None:
+                continue
+            by_option = {text: level for level, text in one.options.items()}
+            value = by_option.get(str(said), SWITCH.get(str(said).lower()))
+            if value is None:
+                try:
+                    value = float(said)
+                except (TypeError, ValueError):
+                    continue
+                if one.domain in _HOLDS_NUMBER:
+                    value /= one.scale
+                elif one.domain in _HOLDS_TEMPERATURE and self._in_fahrenheit():
+                    value = (value - 32.0) / 1.8
+            held[name] = value
+        return held
 
     def close(self) -> None:
         """See `Connection.close`."""

@@ -17,8 +17,8 @@ import ssl
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from string import Template
@@ -30,7 +30,7 @@ from pydantic import Field
 
 from thermoforce_mpc.connections.discovery import device_message
 from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.files import secret_from, storage_errors, write_whole
+from thermoforce_mpc.files import no_secret_in, secret_from, storage_errors, write_whole
 from thermoforce_mpc.measurements.tables.raw_table import SWITCH
 from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -95,6 +95,9 @@ class MqttConnection:
             discovery: prefix of Home Assistant's device discovery; null: none.
             forecast: a file of weather, or services, see docs/how-to/forecasts.md.
         """
+        no_secret_in(host, "connection mqtt: host", "give user, and the password in MQTT_PASSWORD or password_file")
+        if "/" in host or not host.strip():
+            raise ConfigError(f"connection mqtt: host: {host!r}: a name or address alone; port and tls are keys")
         if version not in ("5", "3.1.1"):
             raise ConfigError(f"connection mqtt: version: {version!r}: expected '5' or '3.1.1'")
         if discovery is not None and not _plain_topic(discovery):
@@ -197,7 +200,6 @@ class MqttConnection:
         """See `Connection.write`; raises `PlantError` where the broker or a device did not take one in time."""
         if unknown := [name for name in levels if name not in self._actuators]:
             raise ConfigError(f"connection mqtt: actuators: none is given for '{unknown[0]}'")
-        self.begin()
         until = utc_now() + timedelta(seconds=seconds)
         messages, awaited = [], {}
         for name, level in levels.items():
@@ -209,7 +211,68 @@ class MqttConnection:
             messages.append((one.topic, text, one.retain, expires))
             if one.state is not None:
                 awaited[one.state] = value
-        self._publish(messages)
+        with self._hearing(awaited):
+            self._publish(messages)
+            self._await(awaited)
+
+    def present(self, names: Iterable[str]) -> dict[str, float]:
+        """See `Connection`: of devices with a `state` that they keep at the broker, or said lately."""
+        states = {name: state for name in names if (state := self._actuators[name].state) is not None}
+        deadline, held = time.monotonic() + TIMEOUT_S, {}
+        with self._hearing(states.values()), self._change:
+            while not set(states.values()) <= set(self._heard) and (left_s := deadline - time.monotonic()) > 0.0:
+                self._change.wait(left_s)
+            heard = dict(self._heard)
+        for name, state in states.items():
+            one, said = self._actuators[name], heard.get(state)
+            by_option = {text: level for level, text in one.options.items()}
+            value = None if said is None else by_option.get(said, SWITCH.get(said.lower()))
+            if value is None:
+                try:
+                    value = float(said or "") / one.scale
+                except ValueError:
+                    continue
+            held[name] = value
+        return held
+
+    @contextmanager
+    def _hearing(self, states: Collection[str]) -> Iterator[None]:
+        """Hear what devices say while the block lasts. Where nothing is recorded yet (the watchdog gives a building
+        back) that is by a quiet client: it neither says that a controller is there, nor writes to the record.
+        """
+        if self._client is not None or not states:
+            yield
+            return
+        client, topics = self._made(""), sorted({state.partition("#")[0] for state in states})
+
+        def on_connect(_c: Any, _u: Any, _f: Any, _reason: Any, _p: Any = None) -> None:
+            client.subscribe([(topic, 1) for topic in topics])
+
+        def on_message(_c: Any, _u: Any, message: Any) -> None:
+            self._hear(message.topic, message.payload[:_MOST_PAYLOAD].decode("utf-8", "replace").strip())
+
+        client.on_connect, client.on_message = on_connect, on_message
+        try:
+            client.connect(self._host, self._port, keepalive=_KEEPALIVE_S, **self._anew())
+            client.loop_start()
+            yield
+        except (OSError, ValueError) as error:
+            raise PlantError(f"broker {self._host}:{self._port}: {type(error).__name__}: {error}") from error
+        finally:
+            client.disconnect()
+            client.loop_stop()
+
+    def _hear(self, topic: str, text: str) -> None:
+        """Keep what a device says that it took."""
+        with self._change:
+            for state in {one.state for one in self._actuators.values() if one.state is not None}:
+                of, _, key = state.partition("#")
+                if of == topic and (value := _value(text, key)) is not None:
+                    self._heard[state] = value
+            self._change.notify_all()
+
+    def _await(self, awaited: Mapping[str, str]) -> None:
+        """Wait until devices say what they were set to; raises `PlantError` where one does not in time."""
         deadline = time.monotonic() + TAKEN_S
         with self._change:
             while wrong := {key: v for key, v in awaited.items() if not _alike(self._heard.get(key), v)}:
@@ -352,14 +415,12 @@ class MqttConnection:
                 except Exception as error:  # whatever people publish ends no control
                     _LOG.warning("%s: %r: %s", message.topic, text[:100], error)
             return
+        self._hear(message.topic, text)
         states, rows = {one.state for one in self._actuators.values()}, []
         for column in self._columns:
             topic, _, key = column.partition("#")
             if topic != message.topic or (value := _value(text, key)) is None:
                 continue
-            with self._change:
-                self._heard[column] = value
-                self._change.notify_all()
             # When a retained reading was taken nobody knows; what was set holds until it is set anew.
             if not message.retain or column in states:
                 rows.append(column + "\x00" + value)

@@ -3,13 +3,15 @@
 What holds a building is a deadline, which each action that was taken moves. It passes where the controller hangs, is
 stopped or killed, or sets nothing any more; the watchdog then writes that everything is the building's own again, until
 that was taken. It ends with the controller, or once that was done after it died; where another controller took over in
-between (the lock of `sole_control` tells), it leaves the building to that one.
+between (the lock of `sole_control` tells), it leaves the building to that one; and what a device holds that neither was
+set nor was about to be, somebody set by hand.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import selectors
 import subprocess
@@ -25,10 +27,16 @@ from thermoforce_mpc.connections.sole import SetByAnother, Sets, last_to_set, so
 from thermoforce_mpc.errors import ConfigError
 
 _LOG = logging.getLogger(__name__)
+Ours = Mapping[str, tuple[float, float | None]]
+"""Commands by name: the value that is set, and how far a device may be from it that holds it; None: of a level."""
 # How often the deadline is looked at, and a building asked again that does not take its levels back, s.
 _LOOK_S, _AGAIN_S = 0.5, 5.0
 # How long the end of the process is waited for, s.
 _END_S = 5.0
+# Attempts that are remembered of each command, at a step of a minute those of half a day.
+_MOST_OURS = 720
+# Kept, so that Python does not warn of processes that are meant to outlive this one.
+_OUTLIVE_US: list[subprocess.Popen[str]] = []
 
 
 class Watchdog:
@@ -56,13 +64,13 @@ class Watchdog:
         assert self._process is not None
         return self._process.pid
 
-    def about_to_set(self, names: Sequence[str], seconds: float) -> None:
+    def about_to_set(self, names: Sequence[str], seconds: float, ours: Ours | None = None) -> None:
         """Something is about to be set: should it fail, or this process end in it, it may have been."""
-        self._tell({"names": list(names), "attempt": float(seconds)})
+        self._tell({"names": list(names), "attempt": float(seconds), "ours": ours or {}})
 
-    def set(self, names: Sequence[str], seconds: float) -> None:
+    def set(self, names: Sequence[str], seconds: float, ours: Ours | None = None) -> None:
         """Something was set, to hold for `seconds` s."""
-        self._tell({"names": list(names), "seconds": float(seconds)})
+        self._tell({"names": list(names), "seconds": float(seconds), "ours": ours or {}})
 
     def released(self) -> None:
         """The building has everything back."""
@@ -75,8 +83,10 @@ class Watchdog:
             return
         with suppress(OSError):
             process.stdin.close()
-        with suppress(subprocess.TimeoutExpired):
+        try:
             process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            _OUTLIVE_US.append(process)
 
     def _start(self) -> None:
         with open(os.devnull if self._log is None else self._log, "a", encoding="utf-8") as log:
@@ -115,6 +125,7 @@ def watch(told: int) -> None:
     """Read from the descriptor `told` what is watched, and then what is set, a line of JSON each, until it ends."""
     head: dict[str, Any] = {}
     names: list[str] = []
+    ours: dict[str, list[tuple[float, float | None]]] = {}
     deadline_s: float | None = None
     alive, rest = True, b""
     with selectors.DefaultSelector() as waiting:
@@ -134,12 +145,14 @@ def watch(told: int) -> None:
                         head = beat
                         continue
                     names = beat["names"] or names
+                    for name, one in beat.get("ours", {}).items():  # what failed may have been set: any of these
+                        ours[name] = [*(ours.get(name, []) if "attempt" in beat else []), tuple(one)][-_MOST_OURS:]
                     if "attempt" in beat:
                         deadline_s = deadline_s or _now_s() + beat["attempt"] + head["grace_s"]
                     else:
                         deadline_s = None if beat["seconds"] is None else _now_s() + beat["seconds"] + head["grace_s"]
             if deadline_s is not None and _now_s() >= deadline_s:
-                done = _given_back(head, names, alive)
+                done = _given_back(head, names, ours, alive)
                 deadline_s = None if done else _now_s() + _AGAIN_S
 
 
@@ -159,25 +172,46 @@ def _is_ours(head: Mapping[str, Any]) -> bool:
     return True
 
 
-def _given_back(head: Mapping[str, Any], names: Sequence[str], alive: bool) -> bool:
+def _given_back(
+    head: Mapping[str, Any], names: Sequence[str], ours: Mapping[str, Sequence[tuple[float, float | None]]], alive: bool
+) -> bool:
     """Give everything back; whether that is done, or another controller's. `alive`: our controller holds the lock."""
     try:
         # While the building cannot be reached it stays our controller's, and is asked again.
         with nullcontext() if alive else sole_control(_what(head), head["controller"]):
-            _give_back(head, names)
+            left = _give_back(head, names, ours)
     except SetByAnother as error:
         _say(f"not given back: {error}")
         return True
     except Exception as error:  # somebody's connection may raise anything
         _say(f"{', '.join(names)} could not be given back ({type(error).__name__}: {error}): tried again")
         return False
-    _say(f"no action came in time{'' if alive else ', and the controller has died'}: gave back {', '.join(names)}")
+    back = ", ".join(name for name in names if name not in left) or "nothing"
+    kept = f"; set by hand and left alone: {', '.join(left)}" if left else ""
+    _say(f"no action came in time{'' if alive else ', and the controller has died'}: gave back {back}{kept}")
     return True
 
 
-def _give_back(head: Mapping[str, Any], names: Sequence[str]) -> None:
+def _give_back(
+    head: Mapping[str, Any], names: Sequence[str], ours: Mapping[str, Sequence[tuple[float, float | None]]]
+) -> list[str]:
+    """Give back `names` but for those whose device says that somebody set it by hand, which are returned."""
     with closing(build_connection(head["connection"], head["options"])) as connection:
-        connection.write(dict.fromkeys(names), 0.0)
+        held: Mapping[str, float] = {}
+        if (says := getattr(connection, "present", None)) is not None:
+            with suppress(Exception):  # one that does not say it is given back
+                held = says(names)
+        left = [name for name in names if name in held and _by_hand(float(held[name]), ours.get(name, ()))]
+        if left and (leave := getattr(connection, "leave", None)) is not None and len(left) == len(names):
+            leave()
+        elif back := [name for name in names if name not in left]:
+            connection.write(dict.fromkeys(back), 0.0)
+        return left
+
+
+def _by_hand(value: float, ours: Sequence[tuple[float, float | None]]) -> bool:
+    near = [(one, within) for one, within in ours if within is not None]
+    return math.isfinite(value) and bool(near) and all(abs(value - one) > within for one, within in near)
 
 
 def _say(text: str) -> None:

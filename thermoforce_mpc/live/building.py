@@ -114,6 +114,11 @@ class LiveBuilding:
         return None if found is None else found[1]
 
     @property
+    def paused(self) -> bool:
+        """Whether people ask that nothing is set."""
+        return self._people is not None and self._people.paused
+
+    @property
     def layout(self) -> Layout:
         """What acts where; known after the first record."""
         assert self._measured is not None
@@ -156,6 +161,8 @@ class LiveBuilding:
         ).served()
         record = measured.record
         self.left_out = (*measured.left_out, *self._ahead(measured, now), *self._set_by_hand(measured, now))
+        if self.paused:
+            self.left_out = (*self.left_out, "mode advise was asked: nothing is set")
         self._origin = record.origin if self._origin is None else self._origin
         shift_s = (record.origin - self._origin).total_seconds()
         record = replace(record, time_s=record.time_s + shift_s, origin=self._origin)
@@ -218,7 +225,7 @@ class LiveBuilding:
         """
         told, now = self.to_set(levels) if told is None else told, self.now
         if self._people is not None and now is not None:
-            keys = {name: self._key(name) for name in levels}
+            keys = {name: self.key(name) for name in levels}
             self._note({name: told[key] for name, key in keys.items() if key in told}, seconds, now)
 
         def write() -> None:
@@ -240,14 +247,14 @@ class LiveBuilding:
         """
         told: dict[str, float | None] = {}
         for name, value in levels.items():
-            key = self._key(name)
+            key = self.key(name)
             told[key] = None if key in told and told[key] is None else value
         if self._people is not None and self.now is not None:
             for name in self._people.by_hand(self.now):
-                told.pop(self._key(name), None)
+                told.pop(self.key(name), None)
         return told
 
-    def _key(self, name: str) -> str:
+    def key(self, name: str) -> str:
         """What the connection calls the command of an actuator: that of a machine for several rooms is the machine."""
         found = self._rules.command_of(name)
         kind, _, of = found[0].partition(".") if found else ("", "", "")
@@ -275,26 +282,48 @@ class LiveBuilding:
         if self._people is None:
             return ()
         notes = []
-        for name, told in dict(self._told).items():
-            command, was = self.command_of(name), measured.commands.get(name)
-            value = float("nan") if was is None else float(was.at[-1])
-            if command is None or not math.isfinite(value):
-                continue
-            if (now - told.at).total_seconds() > told.seconds:  # it ended by itself
-                del self._told[name]
-                continue
-            near = 0.51 * float(getattr(command, "resolution", 1.0))
-            if abs(value - told.value) <= near:
-                self._told[name] = replace(told, seen=True)
-            elif told.seen or (math.isfinite(told.before) and abs(value - told.before) > near):
-                self._people.set_by_hand(name, value, now)
-                del self._told[name]
+        for name in dict(self._told):
+            was = measured.commands.get(name)
+            self._compare(name, float("nan") if was is None else float(was.at[-1]), now)
         for name, (value, until) in self._people.by_hand(now).items():
             command = self.command_of(name)
             what = f"{value:g}" if command is None else command.in_words(value)
             zone = self._rules.time.zone or "UTC"
             notes.append(f"{name}: {what} was set by hand: left alone until {until.tz_convert(zone):%a %H:%M}")
         return tuple(notes)
+
+    def notice(self) -> None:
+        """Note what was set by hand since the last reading, of devices that say what they hold (`present`)."""
+        says, now = getattr(self.connection, "present", None), self.now
+        if says is None or self._people is None or now is None or not self._told:
+            return
+        try:
+            held = self._calls(self._writer, lambda: says([self.key(name) for name in self._told]), self._answer_s)
+        except Crashed as crashed:  # such as an interrupt
+            raise (crashed.__cause__ or crashed) from None
+        except Exception as error:  # somebody's connection may raise anything
+            _LOG.info("what the devices hold is not known (%s: %s)", type(error).__name__, error)
+            return
+        for name in dict(self._told):
+            self._compare(name, float(held.get(self.key(name), float("nan"))), now)
+
+    def nearness(self, name: str) -> float | None:
+        """How far what a device holds may be from the command that it was set to; None where a level is set."""
+        command = self.command_of(name)
+        return None if command is None else 0.51 * float(getattr(command, "resolution", 1.0))
+
+    def _compare(self, name: str, value: float, now: pd.Timestamp) -> None:
+        """Keep `value` as a person's where it is neither what was set nor what was before; NaN: not known."""
+        told, near = self._told[name], self.nearness(name)
+        if near is None or not math.isfinite(value) or self._people is None:
+            return
+        if (now - told.at).total_seconds() > told.seconds:  # it ended by itself
+            del self._told[name]
+        elif abs(value - told.value) <= near:
+            self._told[name] = replace(told, seen=True)
+        elif told.seen or (math.isfinite(told.before) and abs(value - told.before) > near):
+            self._people.set_by_hand(name, value, now)
+            del self._told[name]
 
     def _call(self, what: str) -> Any:
         try:

@@ -283,8 +283,11 @@ class _Building:
         beyond_s = min(_NEXT_DECISION_S, self._step.total_seconds())
         self._keep(self._at, decided.before, state)
         # What is not set did not act: as if nothing had been planned.
-        blocks = decided.blocks if self._acts else ()
-        if not self._acts:
+        acts = self._acts and not self._building.paused
+        blocks = decided.blocks if acts else ()
+        if self._set and not acts:  # until now it was
+            self._set = not self._write((None,) * len(self._building.names), 0.0)
+        if not acts:
             self._record(Block.native(len(self._building.names), self._step.total_seconds()), begin)
             state = decided.before
             self._keep(self._at, state, state)
@@ -326,12 +329,15 @@ class _Building:
         names = self._building.names
         levels = {name: value if isinstance(value, float) else None for name, value in zip(names, told, strict=True)}
         # What people set by hand is not in it, and the watchdog must not give it back either.
+        self._building.notice()
         told_by_name = self._building.to_set(levels)
+        near = {self._building.key(name): self._building.nearness(name) for name in names}
+        ours = {key: (value, near[key]) for key, value in told_by_name.items() if value is not None}
         # Before the call: one that fails, or is interrupted, may have set them.
         anything = any(value is not None for value in told_by_name.values())
         self._set = self._set or anything
         if self._watchdog is not None and anything:
-            self._watchdog.about_to_set(tuple(told_by_name), seconds)
+            self._watchdog.about_to_set(tuple(told_by_name), seconds, ours)
         if self._watchdog is not None and not told_by_name:
             self._watchdog.released()
         try:
@@ -341,7 +347,7 @@ class _Building:
             return False
         if self._watchdog is not None:
             if anything:
-                self._watchdog.set(tuple(told_by_name), seconds)
+                self._watchdog.set(tuple(told_by_name), seconds, ours)
             else:
                 self._watchdog.released()
         return True

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from thermoforce_mpc.connections.discovery import MODES
 from thermoforce_mpc.data import Boundary
 from thermoforce_mpc.data.dataframes import stamps
 from thermoforce_mpc.errors import ConfigError, StorageError
@@ -33,13 +34,15 @@ _BAND_K = 0.5
 _MOST_BYTES = 100_000
 _LONGEST_BOOST_MIN, _LONGEST_AWAY = 480.0, pd.Timedelta("365D")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")
-KEYS = ("lower", "upper", "away", "boost", "comfort")
-"""What may be asked: `lower`, `upper` in °C, `away` until a time, `boost` in min; each, and `comfort`, also `off`."""
+KEYS = ("lower", "upper", "away", "boost", "comfort", "mode")
+"""What may be asked: `lower`, `upper` in °C, `away` until a time, `boost` in min; each, and `comfort`, also `off`;
+`mode`: one of `MODES`."""
 
 
 @dataclass(frozen=True)
 class Wishes:
-    """What holds until when, ISO 8601 in UTC; None: nothing is asked. `by_hand`: value and end by actuator."""
+    """What holds until when, ISO 8601 in UTC; None: nothing is asked. `by_hand`: value and end by actuator; `mode`:
+    until another one is asked."""
 
     lower_C: float | None = None
     upper_C: float | None = None
@@ -47,6 +50,7 @@ class Wishes:
     away_until: str | None = None
     boost_until: str | None = None
     by_hand: dict[str, tuple[float, str]] | None = None
+    mode: str | None = None
 
 
 class People:
@@ -67,6 +71,8 @@ class People:
                 _passed(one, pd.Timestamp(0, tz="UTC"))
             for bound in (wishes.lower_C, wishes.upper_C):
                 _checked(bound)
+            if wishes.mode not in (None, *MODES):
+                raise ConfigError(f"mode: {wishes.mode!r} is none of {', '.join(MODES)}")
             for name, (value, until) in (wishes.by_hand or {}).items():
                 if not math.isfinite(value):
                     raise ConfigError(f"by_hand: {name}: {value} is no value")
@@ -107,6 +113,10 @@ class People:
                 raise ConfigError(f"boost {word!r}: minutes, at most {_LONGEST_BOOST_MIN:g}")
             until = (now + pd.Timedelta(minutes=minutes)).isoformat() if minutes else None
             wishes = replace(wishes, boost_until=until)
+        elif key == "mode":
+            if word not in MODES:
+                raise ConfigError(f"mode {word!r}: one of {', '.join(MODES)}; others are options of `tf-mpc control`")
+            wishes = replace(wishes, mode=word)
         else:
             raise ConfigError(f"{key!r} cannot be asked; there are {', '.join(KEYS)}")
         self._keep(wishes)
@@ -120,6 +130,11 @@ class People:
         except StorageError as error:
             _LOG.warning("%s", error)
         return until
+
+    @property
+    def paused(self) -> bool:
+        """Whether a controller that may act is asked not to."""
+        return self.wishes().mode == "advise"
 
     def by_hand(self, now: pd.Timestamp) -> dict[str, tuple[float, pd.Timestamp]]:
         """What was set by hand and is respected yet: value and end by actuator."""
@@ -159,7 +174,7 @@ class People:
         return replace(ahead, lower_C=lower, upper_C=upper), tuple(notes)
 
     def shown(self, now: pd.Timestamp) -> dict[str, Any]:
-        """What is asked, for displays: bounds, whether away, minutes of boost left."""
+        """What is asked, for displays: bounds, whether away, minutes of boost left, mode."""
         wishes = self.wishes()
         comfort = not _passed(wishes.comfort_until, now)
         boost = now if wishes.boost_until is None else pd.Timestamp(wishes.boost_until)
@@ -169,6 +184,7 @@ class People:
             "upper_C": wishes.upper_C if comfort else None,
             "away": not _passed(wishes.away_until, now),
             "boost_min": math.ceil(left_min),
+            "mode": wishes.mode or MODES[0],
         }
 
     def _time(self, word: str, now: pd.Timestamp) -> str:

@@ -4,31 +4,40 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from thermoforce_mpc.live.control import Decision
 from thermoforce_mpc.live.people import People
+from thermoforce_mpc.live.saving import saving_so_far
 from thermoforce_mpc.protocols import Connection
 
 _LOG = logging.getLogger(__name__)
 
 
 def shared_with(
-    connection: Connection, people: People, told: Callable[[Decision], None], in_words: Callable[[Decision], str]
+    connection: Connection,
+    people: People,
+    told: Callable[[Decision], None],
+    in_words: Callable[[Decision], str],
+    folder: Path,
+    mode: str = "control",
 ) -> Callable[[Decision], None]:
     """`told`, then what was decided and asked to a `connection` with `tell`; what one with `listen` hears is asked.
 
-    `in_words`: a decision in one line.
+    `in_words`: a decision in one line; `folder`: of the run; `mode`: one that sets nothing is not asked for another.
     """
+    acts = mode in ("control", "probe")
     tell, listen = getattr(connection, "tell", None), getattr(connection, "listen", None)
 
     def show(said: dict[str, Any]) -> None:
         if tell is None:
             return
         try:
-            tell(said | {"people": shown | people.shown(pd.Timestamp.now("UTC"))})
+            asked = people.shown(pd.Timestamp.now("UTC")) | ({} if acts else {"mode": mode})
+            tell(said | {"people": shown | asked})
         except Exception as error:  # somebody's connection may raise anything, and showing ends no control
             _LOG.warning("what was decided is not shown (%s: %s)", type(error).__name__, error)
 
@@ -44,7 +53,7 @@ def shared_with(
 
     shown: dict[str, Any] = {}
     if listen is not None:
-        listen({key: asked(key) for key in ("lower", "upper", "away", "boost")})
+        listen({key: asked(key) for key in ("lower", "upper", "away", "boost", *(["mode"] if acts else []))})
 
     def decided(decision: Decision) -> None:
         told(decision)
@@ -59,7 +68,7 @@ def shared_with(
         show(
             {
                 "status": plan.status.value, "why": decision.refused or plan.why, "level": set_now,
-                "notes": list(decision.notes),
+                "notes": list(decision.notes), "saving": saving_so_far(folder),
                 "plan": {"from": decision.instant.isoformat(), "next": words[:250], "steps": steps},
             }
         )  # fmt: skip

@@ -99,6 +99,7 @@ class Saving:
         """Plain values."""
         scalars = ("saved_kWh", "low_kWh", "high_kWh", "level", "meter", "claimed", "baseline_kWh", "measured_kWh")
         return {name: getattr(self, name) for name in (*scalars, "r2", "regressors")} | {
+            "said": self.in_words(),
             "days_before": self.before.n,
             "days_after": self.after.n,
             "rmse_kWh_per_day": self.rmse_kWh,

@@ -12,7 +12,7 @@ from thermoforce_mpc.errors import ConfigError
 
 
 @click.command()
-@click.argument("key", metavar="lower|upper|away|boost|comfort")
+@click.argument("key", metavar="lower|upper|away|boost|comfort|mode")
 @click.argument("value")
 @click.option("--out", type=PATH, default=Path("control"), help="Folder of the controller that is asked.")
 @click.option("--zone", help="Time zone of a time without an offset.  [default: UTC]")
@@ -20,7 +20,8 @@ def ask(key: str, value: str, out: Path, zone: str | None) -> None:
     """Ask a running `tf-mpc control` for something, from its next step on: VALUE, or off.
 
     lower, upper: comfort bound of all zones, °C, for 12 h. away: until a time, within 16 to 28 °C; it is warm again
-    then. boost: 2 K warmer for so many minutes. comfort off: the bounds of the map again.
+    then. boost: 2 K warmer for so many minutes. comfort off: the bounds of the map again. mode: of a controller that
+    sets the building, advise gives it back and plans on, control sets it again.
 
     \b
     Examples:
@@ -47,5 +48,6 @@ def ask(key: str, value: str, out: Path, zone: str | None) -> None:
     now = pd.Timestamp.now("UTC")
     people = People(out / "people.json", zone)
     people.ask(key, value, now)
-    told = ", ".join(f"{name} {one}" for name, one in people.shown(now).items() if one not in (None, False, 0))
+    shown = people.shown(now).items()
+    told = ", ".join(f"{name} {one}" for name, one in shown if one not in (None, False, 0, "control"))
     click.echo(f"Asked: {told or 'nothing'}")

@@ -254,7 +254,9 @@ class _Run:
             dry=dry,
             kept=None if dry else KeptState(self.out / "state.npz", key),
             journal=None if dry else self.journal(model),
-            told=shared_with(self.building, people, told, lambda decision: in_words(decision, commands)),
+            told=shared_with(
+                self.building, people, told, lambda decision: in_words(decision, commands), self.out, mode
+            ),
             acts=acts,
             **self.common,
         )
