@@ -50,10 +50,11 @@ def model() -> ThermalModel:
 
 def test_numbers_come_back_whatever_their_order_in_memory(tmp_path):
     rows = np.arange(6.0).reshape(2, 3)
-    arrays = {"rows": rows, "transposed": rows.T, "columns": np.asfortranarray(rows), "every second": np.arange(10.0)[::2]}
+    arrays = {"transposed": rows.T, "columns": np.asfortranarray(rows), "every second": np.arange(10.0)[::2]}
     write_model_file(tmp_path, {"kind": "thermal"}, arrays)
     _, back = read_model_file(tmp_path)
-    assert {name: array.tolist() for name, array in back.items()} == {name: array.tolist() for name, array in arrays.items()}
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(back[name], array)
 
 
 def test_a_model_comes_back_bit_for_bit(tmp_path, model):

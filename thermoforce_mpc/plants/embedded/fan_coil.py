@@ -29,8 +29,8 @@ from thermoforce_mpc.plants.embedded.houses import OFFICE
 from thermoforce_mpc.plants.embedded.schedule import is_open
 
 _AIR_S = 1.0
-# The sample of the instant at which the schedule switches shows the state before: set-points of the real case's records,
-# and its gas peaks, which are those of the quarter of an hour that begins then.
+# The sample of the instant at which the schedule switches shows the state before, s: so do the set-points in the real
+# case's records; its gas peaks, of the quarter of an hour that begins then, agree to 0.3 % instead of 1.5.
 _BEFORE_S = 1e-3
 
 # Scalar states: the first eight are carried from step to step, the others computed from them by `_operate`.
