@@ -216,6 +216,9 @@ def test_many_files_csv_and_parquet_are_one_record(tmp_path):
     whole = tf.read_measurements(tmp_path / "all.parquet", rules).record
     np.testing.assert_allclose(whole.T_zone_C[0], df["T"])
     np.testing.assert_array_equal(tf.read_measurements(tmp_path / "indexed.parquet", rules).record.u, whole.u)
+    named = tmp_path / "named.yaml"
+    named.write_text(yaml.safe_dump(BASE | {"time": {**BASE.get("time", {}), "column": "time"}}))
+    np.testing.assert_array_equal(tf.read_measurements(tmp_path / "indexed.parquet", named).record.u, whole.u)
     two = written(tmp_path, df.iloc[:96], name="a.csv")[1]
     np.testing.assert_allclose(tf.read_measurements(str(tmp_path / "[ab].csv"), two).record.T_zone_C, whole.T_zone_C)
     german = yaml.safe_dump(BASE | {"csv": {"decimal": ","}})

@@ -419,7 +419,7 @@ def _parquet(path: Path) -> _Part:
                 f"{path}: {told.num_rows:,} rows, more than {MOST_BYTES / 1e9:.0f} GB; write means or a part"
             )
         try:
-            yield pyarrow.parquet.read_table(path, columns=present).to_pandas(), 1
+            yield pyarrow.parquet.read_table(path, columns=present).to_pandas(ignore_metadata=True), 1
         except (pyarrow.ArrowException, OSError, ValueError) as error:
             raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
 
