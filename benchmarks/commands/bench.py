@@ -289,8 +289,8 @@ def targets(rows: list[Row]) -> list[Target]:
     for kind in KINDS:
         of_kind = [row for row in rows if row["by"] == kind]
         known = [row for row in of_kind if not row["note"]]
-        dearer = np.mean([row["saved"] <= 0.0 for row in known] or [1.0])
-        colder = np.mean([_colder_Kh(row) > _MORE_KH for row in known] or [1.0])
+        dearer = np.mean([float(row["saved"] <= 0.0) for row in known] or [1.0])
+        colder = np.mean([float(_colder_Kh(row) > _MORE_KH) for row in known] or [1.0])
         median = float(np.median([row["saved"] for row in known] or [np.nan]))
         out += [
             Target(

@@ -16,13 +16,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.commands.loop import LearnedCommand
-from thermoforce_mpc.data import CONDITIONS, J_PER_KWH, Array, Boundary, Period, Record
+from thermoforce_mpc.data import CONDITIONS, J_PER_KWH, Boundary, Period, Record
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
 from thermoforce_mpc.experiment.worth import Houses, Lived, band_of, outside_Kh
 from thermoforce_mpc.files import read_bounded
@@ -211,7 +212,7 @@ def _told_day(path: Path, begin: pd.Timestamp) -> _ToldDay:
 def _in_force(record: Record, forecasts: Sequence[Boundary]) -> Boundary:
     """What the latest of `forecasts` says of each boundary of `record`; NaN before the first."""
     names = record.names
-    rows: dict[str, Array] = {"time_s": record.time_s}
+    rows: dict[str, Any] = {"time_s": record.time_s}
     for name in CONDITIONS:
         if name == "time_s":
             continue
