@@ -112,10 +112,27 @@ mpc_options = added(
 )
 
 
+class _Prices(click.Path):
+    """A file of prices, or the name of a tariff of the simulated buildings."""
+
+    name = "prices"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not Path(value).exists() and not Path(value).suffix:
+            from thermoforce_mpc.scenario.building import PRICES
+
+            if str(value) in PRICES:
+                return Path(value)
+            self.fail(f"'{value}' is neither a file nor a tariff; tariffs are {', '.join(PRICES)}", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 own_prices_option = click.option(
     "--prices",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Instead of the map's prices: CSV (time, price per kWh; MWh or ct in the column's name), or a bill (.yaml).",
+    metavar="FILE|TARIFF",
+    type=_Prices(exists=True, dir_okay=False, path_type=Path),
+    help="Instead of the map's prices: CSV (time, price per kWh; MWh or ct in the column's name), a bill (.yaml), or a "
+    "tariff of the simulated buildings: constant, dynamic (two levels) or highly_dynamic (hourly, synthetic).",
 )
 
 
