@@ -286,6 +286,21 @@ def _note_option(option: str, key: str) -> None:
         context.meta.setdefault(NAMED_BY, {}).update(dict.fromkeys([key], flags[0]) if flags else {})
 
 
+def _options_of(given: Mapping[str, Any]) -> Iterable[str]:
+    """Dotted keys of the options of the controller that is given, or the default one."""
+    from controllers.registry import find_entry
+    from thermoforce_mpc.errors import ConfigError
+    from thermoforce_mpc.scenario.settings import all_keys
+
+    controller = given.get("controller")
+    name = controller.get("name") if isinstance(controller, Mapping) else controller
+    try:
+        config = find_entry(str(name or "thermoforce_mpc")).config()
+    except ConfigError:  # a name that is not known is said by itself
+        return ()
+    return all_keys(config, "controller.options.")
+
+
 def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = None) -> Scenario:
     """Build the scenario of a command from its file, `defaults`, its options and `--set`; the last that says counts.
 
@@ -318,7 +333,7 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
             f"no test case: give --testcase NAME or --config FILE; nothing else is needed for {_READY} (`tf-mpc "
             "testcases` lists all)"
         )
-    scenario = load_scenario(path, given)
+    scenario = load_scenario(path, given, functools.partial(_options_of, given))
     check_named_code([scenario.model_dump()], [keys], options.get("code", ()), str(path or options.get("variants")))
     if "url" in keys.get("plant", ()):
         from thermoforce_mpc.plants.boptest.plant import allow_token
