@@ -12,9 +12,11 @@ from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.faults.faulty_plant import FaultyPlant
 from thermoforce_mpc.boundary.weather import CONTINENTAL, synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, PointEmulator
-from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
+from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, physics
+from thermoforce_mpc.plants.random_houses.draw import House
 from thermoforce_mpc.plants.rooms import house_of_rooms
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -29,6 +31,8 @@ _HEAT_WINDOWS, _COOL_WINDOWS = ("peak_heat_day", "typical_heat_day"), ("peak_coo
 _AFTER_S = 2.0 * DAY_S
 # Another load on the meter by day, W; sun on a sensor, K; hours until which a machine stands.
 _OTHER_W, _SUN_K, _ASLEEP_H = 400.0, 2.5, 5.0
+# Hours of the morning in which a schedule acts, and how many times the ventilation that it blows in then.
+_MORNING_H, _PURGES = (6.0, 7.5), 4.0
 
 
 @dataclass(frozen=True)
@@ -145,8 +149,12 @@ class MeddledPlant:
         plant: Any,
         shows: Callable[[Measurement], Measurement] = lambda measurement: measurement,
         gives: Callable[[float, float | None], float | None] = lambda time_s, level: level,
+        *,
+        reports_asked: bool = False,
     ) -> None:
+        """`reports_asked`: the level that is read is the one that was asked for, whatever is given."""
         self._plant, self._shows, self._gives = plant, shows, gives
+        self._reports_asked = reports_asked
         self._now_s = 0.0
 
     @property
@@ -167,6 +175,8 @@ class MeddledPlant:
         """See `Plant.advance`; one actuator."""
         (level,) = u if isinstance(u, tuple | list) else (u,)
         found = self._shows(self._plant.advance(self._gives(self._now_s, level), duration_s))
+        if self._reports_asked and level is not None:
+            found = replace(found, u=np.array([level]))
         self._now_s = float(found.time_s)
         return found
 
@@ -205,6 +215,35 @@ def _unit_asleep(found: BuiltCase, case: PanelCase) -> BuiltCase:
     return replace(found, plant=LightOffice(mean_C, sun, asleep_until_h=_ASLEEP_H))
 
 
+class _ColdMornings(GeneratedHousePlant):
+    """A generated house used as an office, whose ventilation blows outdoor air through it from 6:00 to 7:30."""
+
+    def __init__(self, house: House) -> None:
+        super().__init__(replace(house, pattern="office"))
+        grid, hour = self._grid.copy(), np.mod(np.arange(len(self._grid)) * GRID_S, DAY_S) / HOUR_S
+        grid[(hour >= _MORNING_H[0]) & (hour < _MORNING_H[1]), physics.VENTILATION] *= _PURGES
+        self._grid = grid
+        self.reset(0.0, 0.0)
+
+
+def _cold_mornings(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """A morning in which the plant's schedule blows cold air and lets nothing come, and reports what was asked for.
+
+    Every second one only lets nothing come.
+    """
+    house = found.plant.house
+    office = _ColdMornings(house) if case.number % 2 == 0 else GeneratedHousePlant(replace(house, pattern="office"))
+
+    def stands(time_s: float) -> bool:
+        return _MORNING_H[0] <= (time_s % DAY_S + 1.0) / HOUR_S < _MORNING_H[1]
+
+    def gives(time_s: float, u: float | None) -> float | None:
+        return 0.0 if u is not None and stands(time_s) else u
+
+    plant = MeddledPlant(office, gives=gives, reports_asked=True)
+    return replace(found, plant=plant, testcase=office.testcase, period=office.period("cold_week"))
+
+
 def _other_load(found: BuiltCase, case: PanelCase) -> BuiltCase:
     def shows(measurement: Measurement) -> Measurement:
         by_day = 6.0 <= measurement.time_s % DAY_S / HOUR_S <= 18.0
@@ -229,6 +268,7 @@ FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "sun on a sensor": ("generated house", _in_the_sun),
     "blocked hours": ("generated house", _asleep),
     "blocked hours of a unit": ("air unit", _unit_asleep),
+    "hours with less effect": ("generated house", _cold_mornings),
     "foreign load": ("generated house", _other_load),
     "watch": ("embedded", _changed("weak", meters=False)),
     "watch, actuator stuck": ("embedded", _changed("stuck", level=0.0)),
