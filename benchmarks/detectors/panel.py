@@ -11,13 +11,13 @@ import numpy as np
 from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.faults.faulty_plant import FaultyPlant
 from thermoforce_mpc.boundary.weather import CONTINENTAL, synthetic_weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, PointEmulator
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, physics
 from thermoforce_mpc.plants.random_houses.draw import House
-from thermoforce_mpc.plants.rooms import house_of_rooms
+from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
 
@@ -33,6 +33,8 @@ _AFTER_S = 2.0 * DAY_S
 _OTHER_W, _SUN_K, _ASLEEP_H = 400.0, 2.5, 5.0
 # Hours of the morning in which a schedule acts, and how many times the ventilation that it blows in then.
 _MORNING_H, _PURGES = (6.0, 7.5), 4.0
+# How far a door moves a sensor, K; a quarter of an hour, s; share of the name plate's heat that a worn machine gives.
+_DOOR_K, _QUARTER_S, _OF_PLATE = 1.0, 900.0, 0.65
 
 
 @dataclass(frozen=True)
@@ -264,6 +266,40 @@ def _changed(fault: Any, **options: Any) -> Callable[[BuiltCase, PanelCase], Bui
     return of
 
 
+def _anothers_sensor(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """The zone sensor tells of a door that opens and shuts: the room with an Ornstein-Uhlenbeck process of an hour."""
+    rng = np.random.default_rng([case.seed, case.number, 17])
+    away_K = np.zeros(round(365 * DAY_S / _QUARTER_S))
+    for k, noise in enumerate(rng.normal(size=away_K.size - 1)):
+        away_K[k + 1] = 0.78 * away_K[k] + 0.63 * _DOOR_K * noise
+
+    def shows(measurement: Measurement) -> Measurement:
+        return replace(measurement, T_zone_C=measurement.T_zone_C + away_K[int(measurement.time_s // _QUARTER_S)])
+
+    return replace(found, plant=MeddledPlant(found.plant, shows))
+
+
+def _stuck_meters(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """From the third day on outdoor sensor (every second case: power meter) repeats its reading."""
+    from_s, kept = found.period.start_s + _AFTER_S, dict[str, Array]()
+    name = "power_W" if case.number % 2 else "T_out_C"
+
+    def shows(measurement: Measurement) -> Measurement:
+        value = getattr(measurement, name)
+        if measurement.time_s < from_s or "value" not in kept:
+            kept["value"] = value
+        return replace(measurement, **{name: kept["value"]})
+
+    return replace(found, plant=MeddledPlant(found.plant, shows))
+
+
+def _weaker_than_named(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """Its heat pump has two thirds of the heat that its name plate has."""
+    house = found.plant.house
+    pump = replace(house.heat_pump, capacity_W=house.heat_pump.capacity_W * _OF_PLATE)
+    return replace(found, plant=HouseOfRooms(replace(house, heat_pump=pump)))
+
+
 FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "sun on a sensor": ("generated house", _in_the_sun),
     "blocked hours": ("generated house", _asleep),
@@ -276,5 +312,8 @@ FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "zone sensor": ("embedded", _changed("offset", offset_K=3.0)),
     "zone sensor, frozen": ("embedded", _changed("frozen")),
     "units": ("embedded", _wh_per_step),
+    "gate": ("generated house", _anothers_sensor),
+    "meters and weather sensors": ("generated house", _stuck_meters),
+    "shared machine at its limit": ("house of rooms", _weaker_than_named),
 }
 """Faults by the rule they are for (up to a comma or 'of a'): the kind of plant, and what is done to it."""

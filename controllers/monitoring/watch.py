@@ -53,6 +53,7 @@ from thermoforce_mpc.model.machine.blocked_hours import (
     HourEffects,
     HourSeen,
     each_direction,
+    running,
     said,
 )
 from thermoforce_mpc.model.machine.load import MachineLoad
@@ -445,7 +446,7 @@ class Watch:
         actuators too: how warm its water is goes by them, and so the heat of a level; `machine_factor` counts twice.
         """
         self.config, self._model, self._power = config, model, power
-        self._signed = model.operator.heat_input.lowest < 0.0
+        self._signed, self._shared = model.operator.heat_input.lowest < 0.0, shared
         self._machine_factor = config.machine_factor ** (2 if shared else 1)
         self.step_s = model.operator.step_s
         leads = [max(1, round(lead * HOUR_S / self.step_s)) for lead in LEADS_H]
@@ -633,6 +634,8 @@ class Watch:
             return "", state
         last_s = now - LEADS_H[-1] * HOUR_S
         recent = [item for item in state.asked if item[0] >= last_s and not state.hours.over(item[0], self.step_s)]
+        for way in state.blocked:
+            recent = list(way.outside(recent))
         comparison = machine_ratio(recent, history, self._model.operator.heat_input.law, self._power)
         if comparison is None:
             return "", state
@@ -737,6 +740,8 @@ class Watch:
         if not self.config.blocked_hours or not history.n_steps:
             return replace(state, news=state.news if not state.asked else "")
         time_s, levels = np.reshape(state.asked, (-1, 2)).T
+        if not (self._shared or self._signed):
+            history = running(history)
         after = []
         # Requests and steps of the record are matched by `after`: levels of both are those of a direction.
         for way, (asked, record, sign) in zip(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
-from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, HourEffects, HourSeen
+from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, HourEffects, HourSeen, running
 
 
 def told(asked, got, T_C, first_hour=0, known=None, step_s=1800.0, sign=1) -> BlockedHours:
@@ -142,3 +144,20 @@ def test_what_was_seen_before_a_run_counts_as_of_the_days_before():
     found = effects(seen(0, -1.0), seen(1, -1.0)).at(40 * DAY_S)
     assert [one.hour for one in found.seen] == [6, 6]
     assert 39 * DAY_S <= found.seen[-1].time_s <= 40 * DAY_S
+
+
+def test_a_machine_that_reports_what_was_asked_of_it_stands_where_its_meter_reads_nothing():
+    u, hours = np.full(48, 0.5), np.arange(48) % 24
+    record = Record(
+        time_s=3600.0 * np.arange(49),
+        T_zone_C=np.full(49, 20.0),
+        T_out_C=np.zeros(49),
+        solar_W_m2=np.zeros(49),
+        u=u,
+        power_W=np.where((hours >= 6) & (hours < 8), 10.0, 1000.0),
+        heat_W=np.full(48, np.nan),
+    )
+    assert np.flatnonzero(running(record).u[0] == 0.0).tolist() == [6, 7, 30, 31]
+    assert BlockedHours.found(u, running(record), 1).hours == {6, 7}
+    for tells_nothing in (np.full((1, 48), np.nan), np.zeros((1, 48)), record.power_W + 500.0):
+        assert (running(replace(record, power_W=tells_nothing)).u == 0.5).all()

@@ -138,6 +138,29 @@ class BlockedHours:
         )
 
 
+# Levels from which a machine's power is compared with that of its like, the share below which it stands, and steps that
+# tell what is usual.
+_RUNS, _STANDS, _USUAL_STEPS = 0.25, 0.05, 8
+
+
+def running(record: Record) -> Record:
+    """A record (one zone, an actuator with a machine of its own) with level 0 where the machine stood.
+
+    A plant may report the level that was asked for: where its meter reads next to nothing beside what it usually reads
+    at such levels, nothing came. A meter that is dead or holds other loads tells nothing.
+    """
+    u, per_level = np.abs(record.u[0]), np.full(record.n_steps, np.nan)
+    asked = np.isfinite(u) & (u >= _RUNS)
+    per_level[asked] = record.power_W[0, asked] / u[asked]
+    known = np.isfinite(per_level)
+    if np.count_nonzero(known) < _USUAL_STEPS:
+        return record
+    # Of hours that stand in between the median of those above the middle says what is usual.
+    usual = float(np.median(per_level[known & (per_level >= np.median(per_level[known]))]))
+    stood = known & (per_level < _STANDS * usual)
+    return replace(record, u=np.where(stood, 0.0, record.u)) if stood.any() else record
+
+
 def called_for(asked: Array, heating_C: Array, cooling_C: Array, T_zone_C: Array) -> Array:
     """What was surely asked of an actuator in n steps (n,).
 
