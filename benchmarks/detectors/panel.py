@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.faults.faulty_plant import FaultyPlant
 from thermoforce_mpc.boundary.weather import CONTINENTAL, synthetic_weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, PointEmulator
@@ -281,14 +281,13 @@ def _anothers_sensor(found: BuiltCase, case: PanelCase) -> BuiltCase:
 
 def _stuck_meters(found: BuiltCase, case: PanelCase) -> BuiltCase:
     """From the third day on outdoor sensor (every second case: power meter) repeats its reading."""
-    from_s, kept = found.period.start_s + _AFTER_S, dict[str, Array]()
+    from_s, kept = found.period.start_s + _AFTER_S, dict[str, Any]()
     name = "power_W" if case.number % 2 else "T_out_C"
 
     def shows(measurement: Measurement) -> Measurement:
-        value = getattr(measurement, name)
-        if measurement.time_s < from_s or "value" not in kept:
-            kept["value"] = value
-        return replace(measurement, **{name: kept["value"]})
+        if measurement.time_s < from_s or not kept:
+            kept[name] = getattr(measurement, name)
+        return replace(measurement, **kept)
 
     return replace(found, plant=MeddledPlant(found.plant, shows))
 

@@ -84,7 +84,7 @@ def identify_zone(
         uncertainty=certainty,
         notes=(*said, *uncertain(certainty)),
         competence=_verdict(judged, data, estimate, unknown.advice),
-        hour_effects=tuple(map(tuple, hours.seen)),
+        hour_effects=tuple((one.time_s, one.error_K, one.effect_K, one.promise_K) for one in hours.seen),
     )
     prove(operator)
     say(f"identified an operator of order {operator.order}")
