@@ -26,7 +26,7 @@ from thermoforce_mpc.identification.effects.level_laws import (
     outdoors_in_words,
     weather_of,
 )
-from thermoforce_mpc.identification.estimation.regression import EFFECT_H
+from thermoforce_mpc.identification.estimation.regression import DISTURBANCE_H, EFFECT_H
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
@@ -37,9 +37,8 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 _THEIRS = 0.55
 # From this relative standard deviation of the effect on, a neighbour is named.
 _NAMED = 0.1
-# Time constant by which levels are whitened, h: the middle one of the network's disturbances; 1 and 24 give the same
-# within 0.02.
-_FADES_H = 6.0
+# Time constant of disturbances by which levels are whitened, h; 1 and 24 give the same within 0.02.
+_FADES_H = DISTURBANCE_H[1]
 # What six hours at full level give more or less than the law of metered heat says, over what windows of the record do:
 # 2.1 in the 8 of 15 generated houses with a heat meter whose heat falls.
 _HELD = 2.0
