@@ -232,7 +232,7 @@ def commands_command(seed: int, houses: int, engine: Opening, quick: bool, json_
 
 
 @click.command("contest")
-@click.argument("contest", type=click.Choice(["feedback", "modulation"]))
+@click.argument("contest", type=click.Choice(["feedback", "modulation", "policies"]))
 @click.option("--houses", type=click.IntRange(0), default=30, show_default=True, help="Number of generated houses.")
 @click.option("--seed", type=click.IntRange(0), default=66, show_default=True, help="Seed of the population.")
 @click.option("--windows", default="16,44,108", show_default=True, help="Start days of the heat pump case.")
@@ -257,6 +257,7 @@ def contest_command(
     \b
     feedback     the gain sees the predicted temperature
     modulation   the gain is kept if it helps, always, or never
+    policies     dpc, PPO (trained on the building itself; extra [rl]) and a thermostat
     """
     from benchmarks.closed_loop.contest import run_contest
 

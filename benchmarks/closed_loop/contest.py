@@ -6,6 +6,7 @@ default weight.
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -19,8 +20,9 @@ from scipy import stats
 from benchmarks.cases import run_all
 from benchmarks.closed_loop.worth import HEAT_PUMP
 from controllers.mpc.config import ObjectiveConfig
-from controllers.registry import build_controller
+from controllers.registry import build_controller, find_entry
 from thermoforce_mpc.comparison.outcome import results_json
+from thermoforce_mpc.data import DAY_S, HOUR_S, Period
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_task
@@ -31,6 +33,7 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.scenario.scenario import Scenario
 
 _WEIGHT_PER_M2 = ObjectiveConfig().comfort_weight_per_m2
@@ -50,6 +53,12 @@ class Contestant:
 # The first of each is what the others are compared with.
 CONTESTS: dict[str, dict[str, Contestant]] = {
     "feedback": {"default": Contestant(), "feedback": Contestant(identification={"feedback": True})},
+    "policies": {
+        "thermoforce_mpc": Contestant(),
+        "dpc": Contestant("dpc"),
+        "ppo": Contestant("ppo"),
+        "thermostat": Contestant("thermostat"),
+    },
     "modulation": {
         "auto": Contestant(),
         "always": Contestant(identification={"modulation": "always"}),
@@ -57,6 +66,8 @@ CONTESTS: dict[str, dict[str, Contestant]] = {
     },
 }
 """Who is compared, by name of the contest."""
+# Hours that PPO is trained for, on the building itself: half of those of examples/train_agent.py, as time allows.
+_PPO_STEPS, _PPO_WEEK_S = 10_000, 7 * DAY_S
 
 
 @dataclass(frozen=True)
@@ -132,7 +143,11 @@ def run_case(case: Case) -> list[Row]:
                 config = task.identification.model_copy(update=dict(one.identification))
                 models[key] = Identifying(testcase, config, task.step_s).conclude(probed)
             began = time.process_time()
-            controller = build_controller(one.controller, one.options, testcase, models[key])
+            if one.controller == "ppo":
+                controller = trained_ppo(case, window)
+            else:
+                model = models[key] if find_entry(one.controller).needs_model else None
+                controller = build_controller(one.controller, one.options, testcase, model)
             seconds = time.process_time() - began
             run = run_closed_loop(plant, controller, window)
             cost, discomfort_Kh = run.kpis["cost_tot"], run.kpis["tdis_tot"]
@@ -144,6 +159,40 @@ def run_case(case: Case) -> list[Row]:
                 | {"build_s": seconds, "plans": {k: n for k, n in run.fallback_levels().items() if n}}
             )
         return rows
+
+
+def trained_ppo(case: Case, window: Period) -> Controller:
+    """An agent that PPO trained for `_PPO_STEPS` hours of the building itself, outside the window; extra [rl].
+
+    Its reward is what the MPC minimises. It has tried what no building would be given to try.
+    """
+    import gymnasium
+    import torch
+    from stable_baselines3 import PPO
+
+    import thermoforce_mpc.gym
+    from thermoforce_mpc.gym.wrappers import NormalizedActionWrapper, NormalizedObservationWrapper
+
+    summer = (150 * DAY_S, 260 * DAY_S)  # nothing to heat
+    held_out = (window.start_s, window.start_s + window.scored_s)
+    env = gymnasium.make(
+        "thermoforce_mpc/Building-v0", testcase=case.testcase, step_period=HOUR_S, predictive_period=12 * HOUR_S,
+        regressive_period=6 * HOUR_S, random_start_time=True, excluding_periods=[summer, held_out],
+        max_episode_length=_PPO_WEEK_S, discomfort_weight=_WEIGHT_PER_M2,
+        **({"weather": case.weather} if case.weather else {}),
+    )  # fmt: skip
+    env = NormalizedActionWrapper(NormalizedObservationWrapper(env))
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # networks this small are slower on several
+    try:
+        agent = PPO("MlpPolicy", env, seed=1, gamma=0.98, n_steps=168 * 4, batch_size=168, n_epochs=8, device="cpu")
+        agent.learn(_PPO_STEPS)
+    finally:
+        torch.set_num_threads(threads)
+    with tempfile.TemporaryDirectory() as folder:
+        thermoforce_mpc.gym.save(agent, env, Path(folder) / "ppo.zip")
+        env.close()
+        return build_controller(str(Path(folder) / "ppo.zip"), {}, load_testcase(case.testcase))
 
 
 def gain_of(model: ThermalModel) -> str:

@@ -159,7 +159,7 @@ class DPC(ThermoForceMPC):
         names, two = self._layout.names, np.ones(2)
         silent = np.full((len(names.machines), 2), np.nan)
         return Record(
-            now_s + self.step_s * np.arange(-2, 1),
+            np.array([now_s - 2.0 * self.step_s, now_s - self.step_s, now_s]),
             np.repeat(T_zone_C[:, None], 3, axis=1),
             np.full(3, T_out_C),
             np.zeros(3),
