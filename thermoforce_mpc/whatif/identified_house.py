@@ -2,7 +2,8 @@
 
 What the weather, sun and people did to the rooms is in the record once the forced part is taken off; other levels put
 another forced part in its place. Power is what was measured, and what the law of power says that the other levels
-change. Left alone, the house is the record.
+change. Left alone, the house is the record. Where water carries the heat, a level gives less to a room that is warmer
+than it was.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ from thermoforce_mpc.whatif.counterfactual import machine_W
 
 # Times that are nearer than this are one, s.
 _CLOCK_S = 1e-6
+# Least and most heat of a level, over what it gives in a room that is as warm as it was.
+_HEAT_RANGE = (0.0, 2.0)
 
 
 class IdentifiedHouse(Releasing):
@@ -57,12 +60,14 @@ class IdentifiedHouse(Releasing):
         conditions: Boundary,
         *,
         effects: Array | None = None,
+        less_per_K: Array | None = None,
         commands: Mapping[str, LearnedCommand] | None = None,
         error: ForecastError | None = None,
     ) -> None:
         """`conditions`: bounds and prices at the record's boundaries.
 
-        `effects` (Z, A): what actuators do to zones in this house, as a multiple of what the model says. `commands`:
+        `effects` (Z, A): what actuators do to zones in this house, as a multiple of what the model says. `less_per_K`
+        (A,): share by which the heat of a level falls per K that its zone is warmer than it was, 1/K. `commands`:
         loops that answer commands, by actuator. `error`: of its weather forecasts; None: what was measured later.
 
         Raises `DataError` where a zone or the weather was never measured, or `conditions` are of other times.
@@ -82,6 +87,7 @@ class IdentifiedHouse(Releasing):
         for zone, row in zip(whole.names.zones, free_C, strict=True):
             if not np.isfinite(row).any():
                 raise DataError(f"the temperature of zone '{zone}' was never measured: nothing to live through")
+        self._less_per_K = np.zeros(len(operator.actuators)) if less_per_K is None else less_per_K
         self._free_C, self._forced_was = np.array([interpolated(row) for row in free_C]), forced_K
         self.steps = whole.n_steps
         machines = range(len(whole.names.machines))
@@ -222,6 +228,9 @@ class IdentifiedHouse(Releasing):
         heat = np.array(
             [float(operator.of_actuator(a).heat_input(np.asarray(one), T_out_C)) for a, one in enumerate(level)]
         )
+        was_K = (1.0 - share) * self._forced_was[:, :, k] + share * self._forced_was[:, :, k + 1]
+        warmer_K = (self.forced_K - was_K).sum(axis=(1, 2))[list(operator.home)]
+        heat *= np.clip(1.0 - self._less_per_K * warmer_K, *_HEAT_RANGE)
         self.forced_K = operator.advance(self.forced_K, operator.modulated(heat, x, self.forced_K))
         weight = seconds / step_s
         for row, values in ((self.u, level), (self.power_W, power_W)):
