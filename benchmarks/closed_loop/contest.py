@@ -175,11 +175,12 @@ def trained_ppo(case: Case, window: Period) -> Controller:
 
     summer = (150 * DAY_S, 260 * DAY_S)  # nothing to heat
     held_out = (window.start_s, window.start_s + window.scored_s)
-    env = gymnasium.make(
+    weather: dict[str, Any] = {"weather": case.weather} if case.weather else {}
+    env: gymnasium.Env[Any, Any] = gymnasium.make(
         "thermoforce_mpc/Building-v0", testcase=case.testcase, step_period=HOUR_S, predictive_period=12 * HOUR_S,
         regressive_period=6 * HOUR_S, random_start_time=True, excluding_periods=[summer, held_out],
         max_episode_length=_PPO_WEEK_S, discomfort_weight=_WEIGHT_PER_M2,
-        **({"weather": case.weather} if case.weather else {}),
+        **weather,
     )  # fmt: skip
     env = NormalizedActionWrapper(NormalizedObservationWrapper(env))
     threads = torch.get_num_threads()
