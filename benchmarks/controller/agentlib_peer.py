@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import casadi as ca
@@ -19,6 +22,14 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 # Inputs that are given: the features of m(x), and what else differs between steps or instances.
 _FEATURES = tuple(f"x{i}" for i in range(N_FEATURES))
 _GIVEN = (*_FEATURES, "price", "T_free", "lower", "upper")
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without warnings: it calls what is deprecated in pydantic and CasADi."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 class AgentLibPeer:
@@ -38,8 +49,9 @@ class AgentLibPeer:
 
     def __init__(self, operator: OperatorParameters, example: MPCProblem) -> None:
         try:
-            from agentlib_mpc.data_structures.mpc_datamodels import MPCVariable, VariableReference
-            from agentlib_mpc.optimization_backends.casadi_.full import CasADiFullBackend
+            with _quiet():
+                from agentlib_mpc.data_structures.mpc_datamodels import MPCVariable, VariableReference
+                from agentlib_mpc.optimization_backends.casadi_.full import CasADiFullBackend
         except ImportError as error:
             raise ConfigError("AgentLib-MPC is not installed: pip install agentlib_mpc") from error
         logging.getLogger("agentlib_mpc").setLevel(logging.ERROR)
@@ -62,7 +74,8 @@ class AgentLibPeer:
             }
         )
         names = VariableReference(states=self._modes, controls=["u", "slack"], inputs=list(_GIVEN))
-        self._backend.setup_optimization(names)
+        with _quiet():
+            self._backend.setup_optimization(names)
 
     def solve(self, problem: MPCProblem) -> Array:
         """Solve one instance, with all that it does in a step; returns the only actuator's levels (N,)."""
@@ -78,7 +91,8 @@ class AgentLibPeer:
             name: self._variable(name=name, value=float(now), lb=-float("inf"), ub=float("inf"))
             for name, now in zip(self._modes, np.atleast_1d(p.forced_state_K[0, 0]), strict=True)
         }
-        found = self._backend.solve(0.0, {**given, **levels, **state})
+        with _quiet():
+            found = self._backend.solve(0.0, {**given, **levels, **state})
         return np.asarray(found.df["variable"]["u"].dropna(), dtype=np.float64)[: self._n]
 
 

@@ -57,7 +57,7 @@ def test_agentlib_mpc_finds_the_optimum_of_ipopt():
     ("module", "advice", "build"),
     [
         ("do_mpc", r"pip install -e '\.\[bench\]'", lambda *of: DoMpcPeer(*of, gain_beforehand=True)),
-        ("agentlib_mpc", r"pip install agentlib_mpc", AgentLibPeer),
+        ("agentlib_mpc.data_structures.mpc_datamodels", r"pip install agentlib_mpc", AgentLibPeer),
     ],
 )
 def test_a_missing_peer_is_named(monkeypatch, module, advice, build):
