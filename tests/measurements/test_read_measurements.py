@@ -401,7 +401,7 @@ def test_columns_without_a_name_or_with_two(tmp_path):
     path.write_text(path.read_text().replace(",T,out,", ', "T" , out,', 1))
     np.testing.assert_allclose(tf.read_measurements(path, rules).record.T_out_C, df["out"])
     df.rename(columns={"P": "T"}).to_csv(path, index=False)
-    with pytest.raises(DataError, match="there are 2 columns 'T'"):
+    with pytest.raises(DataError, match=r"no column 'T', but 'T 1', 'T 2' .columns of the same name are numbered"):
         tf.read_measurements(path, BASE | {"machines": {}})
 
 

@@ -22,7 +22,7 @@ from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ControllerRaised, NoForecast, PlantError, ThermoForceError
 from thermoforce_mpc.live.building import Applied, Kept, KeptState, LiveBuilding
 from thermoforce_mpc.loop.forecasts import OUTAGE_H
-from thermoforce_mpc.loop.loop import Believed, Decided, Loop
+from thermoforce_mpc.loop.loop import Believed, Decided, Loop, not_followed
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of, screened_history
 from thermoforce_mpc.protocols import Controller
@@ -286,8 +286,8 @@ class _Building:
         blocks = decided.blocks if self._acts else ()
         if not self._acts:
             self._record(Block.native(len(self._building.names), self._step.total_seconds()), begin)
-            state = decided.before
-            self._keep(self._at, state, state)
+            state = not_followed(decided.before, decided.after)
+            self._keep(self._at, decided.before, state)
         for block in blocks:
             until = min(begin + pd.Timedelta(seconds=block.duration_s), end)
             # No longer than a step, where the clock was set back; a machine that slept may wake after the block's end.
@@ -297,7 +297,7 @@ class _Building:
                 taken = self._write(block.told, hold_s)
                 start_s = self._building.time_s(begin)
                 # A plan whose levels were not taken did not act.
-                state = state if taken else decided.before
+                state = state if taken else not_followed(decided.before, decided.after)
                 # What a command brings is measured, not known.
                 levels = tuple(None if told is not None else u for u, told in zip(block.u, block.command, strict=True))
                 set_block = block if taken else Block.native(len(block.u), block.duration_s)

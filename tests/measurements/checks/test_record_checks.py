@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 import thermoforce_mpc as tf
-from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.checks import remarks
 
@@ -154,6 +154,27 @@ def test_a_fault_is_found_and_named_with_its_remedy(kind, says, spoil):
     found = remarks(spoil(CLEAN), LAYOUT)
     assert {remark.kind for remark in found} == {kind}
     assert all(says in remark.in_words() for remark in found)
+
+
+def three_rooms(hot_water_W: float = 0.0) -> tuple[Record, Layout]:
+    """Three rooms whose heaters hang on one meter; half an hour of hot water twice a day on it."""
+    each = [room(seed)[0] for seed in (1, 4, 9)]
+    names = Names(("a", "b", "c"), ("ha", "hb", "hc"), ("machine",))
+    shares, area = (1 / 3,) * 3, (AREA_M2,) * 3
+    layout = Layout(names, (1, 1, 1), (0, 1, 2), (0, 0, 0), (0.0, 0.0, 0.0), shares, area)
+    at = np.arange(each[0].n_steps) % 96
+    meter = sum(one.power_W for one in each) + hot_water_W * np.isin(at, (24, 25, 82, 83))
+    T, u = (np.concatenate([getattr(one, name) for one in each]) for name in ("T_zone_C", "u"))
+    time_s, T_out_C, sun = (getattr(each[0], name) for name in ("time_s", "T_out_C", "solar_W_m2"))
+    return Record(time_s, T, T_out_C, sun, u, meter, np.full(u.shape, np.nan), names=names), layout
+
+
+def test_hot_water_on_a_meter_that_several_rooms_share_is_found():
+    assert not remarks(*three_rooms())
+    (found,) = remarks(*three_rooms(2500.0))
+    assert found.kind == "meter holds another load"
+    assert "in bursts at the same hours of the day" in found.words
+    assert "take the other load (hot water" in found.remedy
 
 
 def test_gaps_are_no_fault_and_hide_none():

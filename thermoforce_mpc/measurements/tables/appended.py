@@ -105,7 +105,7 @@ def _read(
 ) -> RawTable | None:
     """The `wanted` signals of a file, None where it has none; `known` collects the names of its signals."""
     with reading(path):
-        separator, names, header = header_of(path, form)
+        separator, names, header, cells = header_of(path, form)
         with opened(path) as file:
             content = file.read()
     stamps, values = columns_of(path, names, clock.column, form, table, wanted)
@@ -116,7 +116,7 @@ def _read(
     status = [table.status] if table.status in names else []
     keys = list(dict.fromkeys([*stamps, *points, *values.values(), *status]))
     left = _Left(str(path))
-    lines, rows = _rows(content, form, header + 1 + form.skip_after, separator, names, left)
+    lines, rows = _rows(content, form, header + 1 + form.skip_after, separator, cells, left)
     frame = pd.DataFrame(rows, columns=names, dtype=str)[keys]
     frame = frame.mask(frame.isin({*_EMPTY, *form.missing}))
     for key in dict.fromkeys(values.values()):
