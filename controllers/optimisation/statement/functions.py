@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import cache, cached_property, lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -26,8 +26,6 @@ from thermoforce_mpc.data.compiled import sources_of
 from thermoforce_mpc.dependencies import cache_folder
 from thermoforce_mpc.model.operator.casadi_export import gain_function, network_size
 from thermoforce_mpc.model.operator.parameters import N_FEATURES
-
-Expression = TypeVar("Expression", ca.SX, ca.MX)
 
 # Files kept.
 _MOST_FILES = 120
@@ -112,8 +110,7 @@ class Functions:
     derivatives of the Lagrangian, equations and their Jacobian, inequalities and theirs. `rows`: (x, p) → objective and
     rows; an Ipopt is used by one at a time (`busy`). `names` of the variables in their order; `n_equal`: number of
     equations. `convex`: no derivative depends on variables or multipliers. `n_gain`: how many of the last parameters
-    are gains m(x) of `A` actuators; 0 where these depend on variables. `gains`: those that an Ipopt calls, by their
-    number of units.
+    are gains m(x) of `A` actuators; 0 where these depend on variables.
     """
 
     bounds: ca.Function
@@ -125,7 +122,6 @@ class Functions:
     A: int
     n_gain: int
     solvers: dict[str, ca.Function] = field(default_factory=dict)
-    gains: dict[int, KeptGain] = field(default_factory=dict)
     busy: threading.Lock = field(default_factory=threading.Lock)
 
     @cached_property
@@ -153,29 +149,23 @@ class Functions:
         """Variables, parameters, objective and rows, with the derivatives where these are constant."""
         n_x, n_own = (self.rows.size1_in(i) for i in range(2))
         n_others, x, own = n_own - self.n_gain, ca.SX.sym("x", n_x), ca.SX.sym("p", n_own)
-        given, gain = _exported_gain(self.A, self.n_gain, hidden) if hidden else (ca.SX(0, 1), own[n_others:])
-        if not (hidden and self.convex):
-            p = ca.vertcat(own[:n_others], given) if hidden else own
-            own = ca.vertcat(own[:n_others], gain)
-            f, g = self.rows(x, own)
-            return {"x": x, "p": p, "f": f, "g": g}, self._derivatives(x, p, own, own) if self.convex else {}
-        self.gains[hidden] = kept = self.gains.get(hidden) or KeptGain(ca.Function("modulation", [given], [gain]))
-        of_gain = ca.depends_on(self.rows(x, own)[0], own[n_others:])
-        x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", n_others + given.numel())
-        own = ca.vertcat(p[:n_others], kept(p[n_others:]))
-        of_cost = own if of_gain else ca.vertcat(p[:n_others], ca.DM.ones(self.n_gain))
+        p, of_cost = own, own
+        if hidden:
+            given, gain = _exported_gain(self.A, self.n_gain, hidden)
+            others, costs = own[:n_others], ca.depends_on(self.rows(x, own)[0], own[n_others:])
+            p, own = ca.vertcat(others, given), ca.vertcat(others, gain)
+            # The networks stand in the rows alone where the objective does not depend on them.
+            of_cost = own if costs else ca.vertcat(others, ca.SX.ones(self.n_gain))
         programme = {"x": x, "p": p, "f": self.rows(x, of_cost)[0], "g": self.rows(x, own)[1]}
-        return programme, self._derivatives(x, p, own, of_cost)
+        return programme, self._derivatives(x, p, own, of_cost) if self.convex else {}
 
-    def _derivatives(
-        self, x: Expression, p: Expression, own: Expression, of_cost: Expression
-    ) -> dict[str, ca.Function]:
+    def _derivatives(self, x: ca.SX, p: ca.SX, own: ca.SX, of_cost: ca.SX) -> dict[str, ca.Function]:
         """Those of `local`, which CasADi would work out anew in every process.
 
         `own` parameters, and those `of_cost`, which the objective depends on, as expressions of `p`.
         """
-        sym, n_rows = type(x).sym, self.local.size1_in(2)
-        multipliers, scale, none = sym("lam_g", n_rows), sym("lam_f"), ca.DM.zeros(n_rows)
+        n_rows = self.local.size1_in(2)
+        multipliers, scale, none = ca.SX.sym("lam_g", n_rows), ca.SX.sym("lam_f"), ca.DM.zeros(n_rows)
         f, gradient, *_ = self.local(x, of_cost, none)
         _, _, _, equal, A, above, G = self.local(x, own, none)
         H = self.local(x, own, multipliers)[2]
@@ -192,46 +182,6 @@ class Functions:
                 ["triu_hess_gamma_x_x"],
             ),
         }
-
-
-class KeptGain(ca.Callback):
-    """The exported gains of all actuators and steps, `function`, worked out where their parameters have changed.
-
-    Those are the same in all iterations of a solve, in which the networks would take longer than all other rows.
-    """
-
-    def __init__(self, function: ca.Function) -> None:
-        super().__init__()
-        self.function, self._given, self._gains = function, b"", b""
-        self.construct(function.name(), {})
-
-    def get_n_in(self) -> int:
-        """Their parameters."""
-        return 1
-
-    def get_n_out(self) -> int:
-        """Their values."""
-        return 1
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """As `function` has it."""
-        return self.function.sparsity_in(i)
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        """As `function` has it."""
-        return self.function.sparsity_out(i)
-
-    def has_eval_buffer(self) -> bool:
-        """Arguments come without a copy."""
-        return True
-
-    def eval_buffer(self, given: Sequence[memoryview], out: Sequence[memoryview]) -> int:
-        """Write the gains."""
-        now = bytes(given[0])
-        if now != self._given:
-            self._gains, self._given = np.array(self.function(np.frombuffer(now))).tobytes(), now
-        out[0].cast("B")[:] = self._gains
-        return 0
 
 
 @lru_cache(_MOST_STRUCTURES)
