@@ -305,9 +305,9 @@ class ThermoForceMPC(ActuatedController):
             return forecast
         operator, context = forecast.planner.operator, forecast.context
         try:
-            blocked = [watch.blocked for watch in state.watch]
+            hours = [(watch.blocked, watch.hours) for watch in state.watch]
             return self._formulation.instance(
-                operator, context, readings.history, state.margins, state.peak_W, blocked, overrides
+                operator, context, readings.history, state.margins, state.peak_W, hours, overrides
             )
         except Exception as error:  # of a forecast that lacks what the problem needs
             return Failure(f"no prediction ({message_of(error)})", state)

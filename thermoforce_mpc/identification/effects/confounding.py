@@ -26,8 +26,7 @@ from thermoforce_mpc.identification.effects.level_laws import (
     outdoors_in_words,
     weather_of,
 )
-from thermoforce_mpc.identification.estimation.regression import EFFECT_H
-from thermoforce_mpc.identification.network.room import DISTURBANCE_H
+from thermoforce_mpc.identification.estimation.regression import DISTURBANCE_H, EFFECT_H
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
