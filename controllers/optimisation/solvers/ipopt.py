@@ -63,6 +63,11 @@ class IpoptSolver(StatementSolver):
         """What Ipopt is given: CasADi's solver with its functions `nlp_f`, `nlp_g` and their derivatives."""
         return self.model.ipopt(self._options)
 
+    @property
+    def gains(self) -> Mapping[int, ca.Function]:
+        """The exported gains that functions of `programme` call as `modulation`, by their number of hidden units."""
+        return {hidden: kept.function for hidden, kept in self.model.functions.gains.items()}
+
     def _answers(self, p: Array, guess: Array | None) -> Iterator[SolverAnswer]:
         cold, choices = self.model.cold(), self.model.choices
         answers = []

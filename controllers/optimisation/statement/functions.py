@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import cache, cached_property, lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -27,8 +27,12 @@ from thermoforce_mpc.dependencies import cache_folder
 from thermoforce_mpc.model.operator.casadi_export import gain_function, network_size
 from thermoforce_mpc.model.operator.parameters import N_FEATURES
 
+Expression = TypeVar("Expression", ca.SX, ca.MX)
+
 # Files kept.
 _MOST_FILES = 120
+# What CasADi would add to an answer, and nobody reads: how it depends on parameters.
+_NO_SENSITIVITIES = {"no_nlp_grad": True, "calc_lam_p": False}
 
 
 @cache
@@ -108,7 +112,8 @@ class Functions:
     derivatives of the Lagrangian, equations and their Jacobian, inequalities and theirs. `rows`: (x, p) → objective and
     rows; an Ipopt is used by one at a time (`busy`). `names` of the variables in their order; `n_equal`: number of
     equations. `convex`: no derivative depends on variables or multipliers. `n_gain`: how many of the last parameters
-    are gains m(x) of `A` actuators; 0 where these depend on variables.
+    are gains m(x) of `A` actuators; 0 where these depend on variables. `gains`: those that an Ipopt calls, by their
+    number of units.
     """
 
     bounds: ca.Function
@@ -120,6 +125,7 @@ class Functions:
     A: int
     n_gain: int
     solvers: dict[str, ca.Function] = field(default_factory=dict)
+    gains: dict[int, KeptGain] = field(default_factory=dict)
     busy: threading.Lock = field(default_factory=threading.Lock)
 
     @cached_property
@@ -137,35 +143,95 @@ class Functions:
         options = {**options, **dict.fromkeys(constant, "yes")}
         key = json.dumps([options, hidden], sort_keys=True)
         if key not in self.solvers:
-            x, own = (ca.SX.sym(name, self.rows.size1_in(i)) for i, name in enumerate(("x", "p")))
-            p = own
-            if hidden and self.n_gain:
-                others, (given, gain) = own[: own.numel() - self.n_gain], _exported_gain(self.A, self.n_gain, hidden)
-                own, p = ca.vertcat(others, gain), ca.vertcat(others, given)
-            f, g = self.rows(x, own)
-            derivatives = self._derivatives(x, own, p) if self.convex else {}
+            programme, derivatives = self._programme(hidden if self.n_gain else 0)
             self.solvers[key] = ca.nlpsol(
-                "plan",
-                "ipopt",
-                {"x": x, "p": p, "f": f, "g": g},
-                {"print_time": False, "ipopt": options, **derivatives},
+                "plan", "ipopt", programme, {"print_time": False, "ipopt": options, **_NO_SENSITIVITIES, **derivatives}
             )
         return self.solvers[key]
 
-    def _derivatives(self, x: ca.SX, own: ca.SX, p: ca.SX) -> dict[str, ca.Function]:
-        """Those of `local`, which CasADi would work out anew in every process; `own` parameters as expressions of p."""
-        multipliers, scale = ca.SX.sym("lam_g", self.local.size1_in(2)), ca.SX.sym("lam_f")
-        f, gradient, H, equal, A, above, G = self.local(x, own, multipliers)
-        lagrangian = [x, p, scale, multipliers]
+    def _programme(self, hidden: int) -> tuple[dict[str, Any], dict[str, ca.Function]]:
+        """Variables, parameters, objective and rows, with the derivatives where these are constant."""
+        n_x, n_own = (self.rows.size1_in(i) for i in range(2))
+        n_others, x, own = n_own - self.n_gain, ca.SX.sym("x", n_x), ca.SX.sym("p", n_own)
+        given, gain = _exported_gain(self.A, self.n_gain, hidden) if hidden else (ca.SX(0, 1), own[n_others:])
+        if not (hidden and self.convex):
+            p = ca.vertcat(own[:n_others], given) if hidden else own
+            own = ca.vertcat(own[:n_others], gain)
+            f, g = self.rows(x, own)
+            return {"x": x, "p": p, "f": f, "g": g}, self._derivatives(x, p, own, own) if self.convex else {}
+        self.gains[hidden] = kept = self.gains.get(hidden) or KeptGain(ca.Function("modulation", [given], [gain]))
+        of_gain = ca.depends_on(self.rows(x, own)[0], own[n_others:])
+        x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", n_others + given.numel())
+        own = ca.vertcat(p[:n_others], kept(p[n_others:]))
+        of_cost = own if of_gain else ca.vertcat(p[:n_others], ca.DM.ones(self.n_gain))
+        programme = {"x": x, "p": p, "f": self.rows(x, of_cost)[0], "g": self.rows(x, own)[1]}
+        return programme, self._derivatives(x, p, own, of_cost)
+
+    def _derivatives(
+        self, x: Expression, p: Expression, own: Expression, of_cost: Expression
+    ) -> dict[str, ca.Function]:
+        """Those of `local`, which CasADi would work out anew in every process.
+
+        `own` parameters, and those `of_cost`, which the objective depends on, as expressions of `p`.
+        """
+        sym, n_rows = type(x).sym, self.local.size1_in(2)
+        multipliers, scale, none = sym("lam_g", n_rows), sym("lam_f"), ca.DM.zeros(n_rows)
+        f, gradient, *_ = self.local(x, of_cost, none)
+        _, _, _, equal, A, above, G = self.local(x, own, none)
+        H = self.local(x, own, multipliers)[2]
         return {
             "grad_f": ca.Function("nlp_grad_f", [x, p], [f, gradient], ["x", "p"], ["f", "grad_f_x"]),
             "jac_g": ca.Function(
                 "nlp_jac_g", [x, p], [ca.vertcat(equal, above), ca.vertcat(A, G)], ["x", "p"], ["g", "jac_g_x"]
             ),
             "hess_lag": ca.Function(
-                "nlp_hess_l", lagrangian, [scale * ca.triu(H)], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+                "nlp_hess_l",
+                [x, p, scale, multipliers],
+                [scale * ca.triu(H)],
+                ["x", "p", "lam_f", "lam_g"],
+                ["triu_hess_gamma_x_x"],
             ),
         }
+
+
+class KeptGain(ca.Callback):
+    """The exported gains of all actuators and steps, `function`, worked out where their parameters have changed.
+
+    Those are the same in all iterations of a solve, in which the networks would take longer than all other rows.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        super().__init__()
+        self.function, self._given, self._gains = function, b"", b""
+        self.construct(function.name(), {})
+
+    def get_n_in(self) -> int:
+        """Their parameters."""
+        return 1
+
+    def get_n_out(self) -> int:
+        """Their values."""
+        return 1
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """As `function` has it."""
+        return self.function.sparsity_in(i)
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        """As `function` has it."""
+        return self.function.sparsity_out(i)
+
+    def has_eval_buffer(self) -> bool:
+        """Arguments come without a copy."""
+        return True
+
+    def eval_buffer(self, given: Sequence[memoryview], out: Sequence[memoryview]) -> int:
+        """Write the gains."""
+        now = bytes(given[0])
+        if now != self._given:
+            self._gains, self._given = np.array(self.function(np.frombuffer(now))).tobytes(), now
+        out[0].cast("B")[:] = self._gains
+        return 0
 
 
 @lru_cache(_MOST_STRUCTURES)

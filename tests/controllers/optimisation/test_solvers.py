@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import casadi as ca
@@ -103,8 +104,15 @@ def test_ipopt_finds_the_optimum_where_the_gain_sees_the_plan(seed):
     assert float(numpy_problem.cost(problem, operator, solution.u)) <= best * (1 + 1e-4)
 
 
-def tanhs(function: ca.Function) -> int:
-    return sum(function.instruction_id(k) == ca.OP_TANH for k in range(function.n_instructions()))
+def tanhs(function: ca.Function, called: Mapping[str, ca.Function] | None = None) -> int:
+    """How many stand in a function and in those that it calls, of which some are `called` by name."""
+    count, here = 0, called or {}
+    for k in range(function.n_instructions()):
+        count += function.instruction_id(k) == ca.OP_TANH
+        if function.instruction_id(k) == ca.OP_CALL:
+            inner = function.instruction_MX(k).which_function()
+            count += tanhs(here.get(inner.name(), inner), here)
+    return count
 
 
 @pytest.mark.parametrize("name", ["one zone", "blocked", "several", "feedback"])
@@ -113,7 +121,8 @@ def test_ipopt_is_given_the_exported_operator_with_its_network(name):
     operator, problem, shape = instance(CASES[name], np.random.default_rng(0))
     solver = IpoptSolver(operator, shape, IpoptConfig())
     found, gains = solver.solve(problem), 33 * shape.n_moves * len(operator.actuators)
-    assert tanhs(solver.programme.get_function("nlp_g")) == gains
+    called = dict(zip(("modulation",), solver.gains.values(), strict=False))  # none with feedback
+    assert tanhs(solver.programme.get_function("nlp_g"), called) == gains
     weights = sum(operator.of_actuator(a).hidden_weight.size for a in range(len(operator.actuators)))
     assert solver.programme.size1_in("p") > weights + 4 * shape.n_moves
     assert found.parameters == operator.n_used >= 195
