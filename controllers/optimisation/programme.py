@@ -106,8 +106,6 @@ class QPData:
 
     def _size(self, x: Array) -> Array:
         """What variables may be like: themselves, 1, and what bounded ones in their rows make of them, (n,)."""
-        from scipy import sparse
-
         near = np.maximum(-self.x_low, self.x_high)
         size = np.where(near < FAR, near, 1.0 + np.abs(x))
         n = self.A.shape[0]
