@@ -43,7 +43,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.special import ndtri
 
 from controllers.monitoring.single_actuator import SingleActuatorContext
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
@@ -265,6 +264,8 @@ def effect_fault(error_K: Array, effect_K: Array, promise_K: Array, false_alarm:
 
     `false_alarm` is the largest probability of an alarm in 30 days while errors are as promised.
     """
+    from scipy.special import ndtri
+
     share, z = missing_effect(error_K, effect_K, promise_K)
     if share < _LEAST_SHARE or z < -ndtri(false_alarm * EVERY_H / _MONTH_H):
         return ""

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape
 from controllers.optimisation.programme import FAR, QPData
@@ -21,6 +20,9 @@ from controllers.optimisation.statement.problem_statement import PARTS
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import Buffered
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,6 +205,8 @@ class PlanModel(Evaluator):
 
     @cached_property
     def _patterns(self) -> list[sparse.csc_matrix]:
+        from scipy import sparse
+
         n, function = self.n_variables, self.functions.local
         patterns = [function.sparsity_out(2) + ca.Sparsity.diag(n), function.sparsity_out(4), function.sparsity_out(6)]
         out = []

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from thermoforce_mpc.data import Array
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 # Bounds from here on are as good as none beside the numbers of a plan, which are of the size of 1 to 1000.
 FAR = 1e6

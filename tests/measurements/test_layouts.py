@@ -434,6 +434,7 @@ LAYOUTS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda one: one.__name__)
 def test_an_export_is_read_by_the_map_that_is_written_for_it(layout, tmp_path):
     files = layout(tmp_path)

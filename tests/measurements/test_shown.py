@@ -94,6 +94,7 @@ def test_a_thermostat_that_writes_on_and_off_has_a_level(tmp_path):
         tf.read_measurements(tmp_path / "home.csv", tmp_path / "map.yaml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "expected"),
     [

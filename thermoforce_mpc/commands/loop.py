@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression, nnls
 
 from thermoforce_mpc.commands.command import SAME, Command
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
@@ -253,6 +252,8 @@ def _fit(
     command: Command, rows: NDArray[np.intp], value: Array, T_zone_C: Array, T_out_C: Array, u: Array, carry: float
 ) -> LoopMap:
     """The map with the least squares of one-step errors in `rows`."""
+    from scipy.optimize import isotonic_regression, nnls
+
     y = u[rows] - carry * u[rows - 1]
     seen = np.unique(np.round(value[rows], 6))
     values, effects, zone, outdoor = np.array([seen[0], seen[-1]]), np.array([seen[0], seen[-1]]), 1.0, 0.0

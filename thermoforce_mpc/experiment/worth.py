@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from scipy.special import stdtrit
 
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.commands.loop import LearnedCommand
@@ -373,6 +372,8 @@ def outside_Kh(record: Record, conditions: Boundary, first: int) -> float:
 
 def band_of(saved: float, drawn: Sequence[float]) -> tuple[float, float]:
     """90 % band (low, high) of a saving from those of a few drawn houses: that of one more (Student's t)."""
+    from scipy.special import stdtrit
+
     away = np.array(drawn) - saved
     n = away.size
     half = float(stdtrit(n, 0.95)) if n < 30 else BAND

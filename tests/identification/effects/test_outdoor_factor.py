@@ -122,6 +122,7 @@ def test_heat_that_falls_while_a_level_is_held_makes_the_effect_less_sure(at_fir
     assert levels.sd == 0.0
 
 
+@pytest.mark.slow
 def test_rooms_that_are_heated_together_cannot_be_told_apart():
     names = Names(("north", "south"), ("a", "b"), ("pump",))
     layout = Layout(names, (1, 1), (0, 1), (0, 0), (0.0, 0.0), (0.8, 0.8), (10.0, 90.0))

@@ -23,7 +23,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -85,6 +84,8 @@ def standard_errors_saved(
 
 def quantile(count: int, probability: float, overlap: int = 0) -> float:
     """What the statistic of `count` blocks exceeds by chance with 1 − `probability`: one of 0.9, 0.95, 0.975, 0.99."""
+    from scipy.special import stdtrit
+
     if not overlap:
         return float(stdtrit(max(count - 1, 1), probability))
     return float(np.polynomial.polynomial.polyval(_reach(count, overlap) / max(count, 1), _FIXED_B[probability]))

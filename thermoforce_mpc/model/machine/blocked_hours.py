@@ -21,7 +21,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 
@@ -254,6 +253,8 @@ class HourEffects:
 
     def _law(self, seen: Sequence[HourSeen]) -> HourLaw:
         """The most likely law given the errors of its days, error = (share − 1) effect + dip, neither of help."""
+        from scipy.optimize import lsq_linear
+
         _, error, effect, promise = np.array(seen).T
         rows = np.stack([effect, np.ones(effect.size)], axis=1) / promise[:, None]
         rows = np.vstack([rows, np.diag([1.0 / _SHARE_SD, 1.0 / _DIP_SD_K])])
