@@ -161,11 +161,11 @@ class Functions:
             return {"x": x, "p": p, "f": f, "g": g}, self._derivatives(x, p, own, own) if self.convex else {}
         self.gains[hidden] = kept = self.gains.get(hidden) or KeptGain(ca.Function("modulation", [given], [gain]))
         of_gain = ca.depends_on(self.rows(x, own)[0], own[n_others:])
-        x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", n_others + given.numel())
-        own = ca.vertcat(p[:n_others], kept(p[n_others:]))
-        of_cost = own if of_gain else ca.vertcat(p[:n_others], ca.DM.ones(self.n_gain))
-        programme = {"x": x, "p": p, "f": self.rows(x, of_cost)[0], "g": self.rows(x, own)[1]}
-        return programme, self._derivatives(x, p, own, of_cost)
+        v, q = ca.MX.sym("x", n_x), ca.MX.sym("p", n_others + given.numel())
+        with_gain = ca.vertcat(q[:n_others], kept(q[n_others:]))
+        of_cost = with_gain if of_gain else ca.vertcat(q[:n_others], ca.DM.ones(self.n_gain))
+        programme = {"x": v, "p": q, "f": self.rows(v, of_cost)[0], "g": self.rows(v, with_gain)[1]}
+        return programme, self._derivatives(v, q, with_gain, of_cost)
 
     def _derivatives(
         self, x: Expression, p: Expression, own: Expression, of_cost: Expression
