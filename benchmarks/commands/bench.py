@@ -227,7 +227,7 @@ def learned(record: Record, kind: str, set_to: Array) -> dict[str, LearnedComman
     for a, name in enumerate(record.names.actuators):
         was = CommandRecord(set_to[a], set_to[a, :-1])
         signals = record.T_zone_C[a], record.T_out_C, record.u[a], record.time_s
-        out[name] = learn_command(_command(kind, name), was, *signals, f"{kind} of {name}", shared=shared)
+        out[name] = learn_command(_command(kind, name), was, *signals, f"{kind} of {name}", may_be_untold=True)
         if shared:
             out[name] = replace(out[name], machine="heat_pump", usual=np.full_like(out[name].usual, _USUAL[kind]))
     check_told(out.values())

@@ -392,6 +392,8 @@ def learned_share(
 # Power below this share of that of the level, and a zone that stays behind the plan by this, K, together say that the
 # machine is at a limit below the level; half of a step's finding is taken over, and no more than this share kept.
 _LESS_POWER, _BEHIND_K, _TAKEN_OVER, _MOST_BEYOND = 0.9, 0.1, 0.5, 0.4
+# A machine that takes less than this share of the power of its level is not at a limit: it stands.
+_STANDS = 0.25
 
 
 def share_beyond_limit(
@@ -406,7 +408,7 @@ def share_beyond_limit(
     if not (np.isfinite([u, power_W, expected_W]).all() and u >= _ALL_ASKED and expected_W > 0.0):
         return before
     reached = u * power_W / expected_W
-    if reached < _LESS_POWER * u and behind_K > _BEHIND_K:
+    if _STANDS < reached < _LESS_POWER * u and behind_K > _BEHIND_K:
         return float(np.clip(before + _TAKEN_OVER * (1.0 - reached - before), before, _MOST_BEYOND))
     return max(before - (_FADING_1_H * step_s / HOUR_S if reached >= _LESS_POWER * u else 0.0), 0.0)
 

@@ -429,7 +429,8 @@ def test_a_dry_run_on_files_says_what_it_would_set(files):
         (["--set", "controler.step_s=3600"], "write connection.KEY=VALUE, controller.KEY=VALUE or"),
         (["--connection", "fils"], "unknown connection 'fils', did you mean 'files'"),
         (["--set", "connection.levles=x.json"], "did you mean 'levels'"),
-        (["--set", "connection.measurements=none.csv"], "none.csv: no such file"),
+        (["--set", "connection.measurements=none.csv"], "connection.measurements: none.csv: no such file; name it by"),
+        (["--set", "connection.forecast=none.csv"], "connection.forecast: none.csv: no such file; name it by"),
         (["--map", "other.yaml"], "another building?"),
     ],
 )

@@ -166,7 +166,7 @@ def test_a_night_is_no_stuck_sensor(offset, days, flagged):
     df.loc[100 : 100 + 96 * days, "sun"] = offset  # days without light
     found = tf.read_measurements(df, BASE | {"sun": "sun"})
     sun = next(signal for signal in found.understood.signals if signal.key == "sun")
-    assert [flag.rule for flag in sun.flags] == (["stuck"] if flagged else [])
+    assert [flag.rule for flag in sun.flags] == (["frozen"] if flagged else [])
 
 
 @pytest.mark.parametrize("column", ["T bath", "Temp_hall", "Zimmer 2"])
@@ -193,11 +193,11 @@ def test_impossible_stuck_and_isolated_readings_are_flagged_and_the_rules_can_be
     flags = {(s.key, flag.rule): flag for s in found.understood.signals for flag in s.flags}
     assert set(flags) == {
         ("zones.room.temperature", "range"),
-        ("zones.room.temperature", "spike"),
-        ("outdoor", "stuck"),
+        ("zones.room.temperature", "jump"),
+        ("outdoor", "frozen"),
     }
-    assert "31 °C at 2025-01-11 01:00:00" in flags["zones.room.temperature", "spike"].first
-    assert flags["outdoor", "stuck"].count == 121
+    assert "31 °C at 2025-01-11 01:00:00" in flags["zones.room.temperature", "jump"].first
+    assert flags["outdoor", "frozen"].count == 121
     lenient = {
         "outdoor": {"column": "out", "stuck_h": 0},
         "zones": {"room": {"temperature": {"column": "T", "spike": 30, "range": [-300, 60]}}},

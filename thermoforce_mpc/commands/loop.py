@@ -11,7 +11,7 @@ the loop does within a step, and what else moves it, is `spread`.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -148,7 +148,7 @@ def learn_command(
     time_s: Array,
     where: str,
     *,
-    shared: bool = False,
+    may_be_untold: bool = False,
 ) -> LearnedCommand:
     """Learn what the loop makes of `command` from a record of n steps.
 
@@ -159,15 +159,15 @@ def learn_command(
         u: mean level of each step (n,).
         time_s: boundaries (n + 1,), s.
         where: what it is the command of, for messages.
-        shared: it is one of several actuators that one command sets, of which it is enough that the record tells of
-            one: of a room whose valve was shut all the time it tells nothing (`untold`, see `check_told`).
+        may_be_untold: it is enough that the record tells of another one: of a room that was never cold it tells
+            nothing (`untold`, see `check_told`).
 
     Raises:
         DataError: the record is too short, or does not tell what the command does; says what to do.
     """
     step_s = float(time_s[1] - time_s[0])
     loop, untold = _learn_loop(command, was.mean, _means(T_zone_C), _means(T_out_C), u, step_s, time_s, where)
-    if untold and not shared:
+    if untold and not may_be_untold:
         raise DataError(untold)
     value = was.at
     known = np.flatnonzero(np.isfinite(value))
@@ -183,14 +183,20 @@ def learn_command(
     return LearnedCommand(command, loop, last, held_s, _usual(usual[:-1], time_s[:-1]), now_s, untold=untold)
 
 
-def check_told(learned: Iterable[LearnedCommand]) -> None:
-    """Raise `DataError` where the record tells of no actuator what a command does that sets several of them."""
-    machines: dict[str, list[str]] = {}
-    for one in learned:
-        machines.setdefault(one.machine, []).append(one.untold)
-    for machine, untold in machines.items():
-        if machine and all(untold):
-            raise DataError(untold[0])
+def check_told(learned: Collection[LearnedCommand]) -> None:
+    """Raise `DataError` where the record tells of no command what it does."""
+    if learned and all(one.untold for one in learned):
+        raise DataError(next(iter(learned)).untold)
+
+
+def left_alone(learned: Mapping[int, LearnedCommand]) -> dict[int, str]:
+    """Why actuators, by number, are left alone: the record tells of none that their command sets what it does."""
+    out: dict[int, str] = {}
+    for a, one in learned.items():
+        members = [each for b, each in learned.items() if b == a or (one.machine and each.machine == one.machine)]
+        if all(each.untold for each in members):
+            out[a] = one.untold
+    return out
 
 
 def _means(values: Array) -> Array:

@@ -20,12 +20,11 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Boundary, Peri
 from thermoforce_mpc.data.dataframes import stamps as stamps_at
 from thermoforce_mpc.data.dataframes import table
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.regression import BAND
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.machine.change import Share, weight_of_demand
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
-from thermoforce_mpc.whatif.identified import step_response_of
 from thermoforce_mpc.whatif.identified_house import HouseState, IdentifiedHouse
 
 LEAST_BEFORE_DAYS = 7.0
@@ -289,13 +288,11 @@ def effect_spreads(model: ThermalModel) -> Array:
     Raises `DataError` where the model's card does not say it.
     """
     spread = np.zeros((len(model.operator.zones), len(model.operator.actuators)))
-    at = STEP_RESPONSE_H.index(24) + 1
     for z, a, _ in model.operator.each():
-        mean, sd = step_response_of(model, z, a)
-        if not mean.size:
+        spread[z, a] = model.relative_sd(z, a)
+        if not np.isfinite(spread[z, a]):
             names = model.operator.actuators[a], model.operator.zones[z]
             raise DataError(f"the model does not say how well it knows what {names[0]} does to {names[1]}: identify it")
-        spread[z, a] = sd[at] / max(abs(mean[at]), 1e-9)
     return spread
 
 

@@ -375,7 +375,7 @@ def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
             T_zone_C, shared = record.T_zone_C[measured.layout.home[a]], kind == "machines"
             where = f"{where}.command (column {command.column})" + (f" for {name}" if shared else "")
             signals = T_zone_C, record.T_out_C, record.u[a], record.time_s
-            learned = learn_command(command, was, *signals, where, shared=shared)
+            learned = learn_command(command, was, *signals, where, may_be_untold=True)
             out[name] = replace(learned, origin=record.origin, machine=machine if shared else "")
     check_told(out.values())
     return out

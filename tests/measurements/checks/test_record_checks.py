@@ -271,3 +271,12 @@ def test_a_boiler_that_is_better_at_part_load_is_no_heat_pump_in_other_units(day
     assert doubts(1.0 - 0.3 * load**2 + noise) == []
     (words,) = doubts(0.25 * 3.2 * np.exp(0.022 * T_out + noise))
     assert "units of heat come from one of energy" in words
+
+
+def test_a_chiller_of_one_efficiency_is_no_boiler_in_other_units():
+    """A steady 2.9 units of cold from one of energy in any weather; as heat of a machine that only heats a doubt."""
+    cold_W = 0.8 * FULL_W * CLEAN.u * (1.0 + 0.2 * np.sin(np.arange(CLEAN.n_steps)))
+    chiller = replace(CLEAN, power_W=cold_W / 2.86 + 2.0, heat_W=-cold_W)
+    units = [remark for remark in remarks(chiller, LAYOUT) if remark.kind == "unit of power"]
+    assert units == []
+    assert "too much for a boiler" in str(remarks(replace(chiller, heat_W=cold_W), LAYOUT))

@@ -553,8 +553,7 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
             kept &= ~special
             start = 0
             for k in np.flatnonzero(kept & (begins | after | (n != len(parts[-1][0]) - 1))):
-                cells = next(csv.reader([block[k].rstrip("\r\n")], delimiter=separator, skipinitialspace=True), [])
-                told = [cell.strip() for cell in cells]
+                cells = told = cells_of(block[k], separator)
                 current = parts[-1][0]
                 n[k] = max(len(cells), 1) - 1  # separators in quotes part no cells
                 if told in (current, names):
@@ -587,6 +586,14 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
         (told, np.concatenate([np.empty(0, dtype=np.int64), *rows]), min(most, max(len(told), len(names)) + 1))
         for told, rows in parts
     ]
+
+
+def cells_of(line: str, separator: str) -> list[str]:
+    """The cells of a line, without spaces around; what stands in quotes is one. Raises `csv.Error` for a huge one."""
+    line = line.rstrip("\r\n")
+    if '"' not in line and len(line) <= csv.field_size_limit():
+        return [cell.strip() for cell in line.split(separator)] if line else []
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
 
 
 def _is_footer(cells: Sequence[str]) -> bool:
@@ -631,10 +638,7 @@ def header_of(path: Path, form: CsvFormat) -> tuple[str, list[str], int, list[st
         ) from error
     separator = form.separator or max(SEPARATORS, key=header.count)
     with reading(path, " as CSV"):
-        cells, groups = (
-            [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
-            for line in (header, above.rstrip("\r\n"))
-        )
+        cells, groups = (cells_of(line, separator) for line in (header, above))
     return separator, _told_apart([called.get(name, name) for name in cells], groups), at, cells
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ from thermoforce_mpc.measurements.tables.clock import newest_first, plain
 from thermoforce_mpc.measurements.tables.files import (
     PARQUET,
     SEPARATORS,
+    cells_of,
     head_of,
     header_of,
     is_text,
@@ -126,12 +126,12 @@ def told_beside(path: Path, form: CsvFormat) -> tuple[dict[str, str], dict[str, 
         return {}, {}
     separator, names, at, _ = header_of(path, form)
     _, lines = sample(path)
-    below = [_cells(line, separator) for line in lines[at + 1 : at + 1 + form.skip_after]]
+    below = [cells_of(line, separator) for line in lines[at + 1 : at + 1 + form.skip_after]]
     units = {name: cell for cells in below for name, cell in zip(names, cells, strict=False) if _UNIT.fullmatch(cell)}
     divisors: dict[str, float] = {}
     for line in lines[:at]:
         if _DIVISORS.match(line):
-            cells = zip(names, _cells(line, separator), strict=False)
+            cells = zip(names, cells_of(line, separator), strict=False)
             divisors |= {name: float(cell) for name, cell in cells if re.fullmatch(r"[1-9]\d*", cell)}
     return units, divisors
 
@@ -230,7 +230,7 @@ def _after_header(lines: Sequence[str], skip: int, separator: str, comment: str 
     for line in lines[skip + 1 : skip + 3]:
         if not line.strip() or (comment and line.startswith(comment)):
             break
-        cells = _cells(line, separator)
+        cells = cells_of(line, separator)
         if any(_numeric(cell) or _stamp(cell) for cell in cells) or not any(cells[1:]) or line == lines[skip]:
             break
         after += 1
@@ -247,7 +247,7 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
             continue
         usual, times = max(counted.items(), key=lambda item: (item[1], item[0]))
         share = times / max(sum(1 for line in lines if line.strip() and not line.startswith("#")), 1)
-        stamped = any(_stamp(cell) for line in lines[:_MOST_HEAD] for cell in _cells(line, separator))
+        stamped = any(_stamp(cell) for line in lines[:_MOST_HEAD] for cell in cells_of(line, separator))
         worth = share + 0.5 * stamped + 0.01 * usual
         if worth > best[1]:
             best = (usual, worth, separator)
@@ -262,15 +262,15 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
         ),
         0,
     )
-    cells = _cells(lines[first], separator)
+    cells = cells_of(lines[first], separator)
     data = sum(_numeric(cell) or _stamp(cell) for cell in cells if cell) > len([c for c in cells if c]) / 2
     above = lines[first - 1] if first else ""
     if data and above.startswith("#") and _separators(above, separator) == usual:
         return first - 1, separator, None
     # Lines of names and units above a table may have as many separators as it: the last before the first stamp counts.
     for k in range(first, min(first + _MOST_HEAD, len(lines) - 1)):
-        after = _cells(lines[k + 1], separator)
-        ours = _cells(lines[k], separator)
+        after = cells_of(lines[k + 1], separator)
+        ours = cells_of(lines[k], separator)
         if any(_stamp(cell) for cell in ours):
             break
         if any(_stamp(cell) for cell in after):
@@ -279,7 +279,8 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
                 for j in range(first, k + 1)
                 if _separators(lines[j], separator) == usual and not lines[j].startswith("#")
             ]
-            while len(named) > 1 and _is_units(_cells(lines[named[-1]], separator)):  # of units, of how it was sampled
+            # Lines of units, and of how it was sampled, stand below the names.
+            while len(named) > 1 and _is_units(cells_of(lines[named[-1]], separator)):
                 named.pop()
             return named[-1] if named else k, separator, "#"
     return first, separator, "#"
@@ -287,16 +288,12 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
 
 def _separators(line: str, separator: str) -> int:
     """How many times a line is parted; what stands in quotes parts nothing."""
-    return len(_cells(line, separator)) - 1 if '"' in line else line.count(separator)
+    return len(cells_of(line, separator)) - 1 if '"' in line else line.count(separator)
 
 
 def _is_units(cells: Sequence[str]) -> bool:
     """Whether cells are those of a line of units, such as '°C' and '[kW]'."""
     return all(_UNIT.fullmatch(cell) for cell in cells) and any(cells)
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
 
 
 def _numeric(cell: str) -> bool:

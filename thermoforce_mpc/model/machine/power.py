@@ -396,8 +396,8 @@ _SAME_AS_FULL, _SAME_AS_CHEAPEST = 0.03, 0.02
 _COST, _COST_SD = "cost_of_heat_at_level_", "cost_of_heat_sd_at_level_"
 _HEAT, _HEAT_SD = "heat_per_level_at_level_", "heat_per_level_sd_at_level_"
 # Share of full power by which a middle level is above the line from the lowest to full level where a machine is at its
-# limit; a fixed part, and water that gets hotter, leave none.
-_BENT = 0.1
+# limit; a fixed part, and water that gets hotter, leave none. Power that a low level takes already: no fixed part is.
+_BENT, _FLAT = 0.1, 0.7
 # Weight of full level, which is 1 by definition, in the fit of the shape.
 _EXACT = 1e3
 
@@ -441,7 +441,8 @@ def at_its_limit(costs: Sequence[LevelCost]) -> bool:
     """Whether power hardly rises above a middle level: a machine at a limit gives no more heat there either."""
     levels = [one.level for one in costs] + [1.0]
     power = [one.cost * one.heat * one.level for one in costs] + [1.0]
-    return any(
+    flat = len(costs) > 0 and levels[0] < 0.5 and power[0] > _FLAT
+    return flat or any(
         middle > np.interp(level, [levels[0], 1.0], [power[0], 1.0]) + _BENT
         for level, middle in zip(levels[1:-1], power[1:-1], strict=True)
     )
