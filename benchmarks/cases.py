@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -121,3 +122,12 @@ def run_all(
         on_done(done, value)
 
     return collect(tasks, engine, on_value=count, results=JsonResults(keep) if keep else None)
+
+
+def revision() -> str:
+    """The commit of this checkout, -dirty where files differ from it; '' where there is none."""
+    asked = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        return subprocess.run(asked, capture_output=True, text=True, timeout=10.0, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return ""

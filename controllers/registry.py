@@ -44,6 +44,18 @@ def _mpc_entry(summary: str, **defaults: Any) -> Entry:
     return Entry(summary, True, _mpc_config, _build_mpc, defaults)
 
 
+def _dpc_config() -> type[StrictModel]:
+    from controllers.policy.dpc import DPCConfig
+
+    return DPCConfig
+
+
+def _build_dpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
+    from controllers.policy.dpc import DPC
+
+    return build_on_model(DPC, name, config, testcase, model)
+
+
 # The paper's setting: any level in [0, 1] held for the step, 24 h horizon, median of one resolution of the forecaster,
 # no margin to the comfort bound, and nothing learned while running.
 _AS_PRINTED: dict[str, Any] = {
@@ -91,6 +103,12 @@ _OWN: dict[str, Entry] = {
         "the paper's RC-MPC: as thermoforce_paper, with the free response of a linear RC model",
         **{**_AS_PRINTED, "free_response": {"name": "rc"}},
         solver="ipopt",
+    ),
+    "dpc": Entry(
+        "differentiable predictive control: as thermoforce_mpc, with a policy trained through the operator as solver",
+        True,
+        _dpc_config,
+        _build_dpc,
     ),
     "thermostat": Entry(
         "on/off thermostat, optional weekday setback",

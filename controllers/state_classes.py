@@ -28,7 +28,7 @@ from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.free_response.calibrated import CalibratedState, IssuedForecasts, Scores
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.substitute import SubstituteState
-from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
+from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, HourEffects, HourSeen
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.other_load import OtherLoad
 from thermoforce_mpc.model.machine.power import PowerModel, ReturnWater
@@ -56,6 +56,8 @@ STATE_CLASSES: tuple[type[Any], ...] = (
     SunState,
     WatchState,
     BlockedHours,
+    HourEffects,
+    HourSeen,
     Track,
     Issued,
     Boundary,

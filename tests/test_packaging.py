@@ -120,6 +120,7 @@ def test_the_wheel_works_outside_the_repository(installed, tmp_path):
     assert (tmp_path / "done" / "report.html").is_file()
 
 
+@pytest.mark.slow
 def test_benchmarks_are_in_a_checkout_alone_whatever_else_has_their_name(installed, tmp_path):
     tf_mpc = [sys.executable, "-c", "from thermoforce_mpc.cli import main; main()"]
     for name in ("bench", "chaos"):

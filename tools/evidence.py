@@ -92,7 +92,10 @@ def _cell(key: str, row: Mapping[str, Any]) -> str:
 
 
 def take(file: Path, result: Mapping[str, Any], minutes: float | None = None) -> None:
-    """Take the rows of a bench's result as those of a table, with its command, this revision and today's date."""
+    """Take the rows of a bench's result as those of a table, with its command, and the revision and date it names.
+
+    An older bench's result names neither: then this revision and today.
+    """
     table = json.loads(file.read_text(encoding="utf-8"))
     needed = {name for key in table["columns"].values() for name in re.findall(r"{(\w+)", key) or [key]}
     rows = [row for row in result["rows"] if needed <= row.keys()]
@@ -100,7 +103,8 @@ def take(file: Path, result: Mapping[str, Any], minutes: float | None = None) ->
         raise SystemExit(f"{file.name}: no row of the result has {', '.join(sorted(needed))}")
     kept = [{key: value for key, value in row.items() if key in needed} for row in rows]
     table |= {"rows": kept, "command": _plain(result["command"]), "minutes": minutes}
-    table |= {"revision": _git("rev-parse", "HEAD"), "date": datetime.now(UTC).date().isoformat()}
+    table["revision"] = result.get("revision") or _git("rev-parse", "HEAD")
+    table["date"] = result.get("date") or datetime.now(UTC).date().isoformat()
     file.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
@@ -114,7 +118,7 @@ def _git(*words: str) -> str:
 
 def is_older(revision: str, than: str) -> bool:
     """Whether a revision does not hold another."""
-    command = ["git", "merge-base", "--is-ancestor", than, revision]
+    command = ["git", "merge-base", "--is-ancestor", than, revision.removesuffix("-dirty")]
     return subprocess.run(command, cwd=ROOT, check=False, capture_output=True).returncode != 0
 
 

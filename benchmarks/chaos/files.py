@@ -18,7 +18,7 @@ from click.testing import CliRunner, Result
 
 from benchmarks.chaos.episode import Outcome
 from benchmarks.chaos.fmu.building import build_house
-from benchmarks.chaos.live import torn_table, two_controllers, wrong_wall_clock
+from benchmarks.chaos.live import live_faults, torn_table, two_controllers, wrong_wall_clock
 from benchmarks.chaos.troubles import Trouble
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
@@ -192,10 +192,11 @@ TRIALS: dict[str, Trial] = {
     "flipped bits": flipped_bits, "foreign folder": foreign_folder, "endless table": endless_table,
     "hanging FMU": hanging_fmu, "absurd model": absurd_model, "damaged table": damaged_table,
     "torn table": torn_table, "wrong wall clock": wrong_wall_clock, "two controllers": two_controllers,
+    "live faults": live_faults,
 }  # fmt: skip
 TRIAL_CLASSES = {
     "files": ("flipped bits", "foreign folder", "endless table", "damaged table"), "plant": ("hanging FMU",),
-    "models": ("absurd model",), "live": ("torn table", "wrong wall clock", "two controllers"),
+    "models": ("absurd model",), "live": ("torn table", "wrong wall clock", "two controllers", "live faults"),
 }  # fmt: skip
 
 

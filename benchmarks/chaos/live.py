@@ -1,4 +1,4 @@
-"""Trials of live control: tables that are torn while they are read, clocks that are wrong, a second controller."""
+"""Trials of live control: torn tables, wrong clocks, a second controller, and what fails around a house that runs."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ import pandas as pd
 import yaml
 
 from controllers import MPCConfig, ThermoForceMPC
-from thermoforce_mpc.errors import ThermoForceError
-from thermoforce_mpc.live import Decision, LiveBuilding, control
+from thermoforce_mpc.errors import PlantError, ThermoForceError
+from thermoforce_mpc.live import Decision, KeptState, LiveBuilding, control, real_run
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.records.live_journal import LiveJournal
 
 # A house of one room: share of its distance to the outdoor temperature kept in an hour, K per hour at full level, W.
 _POLE, _GAIN_K, _POWER_W, _OUT_C = 0.99, 0.4, 4300.0, 3.0
@@ -35,6 +36,8 @@ _MAP: dict[str, Any] = {
     "actuators": {"actuator": {"level": "u"}},
     "machines": {"machine": {"power": "P", "price": 0.25}},
 }
+# What acts where the model does.
+_PLANNED = ("solved", "bridged")
 # Longest time without a word, s, less what a busy machine kept from the process.
 MOST_SILENT_S = 10.0
 # Longest time until a first controller has set its levels, and until a second one is refused, s.
@@ -131,8 +134,110 @@ class _House:
         """Nothing is open."""
 
 
-def _controlled(house: _House) -> list[str]:
-    """What must not be of a live run: a wrong level, a step without a decision, silence, an error without a name."""
+class _Killed(BaseException):
+    """Nothing after it runs, as after SIGKILL."""
+
+
+class _TroubledHouse(_House):
+    """The house with faults around it, each from an hour of the run to another; see `live_faults`.
+
+    What it was told ends with its time, as with a gateway that looks after it: then its own control acts.
+    """
+
+    def __init__(self, folder: Path, faults: Mapping[str, tuple[float, float]]) -> None:
+        self._faults, self._ends, self.is_dead = dict(faults), math.inf, False
+        super().__init__(folder, self._tear, lambda hour: 0.0)
+
+    def _is(self, fault: str) -> bool:
+        begin, end = self._faults.get(fault, (math.inf, math.inf))
+        return begin <= self.hour < end
+
+    def _tear(self, table: Path, text: str) -> None:
+        table.write_text(text[: -len(text) // 3] if self._is("torn") else text)
+
+    def now(self) -> pd.Timestamp:
+        """See `Clock.now`: a clock that is stepped is so from then on."""
+        step_s = self._faults.get("clock stepped back", (math.inf, 0.0))
+        return self._at - pd.Timedelta("1min") if self.hour >= step_s[0] else self._at
+
+    def wait_until(self, at: pd.Timestamp) -> None:
+        """See `Clock.wait_until`."""
+        if self.is_dead:
+            raise _Killed
+        while self._at < at:
+            if self.hour >= self._ends:
+                self._level, self._ends = None, math.inf
+            super().wait_until(min(at, self._at + pd.Timedelta("1min")))
+            if self._is("killed"):
+                begin, _ = self._faults["killed"]
+                self.is_dead = True
+                raise _Killed(begin)
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether anything comes from the house now."""
+        return not (self._is("network cut") or self._is("broker restarted"))
+
+    def starts_again(self) -> None:
+        """Somebody starts the process again."""
+        self.is_dead = False
+        self._faults.pop("killed")
+
+    def measurements(self) -> str:
+        """See `Connection.measurements`."""
+        if not self.is_reached:
+            raise ConnectionError("no route to the house")
+        if self._is("unavailable"):
+            table = pd.DataFrame(self._rows)
+            since = self._begin + pd.Timedelta(hours=self._faults["unavailable"][0])
+            table.loc[table["time"] >= since, ["T", "u"]] = np.nan
+            self._table.write_text(table.to_csv(index=False))
+            return str(self._table)
+        return super().measurements()
+
+    def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
+        """See `Connection.write`."""
+        if self.is_dead:
+            raise _Killed
+        if not self.is_reached:
+            raise ConnectionError("no route to the house")
+        super().write(levels, seconds)
+        self._ends = math.inf if self._level is None else self.hour + seconds / _HOUR_S
+
+
+def live_faults(rng: np.random.Generator, folder: Path) -> list[str]:
+    """Two or three of: an hour without network or readings, a broker away for minutes, a torn table, a clock that is
+    stepped by a minute, a killed process that is started again.
+
+    The house's own control acts meanwhile, and plans do again within an hour after.
+    """
+    run = folder / f"faults{rng.integers(10**9)}"
+    run.mkdir()
+    kinds = ["network cut", "unavailable", "broker restarted", "torn", "clock stepped back", "killed"]
+    chosen = rng.choice(kinds, int(rng.integers(2, 4)), replace=False).tolist()
+    begins = np.sort(rng.uniform(*_TROUBLED, len(chosen)))
+    faults = {
+        str(kind): (float(at), float(at) + (0.1 if kind == "broker restarted" else 1.0))
+        for kind, at in zip(chosen, begins, strict=True)
+    }
+    house, said = _TroubledHouse(run, faults), ", ".join(chosen)
+    with suppress(_Killed, PlantError):  # of a killed one no word comes
+        found = _controlled(house, run)
+        if not house.is_dead:
+            return [f"{said}: {fault}" for fault in found]
+    # The house goes on by itself until somebody starts it again.
+    house.starts_again()
+    house.wait_until(house.now() + pd.Timedelta(minutes=float(rng.uniform(5.0, 60.0))))
+    while not house.is_reached:  # one that cannot begin ends, and is started again
+        house.wait_until(house.now() + pd.Timedelta("5min"))
+    return [f"{said}: {fault}" for fault in _controlled(house, run, _STEPS - math.floor(house.hour))]
+
+
+def _controlled(house: _House, folder: Path | None = None, steps: int = _STEPS) -> list[str]:
+    """What must not be of a live run: a wrong level, a step without a decision, silence, an error without a name.
+
+    `folder`: where the controller's state and a journal are kept; then the last steps must be planned again.
+    """
     silence, told = Silence(), list[Decision]()
 
     def hear(decision: Decision) -> None:
@@ -145,13 +250,20 @@ def _controlled(house: _House) -> list[str]:
     )
     building = LiveBuilding(house, MeasurementMap.model_validate(_MAP), _HOUR_S)
     faults = []
+    controller = ThermoForceMPC(one_room_model(), config)
+    kept, journal = None, None
+    if folder is not None:
+        kept, of = KeptState(folder / "state.npz", "chaos"), MeasurementMap.model_validate(_MAP)
+        journal = LiveJournal(folder, real_run(folder, None, Path("map.yaml"), of, config, "chaos"))
     try:
-        control(building, ThermoForceMPC(one_room_model(), config), clock=house, steps=_STEPS, told=hear)
+        control(building, controller, clock=house, steps=steps, told=hear, kept=kept, journal=journal)
     except ThermoForceError as error:
         faults.append(f"ended with {type(error).__name__}: {error}")
     wrong = [u for u in house.written if u is not None and not (math.isfinite(u) and 0.0 <= u <= 1.0)]
     faults += [f"a level of {wrong[0]!r} was sent"] if wrong else []
-    faults += [] if len(told) == _STEPS else [f"{len(told)} of {_STEPS} decisions were made: a step is lost"]
+    faults += [] if len(told) == steps else [f"{len(told)} of {steps} decisions were made: a step is lost"]
+    if folder is not None and any(decision.plan.status not in _PLANNED for decision in told[-2:]):
+        faults.append(f"ended with {told[-1].plan.status}: {told[-1].plan.why}")
     faults += [] if house.written and house.written[-1] is None else ["the building was not given back"]
     return faults + ([f"silent for {silence.longest_s:.0f} s"] if silence.longest_s > MOST_SILENT_S else [])
 

@@ -16,6 +16,7 @@ for _command in (
     closed_loop.buildings_command,
     closed_loop.boptest_command,
     closed_loop.worth_command,
+    closed_loop.contest_command,
     closed_loop.zones_command,
     closed_loop.commands_command,
     closed_loop.faults_command,

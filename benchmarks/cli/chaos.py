@@ -47,7 +47,8 @@ def command(
 
     A quarter as many trials follow: journals with flipped bits, folders of other people with a link, a pipe or an
     address, tables that never end, are damaged, or torn while they are read, models whose heat cannot be or whose card
-    is made up, stamps ahead or behind, two controllers of one house, FMUs that hang, creep, fail or crash.
+    is made up, stamps ahead or behind, two controllers of one house, a house whose network, broker or readings are
+    away, whose clock is stepped or whose controller is killed, FMUs that hang, creep, fail or crash.
 
     Of every episode it is checked that no error ended it (a service that forgot its test may, with a named one), that
     every action sent was finite and in range, that the journal has every simulated step once, that the test was

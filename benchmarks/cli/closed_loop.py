@@ -211,21 +211,67 @@ def detectors_command(
 @click.command("commands")
 @click.option("--seed", type=click.IntRange(0), default=100, show_default=True, help="Seed of the first house.")
 @click.option("--houses", type=click.IntRange(1), default=6, show_default=True, help="Houses.")
+@click.option("--days", type=click.IntRange(1, 21), default=14, show_default=True, help="Cold days under control.")
 @execution_options()
 @QUICK
 @JSON
-def commands_command(seed: int, houses: int, engine: Opening, quick: bool, json_file: Path | None) -> None:
-    """Control houses whose thermostats only take set-points, and compare with their own set-points.
+def commands_command(seed: int, houses: int, days: int, engine: Opening, quick: bool, json_file: Path | None) -> None:
+    """Control houses that only take set-points, offsets of the heating curve or SG-Ready, and compare with left alone.
 
-    Houses of rooms with a heat pump on a heating curve and a thermostat with hysteresis in each room: 25 days of their
-    own set-points, three of polite trials, then a week both ways at a day-ahead price.
+    Houses of rooms, each with a heat pump behind its own controller (curve, hysteresis, minimum times, defrosting, hot
+    water): 27 ordinary days, three of polite trials, then cold days both ways at a day-ahead price.
 
     \b
     Example:
-      tf-mpc bench commands --seed 100 --houses 6 --workers 2
+      tf-mpc bench commands --seed 100 --houses 6 --days 7 --workers 2
     """
     from benchmarks.commands.bench import run_commands_bench
 
     with engine(say) as where:
-        found = run_commands_bench(engine=where, houses=houses, seed=seed, quick=quick, progress=say)
+        found = run_commands_bench(engine=where, houses=houses, seed=seed, days=days, quick=quick, progress=say)
     show(found, json_file)
+
+
+@click.command("contest")
+@click.argument("contest", type=click.Choice(["feedback", "modulation", "policies"]))
+@click.option("--houses", type=click.IntRange(0), default=30, show_default=True, help="Number of generated houses.")
+@click.option("--seed", type=click.IntRange(0), default=66, show_default=True, help="Seed of the population.")
+@click.option("--windows", default="16,44,108", show_default=True, help="Start days of the heat pump case.")
+@click.option("--weather", type=click.Path(path_type=Path, exists=True, dir_okay=False), help="Its weather.")
+@click.option("--days", type=FiniteRange(0, min_open=True), default=7.0, show_default=True, help="Days a window.")
+@click.option("--keep", type=click.Path(path_type=Path, file_okay=False), help="Folder of finished cases, to go on.")
+@execution_options()
+@JSON
+def contest_command(
+    contest: str,
+    houses: int,
+    seed: int,
+    windows: str,
+    weather: Path | None,
+    days: float,
+    keep: Path | None,
+    engine: Opening,
+    json_file: Path | None,
+) -> None:
+    """Judge a choice on drawn houses and windows of the heat pump case: cost, discomfort and both, beside the default.
+
+    \b
+    feedback     the gain sees the predicted temperature
+    modulation   the gain is kept if it helps, always, or never
+    policies     dpc, PPO (trained on the building itself; extra [rl]) and a thermostat
+    """
+    from benchmarks.closed_loop.contest import run_contest
+
+    with engine(say) as where:
+        result = run_contest(
+            contest,
+            houses=houses,
+            seed=seed,
+            days=days,
+            windows=comma_list(windows, "--windows") if windows else (),
+            weather=weather,
+            engine=where,
+            keep=keep,
+            progress=say,
+        )
+    show(result, json_file)

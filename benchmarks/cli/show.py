@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
 from typing import Any
+
+from benchmarks.cases import revision
 
 _WIDTH_OF_FILES = 160
 
@@ -33,7 +36,7 @@ def show(result: Mapping[str, Any], json_file: Path | None) -> None:
         mark = "holds      " if target["holds"] else "DOES NOT HOLD"
         console.print(f"{mark}  {target['name']}: {_cell(target['value'])} ({target['sense']} {target['goal']:g})")
     if json_file:
-        write_json(json_file, result)
+        write_json(json_file, dict(result) | {"revision": revision(), "date": datetime.now(UTC).date().isoformat()})
         console.print(f"JSON: {json_file}")
 
 

@@ -1,17 +1,20 @@
-"""`tf-mpc bench commands`: houses whose heat pump and valves only take set-points, controlled by them.
+"""`tf-mpc bench commands`: houses whose heat pump and valves only take commands, controlled by them.
 
-A drawn house of rooms has a heat pump on a heating curve and a thermostat with hysteresis in each room. It is run by
-its own set-points, with a few days of polite trials (another set-point in a room for some hours). From this record a
-model and the maps from set-point to level are learned; then a week is run twice, by the house's own set-points and by
-planned ones, at a dynamic tariff, and once more with valves that take levels directly, by the same model: what is
-lost by commands. What each plan said that it would save is compared with what all of them saved.
+A drawn house of rooms has a heat pump behind its own controller: heating curve and hysteresis, minimum times,
+defrosting, hot water that comes first, on the same meter (`thermoforce_mpc.plants.rooms.device`). It is set in one of
+three ways: by the rooms' set-points (thermostats), or, where the rooms follow the curve and thermostats only keep them
+from becoming too warm, by the curve's offset or by SG-Ready. It lives for 30 days, the last three of them with polite
+trials: another value of the command for some hours. Heat is not metered. From this record a model and the maps are
+learned; then cold days are run twice, left alone and by planned commands, at a dynamic tariff, and the house of
+set-points once more with valves that take levels directly. What plans said that they would save is compared with what
+all of them saved.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,32 +22,46 @@ import numpy as np
 from benchmarks.cases import run_all
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
-from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, learn_command
+from thermoforce_mpc.commands.command import Command
+from thermoforce_mpc.commands.contacts import SGReady
+from thermoforce_mpc.commands.heating_curve import CurveOffset
+from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, check_told, learn_command
 from thermoforce_mpc.commands.setpoint import Setpoint
 from thermoforce_mpc.comparison.outcome import Target, results_json
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Boundary, Observation, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Block, Boundary, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.loop.closed_loop import advanced
-from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
+from thermoforce_mpc.plants.rooms import house_of_rooms
+from thermoforce_mpc.plants.rooms.device import NORMAL, draw_device
 from thermoforce_mpc.plants.rooms.schedule import native_setpoints_C
 
 Row = dict[str, Any]
 
 ROOMS = 3
-# Day of the year on which control begins; ordinary operation and polite trials before it, and control, days.
-_START, _ORDINARY, _TRIALS, _DAYS = 36, 25, 3, 7
-# Trials: a set-point that is higher or lower by so much, K, for so long, h.
-_AWAY_K, _TRIAL_H = (-1.0, 0.0, 1.0), 4
+KINDS = ("set-points", "curve offset", "SG-Ready")
+# Day of the year on which control begins; ordinary operation and polite trials before it, days.
+_START, _ORDINARY, _TRIALS = 36, 27, 3
+# Trials: a set-point or an offset that is higher or lower by so much, K, or another state, each for so long, h.
+_AWAY: dict[str, tuple[tuple[float, ...], int]] = {
+    "set-points": ((-1.0, 0.0, 1.0), 4),
+    "curve offset": ((-2.0, 0.0, 2.0), 4),
+    "SG-Ready": ((1.0, 2.0, 3.0), 2),
+}
+# Where rooms follow the curve, thermostats stand above what they keep elsewhere, K, and the curve is moved by at most
+# so much until the neediest room is as warm as there, looked at over so many days, with so many halvings.
+_ABOVE_K, _LOWEST_CURVE_K, _CURVE_DAYS, _HALVINGS = 0.5, -10.0, 6, 5
+# What is set at the machine when it is left alone.
+_USUAL = {"curve offset": 0.0, "SG-Ready": float(NORMAL)}
 _STEP_S, _HORIZON_H = HOUR_S, 24.0
 # A plan may leave rooms outside their bounds by so much more than the house itself, K·h in a week.
 _MORE_KH = 0.5
 
 
 @dataclass(frozen=True)
-class WeekOfHouse:
-    """What a week cost, in currency, its energy, kWh, and K·h below and above the bounds of all rooms."""
+class Lived:
+    """What days cost, in currency, their energy, kWh, and K·h below and above the bounds of all rooms."""
 
     cost: float
     energy_kWh: float
@@ -57,30 +74,29 @@ def run_commands_bench(
     engine: Engine,
     houses: int = 6,
     seed: int = 100,
+    days: int = 7,
     quick: bool = False,
     progress: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
-    """Weeks of `houses` drawn from `seed` on; `quick`: one house for two days."""
-    cases = [(seed + k, 2 if quick else _DAYS) for k in range(1 if quick else houses)]
+    """`days` of `houses` drawn from `seed` on, set in each way; `quick`: one house for two days."""
+    cases = [(seed + k, kind, 2 if quick else days) for k in range(1 if quick else houses) for kind in KINDS]
 
     def told(done: int, row: Row) -> None:
-        progress(f"{done} of {len(cases)}: {row['house']} {row['note'] or ''}")
+        progress(f"{done} of {len(cases)}: {row['house']} by {row['by']} {row['note'] or ''}")
 
     rows = run_all(run_house, cases, engine, told)
     return results_json("commands", rows, targets(rows))
 
 
-def run_house(case: tuple[int, int]) -> Row:
-    """One house: the record, the model, and a week with its own and with planned set-points."""
-    seed, days = case
-    plant = house_of_rooms(f"house:{ROOMS}rooms:{seed}")
-    row: Row = {"house": plant.house.name, "note": ""}
-    setpoints = _lived(plant, seed)
-    record = plant.past(_STEP_S)
-    usual = np.append(setpoints, setpoints[:, -1:], axis=1)
+def run_house(case: tuple[int, str, int]) -> Row:
+    """One house: the record, the model, and days as it is left alone and with planned commands."""
+    seed, kind, days = case
+    home = Home(seed, kind)
+    row: Row = {"house": home.plant.house.name, "by": kind, "note": ""}
+    set_to = home.live(seed)
     try:
-        model = identify(plant.past(900.0), config=IdentificationConfig(), layout=plant.layout)
-        commands = learned(record, usual)
+        model = identify(home.record(900.0), config=IdentificationConfig(), layout=home.plant.layout)
+        commands = learned(home.record(_STEP_S), kind, np.append(set_to, set_to[:, -1:], axis=1))
     except DataError as error:
         return row | {"note": f"refused: {str(error)[:200]}"}
     fit = [card.competence is not None and card.competence.competent for card in model.cards]
@@ -89,80 +105,174 @@ def run_house(case: tuple[int, int]) -> Row:
         "map_r2": float(np.mean([one.loop.r2 for one in commands.values()])),
     }
     config = MPCConfig(step_s=_STEP_S, horizon_h=_HORIZON_H, gate={"enabled": any(fit)})
-    own, _ = _week(copy.deepcopy(plant), None, days)
-    direct, _ = _week(copy.deepcopy(plant), ThermoForceMPC(model, config), days)
-    planned, said = _week(plant, ThermoForceMPC(model, config, commands=commands), days)
+    own, _ = _days(copy.deepcopy(home), None, days)
+    direct = None
+    if kind == "set-points":
+        direct, _ = _days(copy.deepcopy(home), ThermoForceMPC(model, config), days, levels=True)
+    planned, said = _days(home, ThermoForceMPC(model, config, commands=commands), days)
     return row | {
         "cost_own": own.cost,
         "cost_planned": planned.cost,
-        "cost_direct": direct.cost,
+        "cost_direct": direct and direct.cost,
         "saved": 1.0 - planned.cost / own.cost,
-        "saved_direct": 1.0 - direct.cost / own.cost,
+        "saved_direct": direct and 1.0 - direct.cost / own.cost,
         "energy_own_kWh": own.energy_kWh,
         "energy_planned_kWh": planned.energy_kWh,
         "below_own_Kh": own.below_Kh,
         "below_planned_Kh": planned.below_Kh,
-        "below_direct_Kh": direct.below_Kh,
+        "below_direct_Kh": direct and direct.below_Kh,
         "above_own_Kh": own.above_Kh,
         "above_planned_Kh": planned.above_Kh,
-        "changes_a_day": said["changes"] / days / ROOMS,
+        "days": days,
+        "changes_a_day": said["changes"] / days,
+        "not_planned": said["not_planned"] / days / 24.0,
         "said": said["saved"] / max(said["cost_alone"], 1e-9),
     }
 
 
-def learned(record: Record, setpoints_C: Array) -> dict[str, LearnedCommand]:
-    """The commands of the rooms' thermostats, by name, from a record and set-points at its boundaries (Z, n + 1)."""
-    out = {}
+class Home:
+    """A drawn house behind its heat pump's controller, and what is set there: the commands of `kind`."""
+
+    def __init__(self, seed: int, kind: str) -> None:
+        self.kind, self.plant = kind, house_of_rooms(f"house:{ROOMS}rooms:{seed}")
+        self.plant.device = draw_device(self.plant.house)
+        self._curve_K, self._over_K = 0.0, np.ones(ROOMS)
+        if kind != "set-points":
+            self._curve_K = self._tuned_curve_K()
+
+    def own_setpoints_C(self, time_s: Array) -> Array:
+        """What the thermostats are set to when they are left alone, (Z, n), °C."""
+        own_C = native_setpoints_C(self.plant.house, time_s)
+        return own_C if self.kind == "set-points" else self._wanted_C(time_s) + _ABOVE_K
+
+    def _wanted_C(self, time_s: Array) -> Array:
+        """What thermostats of its own would keep rooms at while they are used (Z, n), °C."""
+        own_C = native_setpoints_C(self.plant.house, DAY_S * _START + HOUR_S * np.arange(7 * 24.0)).max(axis=1)
+        return np.repeat(own_C[:, None], time_s.size, axis=1)
+
+    def usual(self, time_s: Array) -> Array:
+        """What the commands are when they are left alone (Z, n)."""
+        if self.kind == "set-points":
+            return self.own_setpoints_C(time_s)
+        return np.full((ROOMS, time_s.size), _USUAL[self.kind])
+
+    def advance(self, command: tuple[Any, ...], seconds: float) -> Any:
+        """Let it live under commands, None: what is usual."""
+        now = np.array([self.plant.forecast(_STEP_S, _STEP_S).time_s[0]])
+        told = [usual if one is None else one for one, usual in zip(command, self.usual(now)[:, 0], strict=True)]
+        setpoints_C = self.own_setpoints_C(now)[:, 0].tolist()
+        self.plant.curve_offset_K, self.plant.contact = self._curve_K, NORMAL
+        if self.kind == "set-points":
+            setpoints_C = told
+        elif self.kind == "curve offset":
+            self.plant.curve_offset_K += told[0]
+        else:
+            self.plant.contact = round(told[0])
+        return self.plant.advance(None, seconds, tuple(map(float, setpoints_C)))
+
+    def live(self, seed: int) -> Array:
+        """Let it live left alone, at last with trials; what its commands were in all hours (Z, n)."""
+        self.plant.reset((_START - _ORDINARY - _TRIALS) * DAY_S, DAY_S)
+        rng, away = np.random.default_rng(seed), np.zeros(ROOMS)
+        values, hold_h = _AWAY[self.kind]
+        n = round((_ORDINARY + _TRIALS) * 24)
+        out = np.empty((ROOMS, n))
+        for k in range(n):
+            now = np.array([self.plant.forecast(_STEP_S, _STEP_S).time_s[0]])
+            told = self.usual(now)[:, 0]
+            if k >= _ORDINARY * 24:
+                if k % hold_h == 0:
+                    away = rng.choice(values, ROOMS if self.kind == "set-points" else 1) * np.ones(ROOMS)
+                told = away if self.kind == "SG-Ready" else told + away
+            self.advance(tuple(told.tolist()), HOUR_S)
+            out[:, k] = told
+        if self.kind != "set-points":
+            over = self._water_over_rooms_K(HOUR_S)
+            self._over_K = np.maximum(np.nanpercentile(over, 99.0, axis=1), 1.0)
+        return out
+
+    def record(self, step_s: float) -> Record:
+        """What a home's logger has: no heat; where rooms follow the curve, level is valve times water over room."""
+        record = self.plant.past(step_s)
+        u = record.u
+        if self.kind != "set-points":
+            u = np.clip(u * self._water_over_rooms_K(step_s) / self._over_K[:, None], 0.0, 1.0)
+        return replace(record, u=u, heat_W=np.full_like(record.heat_W, np.nan))
+
+    def _water_over_rooms_K(self, step_s: float) -> Array:
+        record = self.plant.past(step_s)
+        T_C = 0.5 * (record.T_zone_C[:, 1:] + record.T_zone_C[:, :-1])
+        return np.maximum(self.plant.supply_C(record.time_s) - T_C, 0.0)
+
+    def _tuned_curve_K(self) -> float:
+        """The shift of the curve with which the neediest room is as warm as with a thermostat of its own."""
+        low, high = _LOWEST_CURVE_K, 2.0
+        begin_s = (_START - _CURVE_DAYS) * DAY_S
+        for _ in range(_HALVINGS):
+            self._curve_K = 0.5 * (low + high)
+            self.plant.reset(begin_s, DAY_S)
+            for _ in range(round(_CURVE_DAYS * 4)):
+                self.advance((None,) * ROOMS, 6 * HOUR_S)
+            record = self.plant.past(HOUR_S)
+            last = slice(-24 * (_CURVE_DAYS - 2), None)
+            over_K = (record.T_zone_C - self._wanted_C(record.time_s))[:, last].mean(axis=1)
+            low, high = (low, self._curve_K) if float(over_K.min()) > 0.0 else (self._curve_K, high)
+        return self._curve_K
+
+
+def learned(record: Record, kind: str, set_to: Array) -> dict[str, LearnedCommand]:
+    """The commands of a house, by name of the valve, from a record and what was set at its last boundaries (Z, m)."""
+    out: dict[str, LearnedCommand] = {}
+    record, shared = record.last(set_to.shape[1] - 1), kind != "set-points"
     for a, name in enumerate(record.names.actuators):
-        was = CommandRecord(setpoints_C[a], setpoints_C[a, :-1])
-        command = Setpoint(kind="setpoint", column=name)
-        out[name] = learn_command(
-            command, was, record.T_zone_C[a], record.T_out_C, record.u[a], record.time_s, f"set-point of {name}"
-        )
+        was = CommandRecord(set_to[a], set_to[a, :-1])
+        signals = record.T_zone_C[a], record.T_out_C, record.u[a], record.time_s
+        out[name] = learn_command(_command(kind, name), was, *signals, f"{kind} of {name}", may_be_untold=True)
+        if shared:
+            out[name] = replace(out[name], machine="heat_pump", usual=np.full_like(out[name].usual, _USUAL[kind]))
+    check_told(out.values())
     return out
 
 
-def _lived(plant: HouseOfRooms, seed: int) -> Array:
-    """Let a house live by its own set-points, at last with trials; the set-points of all hours (Z, n), °C."""
-    begin_s = (_START - _ORDINARY - _TRIALS) * DAY_S
-    plant.reset((_START - _TRIALS) * DAY_S, _ORDINARY * DAY_S)
-    hours: Array = begin_s + HOUR_S * np.arange(round((_ORDINARY + _TRIALS) * 24), dtype=np.float64)
-    setpoints = native_setpoints_C(plant.house, hours)
-    rng, away = np.random.default_rng(seed), np.zeros(len(setpoints))
-    for k in range(_ORDINARY * 24, hours.size):
-        if k % _TRIAL_H == 0:
-            away = rng.choice(_AWAY_K, len(setpoints))
-        setpoints[:, k] += away
-        plant.advance(None, HOUR_S, tuple(setpoints[:, k].tolist()))
-    return setpoints
+def _command(kind: str, name: str) -> Command:
+    if kind == "set-points":
+        return Setpoint(kind="setpoint", column=name)
+    if kind == "curve offset":
+        return CurveOffset(kind="curve_offset", column="offset")
+    return SGReady(kind="sg_ready", column="contact")
 
 
-def _week(plant: HouseOfRooms, controller: ThermoForceMPC | None, days: int) -> tuple[WeekOfHouse, dict[str, float]]:
-    """A week under planned set-points, or under its own without a `controller`; and what the plans said."""
-    state, said = None, {"saved": 0.0, "cost_alone": 0.0, "changes": 0.0}
+def _days(
+    home: Home, controller: ThermoForceMPC | None, days: int, levels: bool = False
+) -> tuple[Lived, dict[str, float]]:
+    """Days under planned commands (or levels), or left alone without a `controller`; and what the plans said."""
+    plant = home.plant
+    state, said = None, {"saved": 0.0, "cost_alone": 0.0, "changes": 0.0, "not_planned": 0.0}
     cost = energy = below = above = 0.0
     before: tuple[Any, ...] = ()
     for k in range(round(days * DAY_S / _STEP_S)):
         ahead = priced(plant.forecast(_HORIZON_H * HOUR_S, _STEP_S))
-        blocks = None
+        blocks: tuple[Block, ...] = (Block.native(ROOMS, _STEP_S),)
         if controller is not None:
-            plan = controller.plan(Observation(plant.past(_STEP_S), ahead), state)
+            plan = controller.plan(Observation(home.record(_STEP_S), ahead), state)
             state, blocks = plan.state, plan.blocks
+            said["not_planned"] += all(one is None for one in blocks[0].told)
             if k % 24 == 0 and plan.saving is not None:
                 said["saved"] += plan.saving.saved
                 said["cost_alone"] += plan.saving.cost_alone
-        for now in blocks or (None,):
-            done = plant.advance(None, _STEP_S) if now is None else advanced(plant, now)
-            seconds = _STEP_S if now is None else now.duration_s
-            if now is not None:
-                said["changes"] += sum(a != b for a, b in zip(now.command, before, strict=True)) if before else 0.0
-                before = now.command
+        for now in blocks:
+            done = advanced(plant, now) if levels else home.advance(now.command, now.duration_s)
+            seconds = now.duration_s
+            if controller is not None:
+                told = now.command if home.kind == "set-points" else now.command[:1]
+                said["changes"] += sum(a != b for a, b in zip(told, before, strict=True)) if before else 0.0
+                before = told
             used = float(done.power_W[0]) * seconds / J_PER_KWH
             bounds = plant.forecast(_STEP_S, _STEP_S)
             energy, cost = energy + used, cost + used * float(ahead.price_per_kWh[0, 0])
             below += float(np.maximum(bounds.lower_C[:, 0] - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S
             above += float(np.maximum(done.T_zone_C - bounds.upper_C[:, 0], 0.0).sum()) * seconds / HOUR_S
-    return WeekOfHouse(cost, energy, below, above), said
+    return Lived(cost, energy, below, above), said
 
 
 def priced(ahead: Boundary) -> Boundary:
@@ -174,21 +284,31 @@ def priced(ahead: Boundary) -> Boundary:
 
 
 def targets(rows: list[Row]) -> list[Target]:
-    """Cheaper at equal comfort in nine of ten houses; median savings, by commands and by levels."""
-    known = [row for row in rows if not row["note"]]
-    dearer = np.mean([row["saved"] <= 0.0 for row in known] or [1.0])
-    colder = np.mean([row["below_planned_Kh"] - row["below_own_Kh"] > _MORE_KH for row in known] or [1.0])
-    return [
-        Target("share of houses of which nothing could be learned", 1.0 - len(known) / max(len(rows), 1), 0.1),
-        Target("share of houses that cost more than by their own set-points", float(dearer), 0.1),
-        Target("share of houses that are colder by more than 0.5 K·h a week", float(colder), 0.0),
-        *(
+    """Cheaper at equal comfort in nine of ten houses, by each kind; median savings, by commands and by levels."""
+    out: list[Target] = []
+    for kind in KINDS:
+        of_kind = [row for row in rows if row["by"] == kind]
+        known = [row for row in of_kind if not row["note"]]
+        dearer = np.mean([float(row["saved"] <= 0.0) for row in known] or [1.0])
+        colder = np.mean([float(_colder_Kh(row) > _MORE_KH) for row in known] or [1.0])
+        median = float(np.median([row["saved"] for row in known] or [np.nan]))
+        out += [
             Target(
-                f"median share saved by {what}",
-                float(np.median([row[key] for row in known] or [np.nan])),
-                0.0,
-                "at least",
-            )
-            for what, key in (("set-points", "saved"), ("levels of the valves themselves", "saved_direct"))
-        ),
+                f"{kind}: share of houses of which nothing could be learned",
+                1.0 - len(known) / max(len(of_kind), 1),
+                0.1,
+            ),
+            Target(f"{kind}: share of houses that cost more than left alone", float(dearer), 0.1),
+            Target(f"{kind}: share of houses that are colder by more than 0.5 K·h a week", float(colder), 0.0),
+            Target(f"{kind}: median share saved", median, 0.0, "at least"),
+        ]
+    direct = [row["saved_direct"] for row in rows if not row["note"] and row["saved_direct"] is not None]
+    return [
+        *out,
+        Target("median share saved by levels of the valves", float(np.median(direct or [np.nan])), 0.0, "at least"),
     ]
+
+
+def _colder_Kh(row: Mapping[str, Any]) -> float:
+    """How much more than left alone rooms were below their bounds, K·h a week."""
+    return float((row["below_planned_Kh"] - row["below_own_Kh"]) * 7.0 / row["days"])

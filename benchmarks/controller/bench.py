@@ -1,4 +1,4 @@
-"""`tf-mpc bench controller`: solve times against do-mpc on the same instances, and the shares of a control step."""
+"""`tf-mpc bench controller`: processor time of solves beside do-mpc and AgentLib-MPC, and shares of a control step."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.controller.agentlib_peer import AgentLibPeer
 from benchmarks.controller.do_mpc_peer import DoMpcPeer, without_extras
 from benchmarks.controller.steps import FORECAST, WHOLE, part_rows, run_timed
 from controllers.mpc.config import MPCConfig
@@ -38,6 +39,13 @@ _DEFAULT, _BLOCKED, _IPOPT = "qp by PIQP", "qp by PIQP, moves blocked as by defa
 _PLANNED, _SQP = "ipopt, moves blocked: the default", "sqp"
 # do-mpc with the operator and its network as a model, and with the gain of each step as a precomputed parameter.
 _PEER, _HELPED_PEER = "do-mpc", "do-mpc, gain worked out beforehand"
+_AGENTLIB = "AgentLib-MPC"
+
+_RATIOS = (
+    ("times_faster_than_do_mpc", _PEER),
+    ("than_helped_do_mpc", _HELPED_PEER),
+    ("than_agentlib_mpc", _AGENTLIB),
+)
 
 _TWO_WEEKS_DAYS, _QP_DAYS = 14.0, 4.0
 
@@ -94,11 +102,16 @@ def _contestants(
         _IPOPT: _levels(IpoptSolver(operator, free, config.ipopt)),
         _PLANNED: _levels(IpoptSolver(operator, blocked, config.ipopt)),
     }
-    try:
-        solvers[_PEER] = DoMpcPeer(operator.of_actuator(0), example, gain_beforehand=False).solve
-        solvers[_HELPED_PEER] = DoMpcPeer(operator.of_actuator(0), example, gain_beforehand=True).solve
-    except ConfigError as error:
-        progress(str(error))
+    alone = operator.of_actuator(0)
+    for name, peer in (
+        (_PEER, lambda: DoMpcPeer(alone, example, gain_beforehand=False).solve),
+        (_HELPED_PEER, lambda: DoMpcPeer(alone, example, gain_beforehand=True).solve),
+        (_AGENTLIB, lambda: AgentLibPeer(alone, example).solve),
+    ):
+        try:
+            solvers[name] = peer()
+        except ConfigError as error:
+            progress(str(error))
     return solvers
 
 
@@ -108,14 +121,14 @@ def _timed(
     model: Evaluator,
     progress: Callable[[str], None],
 ) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
-    """Time, s, and cost of each solver on each problem; solvers alternate, so that other load affects all of them."""
+    """Processor time, s, and cost of each solver on each problem; they alternate, so that other load affects all."""
     seconds: dict[str, list[float]] = {name: [] for name in solvers}
     costs: dict[str, list[float]] = {name: [] for name in solvers}
     for i, problem in enumerate(problems):
         for name, solve in solvers.items():
-            began = time.perf_counter()
+            began = time.process_time()
             u = np.atleast_2d(solve(problem))
-            seconds[name].append(time.perf_counter() - began)
+            seconds[name].append(time.process_time() - began)
             u = np.clip(u, 0.0, problem.machinery.u_max[:, None])
             costs[name].append(model.brings(problem, u).cost)
         if i % 10 == 9:
@@ -124,12 +137,12 @@ def _timed(
 
 
 def solver_row(name: str, seconds: Mapping[str, list[float]], costs: Mapping[str, list[float]], steps: int) -> Row:
-    """Median time of one solver, ms, ratio to do-mpc, and largest relative difference of the cost to Ipopt's."""
+    """Median time of one solver, ms, ratios to peers, and largest relative difference of the cost to Ipopt's."""
     median = float(np.median(seconds[name]))
     reference = np.array(costs[_IPOPT])
     worst = float(np.max(np.abs(np.array(costs[name]) - reference) / (1e-9 + np.abs(reference))))
     row: Row = {"solver": name, "steps": steps, "instances": len(reference), "median_ms": 1e3 * median}
-    for label, peer in (("times_faster_than_do_mpc", _PEER), ("than_helped_do_mpc", _HELPED_PEER)):
+    for label, peer in _RATIOS:
         row[label] = float(np.median(seconds[peer])) / median if peer in seconds else None
     return row | {"worst_relative_difference_to_ipopt": worst}
 
@@ -168,10 +181,16 @@ def _targets(rows: Sequence[Row]) -> list[Target]:
     targets = [
         Target(f"{_DEFAULT}: worst relative difference of its optimum to Ipopt's", by_name[_DEFAULT][same], 1e-6)
     ]
+    if _AGENTLIB in by_name:
+        faster = by_name[_IPOPT]["than_agentlib_mpc"]
+        targets += [
+            Target(f"{_IPOPT}: times faster than {_AGENTLIB}", faster, 5.0, "at least"),
+            Target(f"{_AGENTLIB}: worst relative difference of its optimum", by_name[_AGENTLIB][same], 1e-4),
+        ]
     if _PEER in by_name:
         targets += [
             Target(f"{name}: times faster than {_PEER}", by_name[name]["times_faster_than_do_mpc"], goal, "at least")
-            for name, goal in ((_DEFAULT, 50.0), (_BLOCKED, 50.0), (_IPOPT, 3.0), (_PLANNED, 5.0))
+            for name, goal in ((_DEFAULT, 50.0), (_BLOCKED, 50.0), (_IPOPT, 12.0), (_PLANNED, 12.0))
         ]
         targets.append(Target(f"{_PEER}: worst relative difference of its optimum", by_name[_PEER][same], 1e-4))
     return targets

@@ -8,14 +8,13 @@ counts as the controller counts it, so that cost and discomfort are one figure.
 from __future__ import annotations
 
 import re
-import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.cases import run_all
+from benchmarks.cases import revision, run_all
 from benchmarks.detectors.panel import BuiltCase, PanelCase, built, clean, faulty
 from benchmarks.detectors.rules import RULES, ControlledWeek, Detector
 from controllers.mpc.config import ObjectiveConfig
@@ -107,17 +106,8 @@ def run_detectors_bench(
     outcomes = [_outcome(value) for value in run_all(run_case, cases, engine, on_done, keep)]
     rows = rule_rows(outcomes) + [_row(one) for one in outcomes] + _compared(outcomes, before)
     result = results_json("detectors", rows, targets(outcomes))
-    result["environment"] |= {"revision": _revision()}
+    result["environment"] |= {"revision": revision()}
     return result
-
-
-def _revision() -> str:
-    """The commit of the checkout, marked where files differ from it; '' where there is none."""
-    asked = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
-    try:
-        return subprocess.run(asked, capture_output=True, text=True, timeout=10.0, check=True).stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        return ""
 
 
 def run_case(case: PanelCase) -> dict[str, Any]:

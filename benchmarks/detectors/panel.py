@@ -12,10 +12,12 @@ from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.faults.faulty_plant import FaultyPlant
 from thermoforce_mpc.boundary.weather import CONTINENTAL, synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, PointEmulator
-from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
-from thermoforce_mpc.plants.rooms import house_of_rooms
+from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, physics
+from thermoforce_mpc.plants.random_houses.draw import House
+from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
 
@@ -29,6 +31,10 @@ _HEAT_WINDOWS, _COOL_WINDOWS = ("peak_heat_day", "typical_heat_day"), ("peak_coo
 _AFTER_S = 2.0 * DAY_S
 # Another load on the meter by day, W; sun on a sensor, K; hours until which a machine stands.
 _OTHER_W, _SUN_K, _ASLEEP_H = 400.0, 2.5, 5.0
+# Hours of the morning in which a schedule acts, and how many times the ventilation that it blows in then.
+_MORNING_H, _PURGES = (6.0, 7.5), 4.0
+# How far a door moves a sensor, K; a quarter of an hour, s; share of the name plate's heat that a worn machine gives.
+_DOOR_K, _QUARTER_S, _OF_PLATE = 1.0, 900.0, 0.65
 
 
 @dataclass(frozen=True)
@@ -145,8 +151,12 @@ class MeddledPlant:
         plant: Any,
         shows: Callable[[Measurement], Measurement] = lambda measurement: measurement,
         gives: Callable[[float, float | None], float | None] = lambda time_s, level: level,
+        *,
+        reports_asked: bool = False,
     ) -> None:
+        """`reports_asked`: the level that is read is the one that was asked for, whatever is given."""
         self._plant, self._shows, self._gives = plant, shows, gives
+        self._reports_asked = reports_asked
         self._now_s = 0.0
 
     @property
@@ -167,6 +177,8 @@ class MeddledPlant:
         """See `Plant.advance`; one actuator."""
         (level,) = u if isinstance(u, tuple | list) else (u,)
         found = self._shows(self._plant.advance(self._gives(self._now_s, level), duration_s))
+        if self._reports_asked and level is not None:
+            found = replace(found, u=np.array([level]))
         self._now_s = float(found.time_s)
         return found
 
@@ -205,6 +217,35 @@ def _unit_asleep(found: BuiltCase, case: PanelCase) -> BuiltCase:
     return replace(found, plant=LightOffice(mean_C, sun, asleep_until_h=_ASLEEP_H))
 
 
+class _ColdMornings(GeneratedHousePlant):
+    """A generated house used as an office, whose ventilation blows outdoor air through it from 6:00 to 7:30."""
+
+    def __init__(self, house: House) -> None:
+        super().__init__(replace(house, pattern="office"))
+        grid, hour = self._grid.copy(), np.mod(np.arange(len(self._grid)) * GRID_S, DAY_S) / HOUR_S
+        grid[(hour >= _MORNING_H[0]) & (hour < _MORNING_H[1]), physics.VENTILATION] *= _PURGES
+        self._grid = grid
+        self.reset(0.0, 0.0)
+
+
+def _cold_mornings(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """A morning in which the plant's schedule blows cold air and lets nothing come, and reports what was asked for.
+
+    Every second one only lets nothing come.
+    """
+    house = found.plant.house
+    office = _ColdMornings(house) if case.number % 2 == 0 else GeneratedHousePlant(replace(house, pattern="office"))
+
+    def stands(time_s: float) -> bool:
+        return _MORNING_H[0] <= (time_s % DAY_S + 1.0) / HOUR_S < _MORNING_H[1]
+
+    def gives(time_s: float, u: float | None) -> float | None:
+        return 0.0 if u is not None and stands(time_s) else u
+
+    plant = MeddledPlant(office, gives=gives, reports_asked=True)
+    return replace(found, plant=plant, testcase=office.testcase, period=office.period("cold_week"))
+
+
 def _other_load(found: BuiltCase, case: PanelCase) -> BuiltCase:
     def shows(measurement: Measurement) -> Measurement:
         by_day = 6.0 <= measurement.time_s % DAY_S / HOUR_S <= 18.0
@@ -225,10 +266,44 @@ def _changed(fault: Any, **options: Any) -> Callable[[BuiltCase, PanelCase], Bui
     return of
 
 
+def _anothers_sensor(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """The zone sensor tells of a door that opens and shuts: the room with an Ornstein-Uhlenbeck process of an hour."""
+    rng = np.random.default_rng([case.seed, case.number, 17])
+    away_K = np.zeros(round(365 * DAY_S / _QUARTER_S))
+    for k, noise in enumerate(rng.normal(size=away_K.size - 1)):
+        away_K[k + 1] = 0.78 * away_K[k] + 0.63 * _DOOR_K * noise
+
+    def shows(measurement: Measurement) -> Measurement:
+        return replace(measurement, T_zone_C=measurement.T_zone_C + away_K[int(measurement.time_s // _QUARTER_S)])
+
+    return replace(found, plant=MeddledPlant(found.plant, shows))
+
+
+def _stuck_meters(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """From the third day on outdoor sensor (every second case: power meter) repeats its reading."""
+    from_s, kept = found.period.start_s + _AFTER_S, dict[str, Any]()
+    name = "power_W" if case.number % 2 else "T_out_C"
+
+    def shows(measurement: Measurement) -> Measurement:
+        if measurement.time_s < from_s or not kept:
+            kept[name] = getattr(measurement, name)
+        return replace(measurement, **kept)
+
+    return replace(found, plant=MeddledPlant(found.plant, shows))
+
+
+def _weaker_than_named(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """Its heat pump has two thirds of the heat that its name plate has."""
+    house = found.plant.house
+    pump = replace(house.heat_pump, capacity_W=house.heat_pump.capacity_W * _OF_PLATE)
+    return replace(found, plant=HouseOfRooms(replace(house, heat_pump=pump)))
+
+
 FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "sun on a sensor": ("generated house", _in_the_sun),
     "blocked hours": ("generated house", _asleep),
     "blocked hours of a unit": ("air unit", _unit_asleep),
+    "hours with less effect": ("generated house", _cold_mornings),
     "foreign load": ("generated house", _other_load),
     "watch": ("embedded", _changed("weak", meters=False)),
     "watch, actuator stuck": ("embedded", _changed("stuck", level=0.0)),
@@ -236,5 +311,8 @@ FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "zone sensor": ("embedded", _changed("offset", offset_K=3.0)),
     "zone sensor, frozen": ("embedded", _changed("frozen")),
     "units": ("embedded", _wh_per_step),
+    "gate": ("generated house", _anothers_sensor),
+    "meters and weather sensors": ("generated house", _stuck_meters),
+    "shared machine at its limit": ("house of rooms", _weaker_than_named),
 }
 """Faults by the rule they are for (up to a comma or 'of a'): the kind of plant, and what is done to it."""

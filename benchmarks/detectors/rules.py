@@ -120,6 +120,12 @@ RULES: tuple[Detector, ...] = (
         controller={"watch": {"blocked_hours": False}},
     ),
     Detector(
+        "hours with less effect",
+        "what plans count on in hours of the day; hours that probing tries",
+        lambda ran: ran.notes("of what it does else") + ran.news("of what it does else"),
+        controller={"watch": {"hour_effects": False}},
+    ),
+    Detector(
         "foreign load",
         "power and heat that laws are fitted to",
         lambda ran: ran.notes("the meter holds another load"),

@@ -23,11 +23,9 @@ from thermoforce_mpc.model.free_response.backbones.chronos_family import GRAPH, 
 from thermoforce_mpc.model.free_response.backbones.loading import load_backbone
 
 # What the graph is recorded with: any number of series and of patches may be given to it afterwards.
-_ROWS, _PATCHES, _PATCHES_AHEAD = 6, 5, 2
+_SERIES, _ROWS, _PATCHES, _PATCHES_AHEAD = 3, 5, 7, 2
 # The first version of ONNX with attention and root mean square normalisation as operations.
 _OPSET = 23
-# ONNX Runtime's attention takes no mask that is to be broadcast, as Chronos-2's is.
-_PLAIN_ATTENTION = ("_attn_implementation", "eager")
 _NORMS = ("T5LayerNorm", "Chronos2LayerNorm")
 
 
@@ -43,48 +41,78 @@ class _Bolt(nn.Module):
 
 
 class _Chronos2(nn.Module):
-    """Chronos-2: rows (B, k), their groups (B,) and what of them is known ahead (B, N), to quantiles (B, quantiles, N).
+    """Chronos-2: series with their covariates (n, rows, k), the series first, and what of them is known ahead (n, rows,
+    N), to quantiles of the series (n, quantiles, N).
 
-    Two of its steps are put otherwise: a check that raises by values, and an `einsum` of truth values.
+    It computes what the library does with less: rows attend to those of their own context instead of to all under a
+    mask, attention and rotation are one operation each, and of the last block there is only what is read of it.
     """
+
+    rotation: tuple[Tensor, Tensor]
 
     def __init__(self, model: Any) -> None:
         super().__init__()
-        self.model = model
-        for layer in model.modules():
-            if hasattr(layer, "config"):
-                setattr(layer.config, *_PLAIN_ATTENTION)
-        for owner, step, in_place in (
-            (model, "_prepare_patched_future", self._known_ahead),
-            (model.encoder, "_construct_and_invert_group_time_mask", _apart),
-        ):
-            if not hasattr(owner, step):
-                raise BackboneError(f"Chronos-2 has no {step} any more: adapt {__name__} to the installed version")
-            setattr(owner, step, in_place)
+        self.model, settings = model, model.chronos_config
+        longest = settings.context_length // settings.input_patch_size + 1 + settings.max_output_patches
+        frequencies = model.encoder.block[0].layer[0].self_attention.rope_embed.inv_freq
+        angles = torch.arange(longest, dtype=torch.float32)[:, None] * frequencies
+        self.rotation = (angles.cos(), angles.sin())
 
-    def forward(self, context: Tensor, group_ids: Tensor, future_covariates: Tensor) -> Tensor:
-        patches = future_covariates.shape[1] // self.model.chronos_config.output_patch_size
-        given = {"group_ids": group_ids, "future_covariates": future_covariates}
-        return cast("Tensor", self.model(context=context, num_output_patches=patches, **given).quantile_preds)
+    def forward(self, context: Tensor, future_covariates: Tensor) -> Tensor:
+        model, settings = self.model, self.model.chronos_config
+        n, rows, _ = context.shape
+        patches, measured, loc_scale = model._prepare_patched_context(context.flatten(0, 1))
+        known = self._known_ahead(future_covariates.flatten(0, 1), loc_scale)
+        between = model.shared(torch.full((n * rows, 1), model.config.reg_token_id))
+        x = torch.cat([model.input_patch_embedding(patches), between, model.input_patch_embedding(known)], dim=1)
+        ahead, length = known.shape[1], x.shape[1]
+        read = torch.cat([measured.to(x.dtype), torch.ones(n * rows, 1 + ahead)], dim=1)
+        hidden = (1.0 - read) * torch.finfo(x.dtype).min  # gaps
+        in_time = hidden[:, None, None, :].expand(-1, -1, length, -1)
+        in_rows = _rows_last(hidden[..., None], n)[:, None, None, :, 0].expand(-1, -1, rows, -1)
+        for block in model.encoder.block[:-1]:
+            over_time, over_rows, forward = block.layer
+            x = _rows_last(self._attended(over_time, x, slice(None), in_time, rotated=True), n)
+            x = forward(self._attended(over_rows, x, slice(None), in_rows))
+            x = x.unflatten(0, (n, length)).transpose(1, 2).flatten(0, 1)
+        over_time, over_rows, forward = model.encoder.block[-1].layer
+        x = _rows_last(self._attended(over_time, x, slice(-ahead, None), in_time[:, :, -ahead:], rotated=True), n)
+        x = forward(self._attended(over_rows, x, slice(0, 1), None))
+        values = model.output_patch_embedding(model.encoder.final_layer_norm(x)).reshape(
+            n, ahead, model.num_quantiles, settings.output_patch_size
+        )
+        loc, scale = (of_rows.reshape(n, rows)[:, :1] for of_rows in loc_scale)
+        courses = values.transpose(1, 2).flatten(1)
+        return cast("Tensor", model.instance_norm.inverse(courses, (loc, scale)).reshape(n, model.num_quantiles, -1))
 
-    def _known_ahead(
-        self, future_covariates: Tensor, loc_scale: tuple[Tensor, Tensor], num_output_patches: int, **_: Any
-    ) -> tuple[Tensor, Tensor]:
+    def _attended(self, layer: Any, x: Tensor, asking: slice, mask: Tensor | None, *, rotated: bool = False) -> Tensor:
+        """What tokens `asking` of `x` (sequences, tokens, width) are after they attended to all of their sequence."""
+        attention, normed = layer.self_attention, layer.layer_norm(x)
+        q, k, v = attention.q(normed[:, asking]), attention.k(normed), attention.v(normed)
+        if rotated:
+            places = torch.arange(x.shape[1]).expand(x.shape[0], -1)
+            q, k = (
+                torch.onnx.ops.rotary_embedding(of, *self.rotation, at, num_heads=attention.n_heads)
+                for of, at in ((q, places[:, asking]), (k, places))
+            )
+        heads = {"q_num_heads": attention.n_heads, "kv_num_heads": attention.n_heads}
+        found = torch.onnx.ops.attention(q, k, v, mask, scale=1.0, **heads)[0]
+        return x[:, asking] + cast("Tensor", attention.o(found))
+
+    def _known_ahead(self, future_covariates: Tensor, loc_scale: tuple[Tensor, Tensor]) -> Tensor:
+        """Patches of time, values and what is known, as the library makes them; its check that raises is left out."""
         settings = self.model.chronos_config
         ahead, _ = self.model.instance_norm(future_covariates, loc_scale)
         known = torch.isnan(ahead).logical_not()
-        patches = (ahead.shape[0], num_output_patches, settings.output_patch_size)
+        patches = (ahead.shape[0], -1, settings.output_patch_size)
         time = torch.arange(ahead.shape[1], dtype=torch.float32) / settings.time_encoding_scale
-        parts = (time.reshape(1, *patches[1:]).expand(patches), torch.where(known, ahead, 0.0).reshape(patches))
-        known = known.to(ahead.dtype).reshape(patches)
-        return torch.cat([*parts, known], dim=-1), known
+        parts = (time.expand(ahead.shape[0], -1), torch.where(known, ahead, 0.0), known.to(ahead.dtype))
+        return torch.cat([part.reshape(patches) for part in parts], dim=-1)
 
 
-def _apart(group_ids: Tensor, attention_mask: Tensor, floating_type: torch.dtype) -> Tensor:
-    """What keeps groups apart, and gaps out, of the attention between rows, (patches, 1, B, B)."""
-    same = (group_ids[:, None] == group_ids[None, :]).to(floating_type)
-    together = same[None] * attention_mask.to(floating_type).T[:, None, :]
-    return (1.0 - together[:, None]) * torch.finfo(floating_type).min
+def _rows_last(x: Tensor, n: int) -> Tensor:
+    """Tokens (n · rows, patches, width) with those of one patch of a context together, (n · patches, rows, width)."""
+    return x.unflatten(0, (n, -1)).transpose(1, 2).flatten(0, 1)
 
 
 def export(folder: Path) -> Path:
@@ -137,16 +165,17 @@ def _of_family(model: Any) -> tuple[nn.Module, tuple[Tensor, ...], tuple[dict[in
     """What is exported of a model, with an example of its inputs and their axes of any length."""
     settings, family = model.chronos_config, type(model).__name__
     patch = int(settings.input_patch_size)
-    rows = torch.export.Dim("rows", min=1, max=4096)
+    series = torch.export.Dim("series", min=1, max=4096)
     patches = torch.export.Dim("patches", min=1, max=int(settings.context_length) // patch)
-    context = torch.zeros(_ROWS, _PATCHES * patch)
     if family == "ChronosBoltModelForForecasting":
-        return _Bolt(model), (context,), ({0: rows, 1: patch * patches},)
+        return _Bolt(model), (torch.zeros(_SERIES, _PATCHES * patch),), ({0: series, 1: patch * patches},)
     if family == "Chronos2Model":
+        rows = torch.export.Dim("rows", min=1, max=64)
         ahead = torch.export.Dim("patches_ahead", min=1, max=int(settings.max_output_patches))
-        groups, known = torch.arange(_ROWS) // 3, torch.zeros(_ROWS, _PATCHES_AHEAD * patch)
-        axes: tuple[dict[int, Any], ...] = ({0: rows, 1: patch * patches}, {0: rows}, {0: rows, 1: patch * ahead})
-        return _Chronos2(model), (context, groups, known), axes
+        context = torch.zeros(_SERIES, _ROWS, _PATCHES * patch)
+        known = torch.zeros(_SERIES, _ROWS, _PATCHES_AHEAD * patch)
+        axes = {0: series, 1: rows, 2: patch * patches}, {0: series, 1: rows, 2: patch * ahead}
+        return _Chronos2(model), (context, known), axes
     raise BackboneError(f"a {family} is not exported; Chronos-Bolt and Chronos-2 are")
 
 

@@ -321,9 +321,9 @@ def choose_actuation(
         return ActuationChoice(blocks, f"{blocks.in_words}: {laws}", power)
     best = cheapest(costs)
     guessed = heat_input.law is None and not at_its_limit(costs)
-    if best and laws and (guessed or power.water) and laws.at(best.level) > 1.0 + SWITCH_FROM:
-        # The meter knows the fixed part; the heat of a level from temperatures alone is known to a tenth at best, and
-        # the water of the steps at part load was cooler where it is a factor of the power.
+    if best and laws and (guessed or power.water) and laws.at_half > 1.0 + SWITCH_FROM:
+        # The meter knows a fixed part that a few days do not leave uncertain; the heat of a level from temperatures is
+        # known to a tenth at best, and the water of the steps at part load was cooler where it is a factor of power.
         return ActuationChoice(blocks, f"{blocks.in_words}: {laws}", power)
     if best is None:
         told = min(costs, key=lambda one: one.cost)

@@ -26,7 +26,6 @@ from functools import cached_property
 from itertools import groupby
 
 import numpy as np
-from scipy.optimize import brentq
 
 from controllers.actuation.actuator import Actuation, ActuationState
 from thermoforce_mpc.data import Array, Block, Layout, Names, Record
@@ -103,6 +102,8 @@ class PowerRoom:
 
     def _level_at(self, a: int, power_W: Callable[[Array], float], limit_W: float) -> float:
         """Level of actuator `a` at which all machines take `limit_W`; infinite where they do not take as much."""
+        from scipy.optimize import brentq
+
         levels = self._levels.copy()
 
         def excess_W(level: float) -> float:

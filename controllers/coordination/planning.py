@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from scipy import sparse
 
 from controllers.checks import ControllerConfigError
 from controllers.many.batch import BatchPlanner, Planned, buildings_of
@@ -34,6 +34,9 @@ from thermoforce_mpc.execution.cooperative import (
     run,
 )
 from thermoforce_mpc.model.thermal_model import ThermalModel
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +200,8 @@ def _solved(members: Sequence[Member], shared: SharedPower, config: QPConfig) ->
 
 def joint_programme(members: Sequence[Member], shared: SharedPower) -> QPData:
     """The members' variables one after another, and last the peak above the one so far, kW."""
+    from scipy import sparse
+
     parts, n = [member.programme for member in members], shared.limit_kW.size
     unit, starts = max(part.unit for part in parts), np.cumsum([0, *(part.linear.size for part in parts)])
     scaled = [part.unit / unit for part in parts]
@@ -226,6 +231,8 @@ def joint_programme(members: Sequence[Member], shared: SharedPower) -> QPData:
 
 
 def _beside(blocks: Sequence[sparse.csc_matrix]) -> sparse.csc_matrix:
+    from scipy import sparse
+
     rows = sum(block.shape[0] for block in blocks)
     return sparse.hstack([sparse.block_diag(blocks), sparse.csc_matrix((rows, 1))], format="csc")
 

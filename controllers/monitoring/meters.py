@@ -162,9 +162,8 @@ class Meters:
         if not values.size or not math.isfinite(state.value):
             return state
         hours, moved = (float(at_s[-1]) - state.since_s) / HOUR_S, state.high - state.low
-        least = RULES[name].moved
         if not state.stuck:
-            if hours < config.frozen_h - 1e-6 or not moved >= least:
+            if not replace(RULES[name], frozen_h=config.frozen_h).is_frozen(hours, moved):
                 return state
             magnitudes = np.abs(values[np.isfinite(values)])
             if np.ptp(magnitudes) == 0.0 or (name not in _WEATHER and abs(state.value) <= _NOTHING * magnitudes.max()):

@@ -43,11 +43,18 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.special import ndtri
 
 from controllers.monitoring.single_actuator import SingleActuatorContext
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
-from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, Directions, each_direction, said
+from thermoforce_mpc.model.machine.blocked_hours import (
+    BlockedHours,
+    Directions,
+    HourEffects,
+    HourSeen,
+    each_direction,
+    running,
+    said,
+)
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import forced_rollout
 from thermoforce_mpc.model.operator.certificate import certificate
@@ -112,6 +119,9 @@ class WatchConfig(StrictModel):
     false_alarm: ClassVar[float] = 0.05
     blocked_hours: bool = Field(
         True, description="plan without hours of the day in which nothing comes, whatever is asked for"
+    )
+    hour_effects: bool = Field(
+        True, description="plan with what acting does in hours of the day in which predictions miss its effect"
     )
     # Promises of errors below this at 1 h, and √6 times this at 6 h, are not held to, K: the resolution of sensors.
     least_K: ClassVar[float] = 0.1
@@ -197,14 +207,16 @@ class WatchState:
     """State of the watch during a run.
 
     `tracks`: the model in use; while standing back also its candidates for return. `blocked`: hours in which nothing
-    comes whatever is asked for, by direction. `asked`: (start s, mean level) that the last plans requested. `ratios`:
-    (time s, measured heat or power over modelled). `alarm`: why control was handed back at `since_s`, empty while the
-    model is in use; `of_levels`: for levels that were not followed. `wait_h`: shortest time of standing back;
-    `returned_s`: last return, and `news` what to say of it in this step's plan.
+    comes whatever is asked for, by direction; `hours`: what acting does by hour of the day. `asked`: (start s, mean
+    level) that the last plans requested. `ratios`: (time s, measured heat or power over modelled). `alarm`: why control
+    was handed back at `since_s`, empty while the model is in use; `of_levels`: for levels that were not followed.
+    `wait_h`: shortest time of standing back; `returned_s`: last return, and `news` what to say of it in this step's
+    plan.
     """
 
     tracks: tuple[Track, ...] = (Track(),)
     blocked: Directions = (BlockedHours(),)
+    hours: HourEffects = field(default_factory=HourEffects)
     asked: tuple[tuple[float, float], ...] = ()
     ratios: tuple[tuple[float, float], ...] = ()
     alarm: str = ""
@@ -252,6 +264,8 @@ def effect_fault(error_K: Array, effect_K: Array, promise_K: Array, false_alarm:
 
     `false_alarm` is the largest probability of an alarm in 30 days while errors are as promised.
     """
+    from scipy.special import ndtri
+
     share, z = missing_effect(error_K, effect_K, promise_K)
     if share < _LEAST_SHARE or z < -ndtri(false_alarm * EVERY_H / _MONTH_H):
         return ""
@@ -433,7 +447,7 @@ class Watch:
         actuators too: how warm its water is goes by them, and so the heat of a level; `machine_factor` counts twice.
         """
         self.config, self._model, self._power = config, model, power
-        self._signed = model.operator.heat_input.lowest < 0.0
+        self._signed, self._shared = model.operator.heat_input.lowest < 0.0, shared
         self._machine_factor = config.machine_factor ** (2 if shared else 1)
         self.step_s = model.operator.step_s
         leads = [max(1, round(lead * HOUR_S / self.step_s)) for lead in LEADS_H]
@@ -454,7 +468,10 @@ class Watch:
         if not self.config.blocked_hours:
             hours = [()] * len(hours)
         known = tuple(BlockedHours.known(each, time_s) for each in hours)
-        return WatchState(blocked=known, news=f"{said(known)}; found while probing" if any(hours) else "")
+        seen = card.hour_effects if self.config.hour_effects else ()
+        effects = HourEffects(self._model.operator.sign, tuple(HourSeen(*one) for one in seen)).at(time_s)
+        news = "; ".join(filter(None, [said(known) if any(hours) else "", effects.in_words()]))
+        return WatchState(blocked=known, hours=effects, news=f"{news}; found while probing" if news else "")
 
     def due(self, time_s: float) -> bool:
         """Whether a prediction is to be recorded at `time_s`."""
@@ -485,7 +502,10 @@ class Watch:
         state = self._with_blocked_hours(state or self.begin(float(history.time_s[-1])), history)
         now = float(history.time_s[-1])
         levels = cache(partial(applied_levels, state.asked, history))
-        state = replace(state, tracks=tuple(self._validate_due(track, history, levels) for track in state.tracks))
+        state = replace(
+            state, tracks=tuple(self._validate_due(track, history, levels, state.hours) for track in state.tracks)
+        )
+        state = self._with_hour_effects(state, now)
         if state.news and state.of_levels and not _not_following(state, history):
             return self._returned(state, state.tracks[0], now, f"{state.news}; control returns")
         if state.alarm:
@@ -517,10 +537,13 @@ class Watch:
         """Whether evidence has gathered halfway (in the exponent) to an alarm: older plans are not to be followed."""
         return state.tracks[0].worst[0] >= math.sqrt(self.threshold)
 
-    def _validate_due(self, track: Track, history: Record, levels: Callable[[HeatInput], Array]) -> Track:
+    def _validate_due(
+        self, track: Track, history: Record, levels: Callable[[HeatInput], Array], hours: HourEffects
+    ) -> Track:
         """The track after every pending prediction whose lead has passed is compared with the record.
 
-        `levels` gives those (n,) that were applied, of a machine with this heat.
+        `levels` gives those (n,) that were applied, of a machine with this heat. Predictions over hours that are known
+        to differ are no evidence against the model.
         """
         now, pending, outcomes = float(history.time_s[-1]), [], list[Judged]()
         evidence = dict(track.evidence)
@@ -534,6 +557,8 @@ class Watch:
                 if outcome is None:
                     continue
                 outcomes.append(outcome)
+                if hours.over(item.time_s, self.leads[lead] * self.step_s):
+                    continue
                 phases = -(-self.leads[lead] // self.every)
                 phase = round(item.time_s / self.step_s) // self.every % phases
                 for side in (1, -1):
@@ -595,16 +620,23 @@ class Watch:
             return ""
         since = max(now - WINDOW_H * HOUR_S, state.returned_s) + 1.0
         rows = state.tracks[0].judged
-        last = Judged.of(rows[(rows[:, 1] == 0) & (rows[:, 0] > since)])
+        last = Judged.of(rows[(rows[:, 1] == 0) & (rows[:, 0] > since) & ~self._differing(state, rows[:, 0])])
         if last.error_K.size < _JUDGED * WINDOW_H * HOUR_S / (self.every * self.step_s):
             return ""
         return effect_fault(last.error_K, last.effect_K, last.promise_K, self._share)
+
+    def _differing(self, state: WatchState, time_s: Array) -> NDArray[np.bool_]:
+        """Which predictions an hour ahead, due at `time_s` (n,), were of hours that are known to differ (n,)."""
+        return np.array([state.hours.over(end_s - HOUR_S, HOUR_S) for end_s in time_s.tolist()], dtype=bool)
 
     def _machine_fault(self, state: WatchState, history: Record) -> tuple[str, WatchState]:
         now = float(history.time_s[-1])
         if not self.due(now):
             return "", state
-        recent = [item for item in state.asked if now - item[0] <= LEADS_H[-1] * HOUR_S]
+        last_s = now - LEADS_H[-1] * HOUR_S
+        recent = [item for item in state.asked if item[0] >= last_s and not state.hours.over(item[0], self.step_s)]
+        for way in state.blocked:
+            recent = list(way.outside(recent))
         comparison = machine_ratio(recent, history, self._model.operator.heat_input.law, self._power)
         if comparison is None:
             return "", state
@@ -709,6 +741,8 @@ class Watch:
         if not self.config.blocked_hours or not history.n_steps:
             return replace(state, news=state.news if not state.asked else "")
         time_s, levels = np.reshape(state.asked, (-1, 2)).T
+        if not (self._shared or self._signed):
+            history = running(history)
         after = []
         # Requests and steps of the record are matched by `after`: levels of both are those of a direction.
         for way, (asked, record, sign) in zip(
@@ -720,6 +754,25 @@ class Watch:
         changed = [way.hours for way in after] != [way.hours for way in state.blocked]
         news = said(tuple(after)) if changed else state.news if not state.asked else ""
         return replace(state, blocked=tuple(after), news=news)
+
+    def _with_hour_effects(self, state: WatchState, now: float) -> WatchState:
+        """The state with what the prediction an hour ahead that came due now tells of its hour, and news of it."""
+        hourly = self.leads[0] * self.step_s == HOUR_S and self.every == self.leads[0]
+        if not self.config.hour_effects or self._signed or not hourly:
+            return state
+        rows = state.tracks[0].judged
+        due = rows[(rows[:, 1] == 0) & (rows[:, 0] > now - 0.5 * self.step_s)]
+        if not len(due):
+            return state
+        last = Judged.of(due[-1:])
+        seen = HourSeen(*(float(column[0]) for column in (last.time_s, last.error_K, last.effect_K, last.promise_K)))
+        hours = state.hours.after(seen)
+        if hours.laws.keys() == state.hours.laws.keys():
+            return replace(state, hours=hours)
+        # What gathered against the model may be of these hours.
+        state = replace(state, tracks=tuple(track.cleared() for track in state.tracks))
+        news = hours.in_words() or "acting does in all hours of the day what was predicted"
+        return replace(state, hours=hours, news="; ".join(filter(None, [state.news, news])))
 
     def _recent(self, track: Track, now: float) -> Judged:
         return Judged.of(track.judged[now - track.judged[:, 0] < self.config.return_h * HOUR_S - 1.0])

@@ -221,7 +221,7 @@ class MPCConfig(StrictModel):
     gate: GateConfig = GateConfig()
     guard: GuardConfig = GuardConfig()
     watch: WatchConfig = WatchConfig()
-    milp: MilpConfig = MilpConfig()
+    milp: ClassVar[MilpConfig] = MilpConfig()
     qp: ClassVar[QPConfig] = QPConfig()
     ipopt: ClassVar[IpoptConfig] = IpoptConfig()
     sqp: ClassVar[SQPConfig] = SQPConfig()

@@ -59,10 +59,11 @@ from controllers.safety.overrides import (
     Override,
     OverrideRule,
     Situation,
+    UntoldCommand,
     WatchAlarm,
     decide,
 )
-from thermoforce_mpc.commands.loop import LearnedCommand
+from thermoforce_mpc.commands.loop import LearnedCommand, left_alone
 from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -166,7 +167,8 @@ class ThermoForceMPC(ActuatedController):
             self._planners, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
         )
         alarms = (WatchAlarm(self._fallbacks),) if self._watched.enabled else ()
-        self._overrides: tuple[OverrideRule, ...] = (*alarms, self._gate, LostZone(self._fallbacks))
+        untold = UntoldCommand(left_alone(by_number), self._fallbacks)
+        self._overrides: tuple[OverrideRule, ...] = (*alarms, self._gate, untold, LostZone(self._fallbacks))
         guard = ComfortGuard(c.guard, layout, [actuation.highest for actuation in self._actuators.each])
         self._realisation = Realisation(self._actuators, self._fallbacks, guard, self.step_s)
 
@@ -305,9 +307,9 @@ class ThermoForceMPC(ActuatedController):
             return forecast
         operator, context = forecast.planner.operator, forecast.context
         try:
-            blocked = [watch.blocked for watch in state.watch]
+            hours = [(watch.blocked, watch.hours) for watch in state.watch]
             return self._formulation.instance(
-                operator, context, readings.history, state.margins, state.peak_W, blocked, overrides
+                operator, context, readings.history, state.margins, state.peak_W, hours, overrides
             )
         except Exception as error:  # of a forecast that lacks what the problem needs
             return Failure(f"no prediction ({message_of(error)})", state)

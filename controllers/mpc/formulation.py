@@ -14,7 +14,7 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.margins import Bounds, MarginRules, Margins
 from controllers.optimisation.problem import Cooling, EquipmentLayout, Exchange, MPCProblem, PowerCap, Weights
 from thermoforce_mpc.data import DAY_S, J_PER_KWH, Array, Boundary, Record
-from thermoforce_mpc.model.machine.blocked_hours import Directions
+from thermoforce_mpc.model.machine.blocked_hours import Directions, HourEffects
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -82,15 +82,15 @@ class Formulation:
         history: Record,
         margins: Margins,
         peak_W: float = 0.0,
-        blocked: Sequence[Directions] = (),
+        hours: Sequence[tuple[Directions, HourEffects]] = (),
         overridden: Collection[int] = (),
     ) -> Instance:
         """Return the instance of one step.
 
         `operator`: adjusted to the actuation; `context`: of the N steps; `history`: for the return water; `margins`,
-        `peak_W`: what was learned, and the highest mean power of the building over a step so far, W; `blocked` (A,):
-        hours in which nothing comes from an actuator; `overridden`: numbers of the actuators that will not follow the
-        plan.
+        `peak_W`: what was learned, and the highest mean power of the building over a step so far, W; `hours` (A,):
+        those in which nothing comes from an actuator, and what acting does by hour of the day; `overridden`: numbers of
+        the actuators that will not follow the plan.
 
         Raises:
             DataError: a bound or price of the boundary is missing.
@@ -143,7 +143,7 @@ class Formulation:
         problem = MPCProblem(
             forced_state_K=context.forced_K,
             features=context.features,
-            T_free_C=context.free.median_C + margins.moved_K[:, None],
+            T_free_C=context.free.median_C + margins.moved_K[:, None] + self._dips_K(boundary, hours),
             lower_C=bounds.lower_C,
             upper_C=bounds.upper_C,
             price_per_kWh=sold,
@@ -160,7 +160,7 @@ class Formulation:
             power_per_u2_W=per_u2_W if bent else None,
             capacity=self.margins.capacity(operator, T_out, margins.unused),
             last_u=self._last_u(history),
-            available=self._available(boundary, blocked, context.free.median_C),
+            available=self._available(boundary, hours, context.free.median_C),
             most_u=self.margins.most_u(operator, margins.unused, boundary.n_steps),
         )
         return Instance(problem, bounds, float(left_W[0]), news)
@@ -180,18 +180,29 @@ class Formulation:
                 upper_C[z] = np.fmax(boundary.upper_C[z, 1:], now_C)
         return replace(bounds, lower_C=lower_C, upper_C=upper_C)
 
-    def _available(self, boundary: Boundary, blocked: Sequence[Directions], T_free_C: Array) -> Array | None:
-        """Share of each step in which heat comes from each actuator (A, N); None: always.
+    def _dips_K(self, boundary: Boundary, hours: Sequence[tuple[Directions, HourEffects]]) -> Array:
+        """What hours of the day do to each zone besides (Z, N), K: as the actuator says that saw most of it."""
+        dips_K = np.zeros((len(self._layout.names.zones), boundary.n_steps))
+        for z, (_, effects) in zip(self._layout.home, hours, strict=False):
+            own_K = effects.dips_K(boundary.time_s[:-1], self._step_s)
+            dips_K[z] = np.where(np.abs(own_K) > np.abs(dips_K[z]), own_K, dips_K[z])
+        return dips_K
+
+    def _available(
+        self, boundary: Boundary, hours: Sequence[tuple[Directions, HourEffects]], T_free_C: Array
+    ) -> Array | None:
+        """Share of what a level does that comes from each actuator in each step (A, N); None: all.
 
         Of signed levels that of heating where the free response `T_free_C` (Z, N) is below the middle of the band, else
         that of cooling.
         """
-        if not any(way.hours for directions in blocked for way in directions):
+        if not any(effects.laws or any(way.hours for way in directions) for directions, effects in hours):
             return None
         middle_C, rows = 0.5 * (boundary.lower_C + boundary.upper_C)[:, 1:], []
-        for z, directions in zip(self._layout.home, blocked, strict=True):
+        for z, (directions, effects) in zip(self._layout.home, hours, strict=True):
             ways = [way.available(boundary.time_s[:-1], self._step_s) for way in directions]
-            rows.append(np.where(T_free_C[z] < middle_C[z], ways[0], ways[-1]))
+            comes = np.where(T_free_C[z] < middle_C[z], ways[0], ways[-1])
+            rows.append(comes * effects.share(boundary.time_s[:-1], self._step_s))
         return np.stack(rows)
 
     @property

@@ -32,10 +32,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from controllers.actuation.actuator import Actuation
 from controllers.actuation.actuators import Actuators
@@ -47,16 +47,20 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# Expected shortfall of a standard normal variable below −z, on a grid of z: φ(z) − z (1 − Φ(z)), decreasing.
-_Z = np.linspace(0.0, 4.0, 401)
-_SHORTFALL = np.exp(-(_Z**2) / 2.0) / np.sqrt(2.0 * np.pi) - _Z * ndtr(-_Z)
-# `np.interp` needs increasing abscissae.
-_BY_SHORTFALL = _SHORTFALL[::-1].copy(), _Z[::-1].copy()
-# Calibrated quantile level from which the standard deviation is computed, and its normal score.
+# Calibrated quantile level from which the standard deviation is computed.
 _SPREAD_LEVEL = 0.1
-_SPREAD_Z = float(-ndtri(_SPREAD_LEVEL))
 # Averaging window of the expected violation, h: heat given now arrives within it; later violations can be corrected.
 _AHEAD_H = 6.0
+
+
+@cache
+def _normal() -> tuple[float, Array, Array]:
+    """Normal score of the level of the spread; expected shortfalls below −z, increasing, and their z."""
+    from scipy.special import ndtr, ndtri
+
+    z = np.linspace(0.0, 4.0, 401)
+    shortfall = np.exp(-(z**2) / 2.0) / np.sqrt(2.0 * np.pi) - z * ndtr(-z)  # φ(z) − z (1 − Φ(z)), decreasing
+    return float(-ndtri(_SPREAD_LEVEL)), shortfall[::-1].copy(), z[::-1].copy()
 
 
 def steps_soon(step_s: float) -> int:
@@ -75,10 +79,11 @@ def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: 
     chance = np.maximum(sign * (T_C - forecast.quantile_C(quantile)), 0.0)
     if violation_K is None:
         return np.asarray(chance)
-    sd = np.maximum(sign * (T_C - forecast.quantile_C(spread_at)), 0.0) / _SPREAD_Z
+    spread_z, shortfall, of_z = _normal()
+    sd = np.maximum(sign * (T_C - forecast.quantile_C(spread_at)), 0.0) / spread_z
     soon = sd[..., : steps_soon(step_s)].mean(axis=-1, keepdims=True)
     # Solve sd · shortfall(z) = violation.
-    z = np.interp(violation_K / np.maximum(soon, 1e-9), *_BY_SHORTFALL)
+    z = np.interp(violation_K / np.maximum(soon, 1e-9), shortfall, of_z)
     return np.asarray(np.maximum(chance, z * sd))
 
 
@@ -392,6 +397,8 @@ def learned_share(
 # Power below this share of that of the level, and a zone that stays behind the plan by this, K, together say that the
 # machine is at a limit below the level; half of a step's finding is taken over, and no more than this share kept.
 _LESS_POWER, _BEHIND_K, _TAKEN_OVER, _MOST_BEYOND = 0.9, 0.1, 0.5, 0.4
+# A machine that takes less than this share of the power of its level is not at a limit: it stands.
+_STANDS = 0.25
 
 
 def share_beyond_limit(
@@ -406,7 +413,7 @@ def share_beyond_limit(
     if not (np.isfinite([u, power_W, expected_W]).all() and u >= _ALL_ASKED and expected_W > 0.0):
         return before
     reached = u * power_W / expected_W
-    if reached < _LESS_POWER * u and behind_K > _BEHIND_K:
+    if _STANDS < reached < _LESS_POWER * u and behind_K > _BEHIND_K:
         return float(np.clip(before + _TAKEN_OVER * (1.0 - reached - before), before, _MOST_BEYOND))
     return max(before - (_FADING_1_H * step_s / HOUR_S if reached >= _LESS_POWER * u else 0.0), 0.0)
 

@@ -25,6 +25,7 @@ from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
 from thermoforce_mpc.model.machine.power import level_costs
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.certificate import certificate
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
@@ -175,9 +176,27 @@ def free_responses_of(
 
 # Number of cached planners for adapted models; others are rebuilt when needed.
 _KEPT = 4
+# Relative standard deviation up to which plans count on all of an effect between zones: that from which the model card
+# says that the record does not tell it.
+_KNOWN_SD = 0.5
 
 # What each actuator's model differs in from the identified one; None where in nothing.
 _Factors = tuple[tuple[float, float] | None, ...]
+
+
+def known_part(model: ThermalModel, operator: BuildingOperator) -> BuildingOperator:
+    """The operator with the part of effects between zones that is known: plans count on no heat that may not come.
+
+    All of an effect whose relative standard deviation is at most `_KNOWN_SD`, or not said; none at twice that.
+    """
+
+    def known(z: int, a: int, pair: OperatorParameters) -> OperatorParameters:
+        sd = model.relative_sd(z, a)
+        if operator.home[a] == z or not sd > _KNOWN_SD:
+            return pair
+        return replace(pair, gains=pair.gains * max(2.0 - sd / _KNOWN_SD, 0.0))
+
+    return operator.map_pairs(known)
 
 
 class Planners:
@@ -228,13 +247,16 @@ class Planners:
                 pair, heat_input=pair.heat_input.at_lowest_level(self._actuators.each[a].lowest_level)
             )
         )
+        operator = known_part(model, operator)
         predictor, shape = Predictor(model.operator, self._free_responses), self._shape(operator)
         return Planner(model, predictor, operator, self._solver(operator, shape), Evaluator(operator, shape).by_steps)
 
 
 @dataclass(frozen=True)
 class Planner:
-    """Predictor and solver of one thermal model; `operator` is the model's, adjusted to the actuation.
+    """Predictor and solver of one thermal model.
+
+    `operator`: the model's, adjusted to the actuation, with what is known of its effects between zones.
 
     `evaluator`: what levels bring, step by step, whatever solver they are from.
     """

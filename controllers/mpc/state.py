@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -67,6 +68,16 @@ class MPCState:
     def without_forced(self) -> MPCState:
         """Without the forced state so far, where what it was estimated from does not hold any more."""
         return self if self.predictor is None else replace(self, predictor=replace(self.predictor, forced=None))
+
+    def not_followed(self) -> MPCState:
+        """After a plan that did not act: readings have taught what they did, and the building's own control acted."""
+        asked = [(*watch.asked[:-1], (watch.asked[-1][0], math.nan)) if watch.asked else () for watch in self.watch]
+        return replace(
+            self,
+            good=None,
+            actuation=tuple(ActuationState(native=True) for _ in self.actuation),
+            watch=tuple(replace(watch, asked=of) for watch, of in zip(self.watch, asked, strict=True)),
+        )
 
     def peak_after(self, observation: Observation, of: str = "run") -> float:
         """The peak power with which a higher one is compared, W: mean of the building over a step.

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape
 from controllers.optimisation.programme import FAR, QPData
@@ -21,6 +20,9 @@ from controllers.optimisation.statement.problem_statement import PARTS
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import Buffered
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,7 @@ class Evaluator:
 
     def evaluate(self, p: Array, u: Array, own: Array | None = None) -> Evaluation:
         """Evaluate levels `u` (A, N), with `own` variables of the user, at parameters `p`."""
-        given = np.zeros(sum(self._checks.own.values())) if own is None else own
+        given = np.zeros(self._n_own) if own is None else own
         moves = np.asarray(u, dtype=np.float64)[:, self.shape.first_steps].ravel(order="F")
         out = self._check(moves, given, p[: self._numbers.n_own])
         s = self.structure
@@ -96,6 +98,24 @@ class Evaluator:
         worst = int(np.argmin(least)) if least.size else -1
         broken = self._in_words(worst, -least[worst]) if worst >= 0 and least[worst] < -BOUND_TOLERANCE else ""
         return Evaluation(u, float(out[0][0]), parts, energy[0], power, forced, slack, running, broken, out[8].copy())
+
+    def slopes(self, p: Array, u: Array) -> tuple[float, Array]:
+        """The cost of levels `u` (A, N) at parameters `p`, and its gradient by them (A, N), currency."""
+        firsts = self.shape.first_steps
+        cost, slopes = self._slope(u[:, firsts].ravel(order="F"), np.zeros(self._n_own), p[: self._numbers.n_own])
+        found = np.zeros(u.shape)
+        found[:, firsts] = slopes.reshape(u.shape[0], -1, order="F")
+        return float(cost[0]), found
+
+    @cached_property
+    def _slope(self) -> Buffered:
+        check = self._checks.function
+        (u, *_), (cost, *_) = check.name_in(), check.name_out()
+        return Buffered(check.factory("slope", check.name_in(), [cost, f"grad:{cost}:{u}"]))
+
+    @property
+    def _n_own(self) -> int:
+        return sum(self._checks.own.values())
 
     def by_name(self, own: Array | None) -> dict[str, Array]:
         """The user's own variables by the names that the user gave them."""
@@ -185,6 +205,8 @@ class PlanModel(Evaluator):
 
     @cached_property
     def _patterns(self) -> list[sparse.csc_matrix]:
+        from scipy import sparse
+
         n, function = self.n_variables, self.functions.local
         patterns = [function.sparsity_out(2) + ca.Sparsity.diag(n), function.sparsity_out(4), function.sparsity_out(6)]
         out = []

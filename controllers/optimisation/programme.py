@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from thermoforce_mpc.data import Array
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 # Bounds from here on are as good as none beside the numbers of a plan, which are of the size of 1 to 1000.
 FAR = 1e6
@@ -73,7 +76,7 @@ class QPData:
     def near(self, weights: Array) -> QPData:
         """The same with ½ weights·x² (n,) more, in the same pattern."""
         quadratic = self.quadratic.copy()
-        columns = np.repeat(np.arange(weights.size), np.diff(quadratic.indptr))
+        columns = _columns(quadratic)
         diagonal = np.flatnonzero(quadratic.indices == columns)
         quadratic.data[diagonal] += weights[columns[diagonal]]
         return replace(self, quadratic=quadratic)
@@ -105,10 +108,19 @@ class QPData:
         """What variables may be like: themselves, 1, and what bounded ones in their rows make of them, (n,)."""
         near = np.maximum(-self.x_low, self.x_high)
         size = np.where(near < FAR, near, 1.0 + np.abs(x))
-        rows = sparse.vstack([self.A, self.G], format="coo")
-        holds = rows.data != 0.0
-        row, column, slope = rows.row[holds], rows.col[holds], np.abs(rows.data[holds])
-        largest = np.zeros(rows.shape[0])
+        n = self.A.shape[0]
+        # Without a matrix of both, which would take longer than all else here.
+        row = np.concatenate([self.A.indices, n + self.G.indices])
+        column = np.concatenate([_columns(self.A), _columns(self.G)])
+        slope = np.abs(np.concatenate([self.A.data, self.G.data]))
+        holds = slope != 0.0
+        row, column, slope = row[holds], column[holds], slope[holds]
+        largest = np.zeros(n + self.G.shape[0])
         np.maximum.at(largest, row, slope * size[column])
         np.maximum.at(size, column, np.where(near[column] < FAR, 0.0, largest[row] / slope))
         return size
+
+
+def _columns(matrix: sparse.csc_matrix) -> NDArray[np.intp]:
+    """The column of each element."""
+    return np.repeat(np.arange(matrix.shape[1]), np.diff(matrix.indptr))

@@ -252,7 +252,7 @@ def _not_shown(model: PlanModel, sizes: _Sizes, found: Evaluation, nearby: QPDat
     if model.convex and not nearby.convex:
         return f"{said} a term is not convex, so that levels far from them may cost less"
     step = np.zeros(nearby.linear.size)
-    chosen = nearby.fixed(model.choices, step[model.choices])
+    chosen = nearby.fixed(model.choices, step[model.choices]) if model.choices.size else nearby
     above = chosen.above_least(step, answer.multipliers / nearby.unit)
     return "" if above <= sizes.same(found) else f"{said} its levels may cost {above:.3g} more than others"
 

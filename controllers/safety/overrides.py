@@ -110,6 +110,17 @@ class CompetenceGate:
         }
 
 
+class UntoldCommand:
+    """An actuator whose command the record does not tell the effect of, by number and why, is left to itself."""
+
+    def __init__(self, why: Mapping[int, str], fallbacks: Sequence[FallbackPolicy]) -> None:
+        self._why, self._fallbacks = dict(why), tuple(fallbacks)
+
+    def overrides(self, situation: Situation) -> dict[int, Override]:
+        """Of such actuators."""
+        return {a: backup_override(self._fallbacks[a], situation, PlanStatus.GATE, why) for a, why in self._why.items()}
+
+
 class LostZone:
     """A zone whose temperature is not known any more, by sensor or model; `fallbacks` (A,) act instead."""
 

@@ -285,6 +285,7 @@ def test_an_answer_that_drips_is_given_up_in_time(client, service, kind):
 ODD = [None, [], {}, "text", 3, [1, 2], {"time": None}, {"time": "soon"}, {"time": []}, {"reaTZon_y": "text"}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("odd", ODD, ids=repr)
 @pytest.mark.parametrize(
     ("path", "call"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.boundary.periods import heating_windows
+from thermoforce_mpc.boundary.periods import NAMES, heating_windows, kept_windows
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
@@ -122,3 +122,31 @@ def test_windows_follow_the_rule():
     assert windows["peak_heat_day"].start_s == (59 - 7) * DAY_S
     # 41 heating days; the median is the 21st, which is day 40.
     assert windows["typical_heat_day"].start_s == (40 - 7) * DAY_S
+
+
+def test_windows_of_a_year_are_found_once_and_anew_where_what_is_kept_is_no_days(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    power = np.tile(np.linspace(1000.0, 2000.0, 96), 365)
+    power[40 * 96] = 5000.0
+    found = []
+
+    def windows(*depends_on: str):
+        def find():
+            found.append(depends_on)
+            return heating_windows(power)
+
+        return kept_windows(depends_on, NAMES, find)
+
+    first = windows("case", "weather")
+    assert windows("case", "weather") == first == heating_windows(power)
+    assert windows("case", "other weather") == first
+    assert found == [("case", "weather"), ("case", "other weather")]
+    for damaged in ("", "{", '{"peak_heat_day": 38}', '{"peak_heat_day": 3, "typical_heat_day": 38}', "[1]"):
+        for file in tmp_path.rglob("*.json"):
+            file.write_text(damaged)
+        found.clear()
+        assert [windows("case", "weather"), windows("case", "weather")] == [first, first]
+        assert len(found) == 1
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    assert windows("case", "weather") == first, "where nothing can be kept it is found each time"

@@ -41,6 +41,7 @@ def tf_mpc(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[
     return subprocess.run(call, capture_output=True, text=True, cwd=cwd, timeout=120, check=False)
 
 
+@pytest.mark.slow
 def test_what_a_message_quotes_does_nothing_to_the_terminal(tmp_path):
     file = tmp_path / "\x1b[31m\x9bred.yaml"
     file.write_text("testcase: bestest_hydronic_heat_pump\n\x00")

@@ -60,6 +60,8 @@ def test_all_synonyms_are_of_commands_that_there_are():
     ("key", "meant"),
     [
         ("controller.options.comfort_weight", "objective.comfort_weight_per_m2"),
+        ("controller.options.comfort_wieght", "objective.comfort_weight_per_m2"),
+        ("comfort_wieght", "controller.options.objective.comfort_weight_per_m2"),
         ("controller.options.horizon", "horizon_h"),
         ("weather", "plant.weather"),
     ],

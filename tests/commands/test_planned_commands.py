@@ -14,7 +14,9 @@ from simple_house import simple_model
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.cli.building.plan import saving_in_words
+from thermoforce_mpc.commands.loop import check_told, left_alone
 from thermoforce_mpc.data import Observation
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import learned_commands, read_measurements
@@ -35,6 +37,25 @@ def home():
 def planned(home, rules=None, **options):
     measured = read_measurements(home.measurements(), rules or RULES, step_s=3600.0).served()
     return controller(measured, **options).plan(Observation(measured.record, read_forecast(home.forecast(), measured)))
+
+
+def test_what_the_record_does_not_tell_is_left_alone(home):
+    """A room whose valve was shut all the time; beside others that the record tells of it is no reason to refuse."""
+    measured = read_measurements(home.measurements(), RULES, step_s=3600.0).served()
+    (one,) = learned_commands(measured).values()
+    shut = replace(one, untold="bedroom: the record does not tell what it does")
+    check_told([one, shut])
+    with pytest.raises(DataError, match="bedroom: the record does not tell"):
+        check_told([shut, shut])
+    of_machine = replace(one, machine="heat_pump"), replace(shut, machine="heat_pump")
+    assert left_alone(dict(enumerate(of_machine))) == {}
+    assert left_alone({0: one, 1: shut}) == {1: shut.untold}
+    off = {"enabled": False}
+    options = {"step_s": 3600.0, "horizon_h": 24.0, "free_response": {"name": "persistence"}, "gate": off}
+    mpc = ThermoForceMPC(simple_model(), MPCConfig.model_validate(options), commands={"actuator": shut})
+    plan = mpc.plan(Observation(measured.record, read_forecast(home.forecast(), measured)))
+    assert {block.told for block in plan.blocks} == {(None,)}
+    assert shut.untold in plan.why
 
 
 def with_command(**keys):

@@ -25,15 +25,16 @@ def law(x):
 """
 PLANT = """
 from thermoforce_mpc.data.compiled import njit
+from thermoforce_mpc.plants import zz_law
 from thermoforce_mpc.plants.zz_law import law
 
 @njit(cache=True)
 def step(x):
-    return law(x)
+    return 0.5 * (law(x) + zz_law.law(x))
 """
 ASK = """
 from thermoforce_mpc.plants.zz_plant import step
-print(step(1.0), sum(step.stats.cache_hits.values()))
+print(step(1.0), sum(step.dispatcher.stats.cache_hits.values()))
 """
 
 
@@ -77,3 +78,14 @@ def test_only_one_module_knows_numba():
     knows = re.compile(r"^\s*(?:from|import)\s+numba\b", re.M)
     found = [path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py") if knows.search(path.read_text())]
     assert [name for name in found if "doctor" not in name] == ["data/compiled.py"]
+
+
+def test_nothing_is_compiled_and_numba_is_not_loaded_before_a_function_is_called():
+    ask = (
+        "import sys, numpy as np; from thermoforce_mpc.model.operator.building import driven_rollout; "
+        "import thermoforce_mpc.plants.embedded; assert 'numba' not in sys.modules; "
+        "from thermoforce_mpc.plants.embedded.schedule import is_occupied; is_occupied(0.0); "
+        "assert 'numba' in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr

@@ -49,6 +49,10 @@ def test_the_rows_of_a_result_are_taken_with_its_command_and_today(pages):
     assert table["command"] == "tf-mpc bench x --quick"
     assert table["revision"] != "0123456789"
     assert "| 2 | 0.250 / 1.00 |" in (pages / "page.md").read_text()
+    measured = {"command": "x", "rows": rows, "revision": "89abcdef0", "date": "2026-11-01"}
+    result.write_text(json.dumps(measured))
+    evidence.main(["--take", "houses", str(result)], pages)
+    assert "2026-11-01, `89abcdef`." in (pages / "page.md").read_text(), "it is of the revision that measured it"
     result.write_text(json.dumps({"command": "x", "rows": [{"house": 2}]}))
     with pytest.raises(SystemExit, match="no row of the result has cost, house, tdis"):
         evidence.main(["--take", "houses", str(result)], pages)

@@ -48,6 +48,7 @@ def test_the_command_line_reference_has_every_command_and_its_options(site):
     assert "130  interrupted by Ctrl-C" in text
 
 
+@pytest.mark.slow
 def test_the_python_reference_has_every_public_name(site):
     text = _Text(site / "reference" / "python.html").text
     page = (site / "reference" / "python.html").read_text(encoding="utf-8")

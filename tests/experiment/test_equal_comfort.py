@@ -107,6 +107,7 @@ def test_it_is_searched_where_runs_take_seconds_or_where_asked_for():
     assert Experiment.of(Scenario(testcase=TESTCASE, plant=service, equal_comfort=True)).equal_comfort
 
 
+@pytest.mark.slow
 def test_cells_beside_thermostats_are_searched_once(tmp_path, monkeypatch):
     """Native control stands for a controller with a model, which is identified elsewhere."""
     inputs, testcase, store = Inputs(), load_testcase(TESTCASE), Store(tmp_path)

@@ -97,6 +97,25 @@ def test_left_alone_it_is_the_record_and_under_other_levels_the_other_house() ->
     assert house.past(HOUR_S).time_s[-1] == (_FIRST + 48) * HOUR_S
 
 
+def test_a_level_gives_less_to_a_room_that_is_warmer_than_it_was() -> None:
+    record = _run(_levels(1))
+    rooms = []
+    for less_per_K in (0.0, 0.1):
+        house = IdentifiedHouse(_model(0.1), record, _conditions(record), less_per_K=np.array([less_per_K]))
+        house.reset(_FIRST * HOUR_S, 0.0)
+        house.advance(None, 12 * HOUR_S)
+        np.testing.assert_allclose(house.lived(0.0).T_zone_C, record.T_zone_C[:, : _FIRST + 13], atol=1e-9)
+        for _ in range(24):
+            house.advance(1.0, HOUR_S)
+        rooms.append(house.lived(0.0).T_zone_C[0] - record.T_zone_C[0, : _FIRST + 37])
+    always, falling = rooms
+    step = always[_FIRST + 13 :] - POLE * always[_FIRST + 12 : -1]  # what other levels brought in each hour
+    level = 1.0 - record.u[0, _FIRST + 12 : _FIRST + 36]
+    np.testing.assert_allclose(step, GAIN_K * level, atol=1e-6)
+    less = falling[_FIRST + 13 :] - POLE * falling[_FIRST + 12 : -1]
+    np.testing.assert_allclose(less, GAIN_K * (level - 0.1 * falling[_FIRST + 12 : -1]), atol=1e-6)
+
+
 def test_it_ends_with_its_record_and_knows_no_other_command() -> None:
     house = _house(_run(_levels(1)))
     with pytest.raises(InputError, match="no boundary of the record"):

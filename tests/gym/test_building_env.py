@@ -121,6 +121,7 @@ def test_a_length_without_end_is_refused(name: str) -> None:
         made(**{name: float("inf")}, random_start_time=True)
 
 
+@pytest.mark.slow
 def test_branch_leaves_the_episode_alone_and_restore_repeats_it() -> None:
     for options in ({"regressive_period": 3600.0}, {"testcase": "house:2rooms"}, {"convention": "boptest"}):
         env = made(**options)

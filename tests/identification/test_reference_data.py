@@ -18,6 +18,7 @@ def pairs(shared):
     return read_hourly_pairs(shared / "boptest_hp")
 
 
+@pytest.mark.slow
 def test_pairs_of_other_days_are_predicted(pairs):
     days = sorted({p.start_day for p in pairs})
     training = [p.pair for p in pairs if days.index(p.start_day) % 2 == 0]

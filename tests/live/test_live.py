@@ -96,35 +96,35 @@ def test_levels_that_are_not_taken_are_set_again_in_the_next_step(caplog):
     assert house.level is None
 
 
-def test_after_levels_that_were_not_taken_the_controller_goes_on_from_the_state_before():
+def test_after_levels_that_were_not_taken_the_controller_keeps_what_readings_taught_and_follows_no_plan():
     house, states = SimulatedBuilding(when("write", 1, 3, ConnectionError("bus"))), []
     controller = mpc()
     plan = controller.plan
 
     def seen(observation, state=None):
-        states.append(None if state is None else (state.last_s - START_S) / 3600.0)
+        states.append(state and ((state.last_s - START_S) / 3600.0, state.good is None, state.actuation[0].native))
         return plan(observation, state)
 
     controller.plan = seen
     building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0)
     control(building, controller, clock=house, steps=5)
-    assert states == [None, 0.0, 0.0, 0.0, 3.0]
+    assert states == [None, (0.0, False, False), (1.0, True, True), (2.0, True, True), (3.0, False, False)]
 
 
-def test_after_a_refused_plan_the_controller_goes_on_from_the_state_before():
+def test_after_a_refused_plan_the_controller_keeps_what_readings_taught_and_follows_no_plan():
     house, states = SimulatedBuilding(), []
     controller = mpc()
     plan = controller.plan
 
     def seen(observation, state=None):
-        states.append(None if state is None else (state.last_s - START_S) / 3600.0)
+        states.append(state and ((state.last_s - START_S) / 3600.0, state.good is None, state.actuation[0].native))
         decided = plan(observation, state)
         return replace(decided, blocks=(Block(1.5, 3600.0),)) if len(states) in (2, 3) else decided
 
     controller.plan = seen
     building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0)
     control(building, controller, clock=house, steps=5)
-    assert states == [None, 0.0, 0.0, 0.0, 3.0]
+    assert states == [None, (0.0, False, False), (1.0, True, True), (2.0, True, True), (3.0, False, False)]
     assert [levels["actuator"] for _, levels, _ in house.written][1:3] == [None, None]
 
 
@@ -429,7 +429,8 @@ def test_a_dry_run_on_files_says_what_it_would_set(files):
         (["--set", "controler.step_s=3600"], "write connection.KEY=VALUE, controller.KEY=VALUE or"),
         (["--connection", "fils"], "unknown connection 'fils', did you mean 'files'"),
         (["--set", "connection.levles=x.json"], "did you mean 'levels'"),
-        (["--set", "connection.measurements=none.csv"], "none.csv: no such file"),
+        (["--set", "connection.measurements=none.csv"], "connection.measurements: none.csv: no such file; name it by"),
+        (["--set", "connection.forecast=none.csv"], "connection.forecast: none.csv: no such file; name it by"),
         (["--map", "other.yaml"], "another building?"),
     ],
 )

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from simple_house import simple_model
+from simple_house import POLE, simple_model
 from simulated_building import RULES, START, SimulatedBuilding, files_of_now, mpc
 
 from controllers.mpc.config import MPCConfig
@@ -19,7 +20,7 @@ from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.live import KeptState, LiveBuilding, WallClock, control
 from thermoforce_mpc.live.building import real_run
 from thermoforce_mpc.live.probing import ProbingPlan, probe_building, probing_key
-from thermoforce_mpc.live.shadow import ShadowBook, judged_day
+from thermoforce_mpc.live.shadow import ShadowBook
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.records.live_journal import LiveJournal
 from thermoforce_mpc.report.live_view import LiveRun
@@ -29,21 +30,28 @@ MAP = MeasurementMap.model_validate(RULES)
 DAY = pd.Timedelta("1D")
 
 
-def shadowed(folder, house, steps, told=lambda decision: None):
+def controlled(folder, house, steps, told=lambda decision: None, acts=False):
     controller = mpc(horizon_h=24.0)
-    simple_model().save(folder / "given", overwrite=True)
+    if not (folder / "given").exists():
+        simple_model(0.1).save(folder / "given")
     journal = LiveJournal(folder, real_run(folder, folder / "given", Path("h.yaml"), MAP, controller.config, "x"))
     kept = KeptState(folder / "state.npz", "k")
     building = LiveBuilding(house, MAP, 3600.0)
-    control(
-        building, controller, clock=house, steps=steps, journal=journal, kept=kept, told=told, acts=False, sets="house"
-    )
+    sets = "house" if not acts else f"{folder}"
+    control(building, controller, clock=house, steps=steps, journal=journal, kept=kept, told=told, acts=acts, sets=sets)
+
+
+def shadow(folder, house, steps, book=None):
+    """What a shadow says over some steps, '' left out, and its book."""
+    words, book = [], book or ShadowBook(folder, simple_model(0.1), mpc(horizon_h=24.0), key="k")
+    controlled(folder, house, steps, lambda decision: words.append(book.day_over(decision.instant)))
+    return [text for text in words if text], book
 
 
 def test_what_is_not_to_act_sets_nothing_and_takes_no_lock(tmp_path):
     house, plans = SimulatedBuilding(), []
     with sole_control("house"):
-        shadowed(tmp_path, house, 3, plans.append)
+        controlled(tmp_path, house, 3, plans.append)
     assert house.written == []
     assert [decision.plan.status for decision in plans] == ["solved"] * 3
     view = LiveRun(tmp_path).now()
@@ -51,33 +59,53 @@ def test_what_is_not_to_act_sets_nothing_and_takes_no_lock(tmp_path):
     assert view.past[-1].u[0] == pytest.approx(np.mean(measured[60:120]), abs=0.02)
 
 
+def test_what_a_shadow_learns_of_readings_stays(tmp_path):
+    house = SimulatedBuilding()
+    controlled(tmp_path, house, 3)
+    kept = KeptState(tmp_path / "state.npz", "k").load(house.now())
+    assert kept.after.first_s == pytest.approx((START - pd.Timestamp("2025-01-01", tz="UTC")).total_seconds())
+    assert kept.after.predictor is not None
+    assert kept.after.peak_W > 0.0
+    # Its plan did not act: it is not followed later, and nothing is held.
+    assert kept.after.good is None
+    assert all(state.native for state in kept.after.actuation)
+    assert kept.after.failures == 0
+
+
 @pytest.mark.slow
-def test_a_shadow_says_what_its_plans_would_have_saved(tmp_path, monkeypatch):
-    """The house is left alone, and kept warmer than it has to be; one day is judged once more from the journal."""
+def test_a_shadow_says_what_control_then_does(tmp_path, monkeypatch):
+    """The house is left alone, and kept warmer than it has to be; then the same days are controlled."""
     monkeypatch.setattr("thermoforce_mpc.live.shadow.LEAST_AFTER", 2)
-    house, words = SimulatedBuilding(), []
-    book = ShadowBook(tmp_path, simple_model())
+    monkeypatch.setattr("simple_house.native_level", lambda T_C: float(T_C < 21.2))
+    left_alone, acting = SimulatedBuilding(), SimulatedBuilding()
+    (tmp_path / "shadow").mkdir()
+    said, book = shadow(tmp_path / "shadow", left_alone, 26)
+    assert said == ["shadow: 1 day of the 2 that an account needs"]
+    # Started again it goes on where house and controller stood.
+    said, book = shadow(tmp_path / "shadow", left_alone, 25)
+    assert said[-1].startswith("shadow, 2 days: ")
+    assert [day.goes_on for day in book.days] == [False, True]
+    kept = json.loads((tmp_path / "shadow" / "shadow.json").read_text())
+    assert kept["said"] == said[-1]
+    (tmp_path / "control").mkdir()
+    controlled(tmp_path / "control", acting, 50, acts=True)
 
-    def told(decision):
-        words.append(book.day_over(decision.instant))
+    def lived(house):
+        rows = pd.DataFrame(house.rows[house.begun :]).set_index("time")[START : START + 2 * DAY - pd.Timedelta("1s")]
+        outside_K = np.maximum(20.0 - rows["T"], 0.0) + np.maximum(rows["T"] - 24.0, 0.0)
+        return rows["P"].sum() / 60e3, outside_K.sum() / 60.0, rows["T"].iloc[-1]
 
-    shadowed(tmp_path, house, 51, told)
-    said = [text for text in words if text]
-    assert said[0] == "shadow: 1 day of the 2 that an account needs"
-    assert said[1].startswith("shadow, 2 days: ")
-    kept = json.loads((tmp_path / "shadow.json").read_text())
-    assert kept["said"] == said[1]
-    assert ShadowBook(tmp_path, simple_model()).days == book.days
-    day = judged_day(tmp_path, simple_model(), START + DAY)
-    assert day == book.days[1]
-    rows = pd.DataFrame(house.rows[house.begun :]).set_index("time")
-    kWh = rows["P"] * rows.index.to_series().diff().shift(-1).dt.total_seconds() / 3.6e6
-    measured_kWh = kWh[START + DAY : START + 2 * DAY - pd.Timedelta("1s")].sum()
-    assert day.energy_kWh > 0.0
-    assert abs(day.left_K) < 0.1
-    assert day.planned_low_kWh <= day.planned_kWh <= day.planned_high_kWh
-    assert day.cost == pytest.approx(0.25 * day.energy_kWh)
-    assert day.energy_kWh == pytest.approx(measured_kWh, rel=0.02)
+    (was_kWh, was_Kh, was_C), (did_kWh, did_Kh, did_C) = map(lived, (left_alone, acting))
+    assert sum(day.energy_was_kWh for day in book.days) == pytest.approx(was_kWh, rel=0.02)
+    assert sum(day.energy_kWh for day in book.days) == pytest.approx(did_kWh, rel=0.1)
+    assert sum(day.outside_was_Kh for day in book.days) == pytest.approx(was_Kh, abs=0.05)
+    assert sum(day.outside_Kh for day in book.days) == pytest.approx(did_Kh, abs=0.5)
+    # A kelvin that is missing at the end costs what it does in the record, as long as its effect lasts.
+    stored_kWh = (did_C - was_C) / -np.log(POLE) * was_kWh / 48.0 / 18.0
+    saved = sum(day.saved[0] for day in book.days)
+    low, high = map(float, re.search(r"90 % band (\S+) to ([-+0-9.]+)", said[-1]).groups())
+    assert low < 0.25 * (was_kWh - did_kWh + stored_kWh) < high
+    assert saved == pytest.approx(0.25 * (was_kWh - did_kWh + stored_kWh), abs=0.1 * 0.25 * was_kWh)
 
 
 class KilledError(BaseException):

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
+from click.testing import CliRunner
 
 import thermoforce_mpc as tf
+from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.model.forecast_gaps import completed
+from thermoforce_mpc.scenario.building import PRICES
 
 RULES = {
     "time": {"zone": "Europe/Brussels"},
@@ -185,6 +190,27 @@ def test_a_file_of_prices_takes_the_place_of_the_map(measured, tmp_path, text, f
     assert "prices.csv" in notes[0]
     assert ahead.guessed["price_per_kWh"][0, -1], "beyond the file as on the days before"
     np.testing.assert_allclose(ahead.price_per_kWh[0, 40 * 4], 0.1 + 16 / 100)
+
+
+def test_an_own_building_has_the_tariffs_of_simulated_ones(measured, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    found = {}
+    for name in PRICES:
+        said: list[str] = []
+        ahead = read_forecast(hourly(), measured, prices=Path(name), left_out=said)
+        assert said == [
+            f"tariff {name} of the simulated buildings, per kWh" + ", synthetic" * (name == "highly_dynamic")
+        ]
+        found[name] = ahead.price_per_kWh[0]
+    hours = np.arange(97) / 4  # from midnight of the building's clock on
+    by_day = (hours % 24 >= 7.0) & (hours % 24 < 22.25)
+    np.testing.assert_allclose(found["constant"], 0.2535)
+    np.testing.assert_allclose(found["dynamic"], np.where(by_day, 0.2666, 0.2383))
+    assert np.unique(found["highly_dynamic"]).size > 20
+    (tmp_path / "dynamic").write_text("time,price\n2025-01-11,0.5\n2025-01-12,0.5\n")
+    np.testing.assert_allclose(read_forecast(hourly(), measured, prices=Path("dynamic")).price_per_kWh[0, :90], 0.5)
+    said_of = CliRunner().invoke(cli, ["plan", "--prices", "dynamik"]).output
+    assert "'dynamik' is neither a file nor a tariff" in " ".join(said_of.replace("│", " ").split())
 
 
 def test_prices_whose_column_or_unit_is_not_clear_are_refused(measured, tmp_path):

@@ -319,7 +319,100 @@ def iobroker(folder: Path) -> list[Path]:
     return files
 
 
+def knx(folder: Path) -> list[Path]:
+    """A bus monitor: readings of several units in one column, behind their telegrams, on change."""
+    names = {
+        "living": ("EG Wohnzimmer Isttemperatur", "°C"), "bath": ("EG Bad Isttemperatur", "°C"),
+        "out": ("Wetterstation Aussentemperatur", "°C"), "v_living": ("EG Wohnzimmer Stellgröße", "%"),
+        "v_bath": ("EG Bad Stellgröße", "%"), "power": ("Wärmepumpe Wirkleistung", "W"),
+    }  # fmt: skip
+    rows, stamps = [], local("%d.%m.%Y %H:%M:%S")
+    for name, (told, unit) in names.items():
+        x = HOUSE[name].to_numpy()
+        rows += [
+            (stamps[k], "1.1.12", f"3/1/{len(told)}", told, "DPT 9", f"$0C3F | {x[k]:.2f} {unit}".replace(".", ","))
+            for k in np.flatnonzero(np.append(True, np.diff(x) != 0))
+        ]  # fmt: skip
+    header = ["Time", "Source Address", "Destination Address", "Destination Name", "DPT", "Info"]
+    lines = [";".join(header), *(";".join(map(str, row)) for row in rows)]
+    (folder / "ets.csv").write_text("\n".join(lines), encoding="utf-8")
+    return [folder / "ets.csv"]
+
+
+def fhem(folder: Path) -> list[Path]:
+    """A device has several readings, and their kind stands in a column of its own."""
+    names = {
+        "living": ("Wohnzimmer.Heizung", "measured-temp"), "v_living": ("Wohnzimmer.Heizung", "pct"),
+        "bath": ("Bad.Heizung", "measured-temp"), "v_bath": ("Bad.Heizung", "pct"),
+        "out": ("Aussen", "temperature"), "power": ("WP.Zaehler", "power"),
+    }  # fmt: skip
+    parts = [
+        pd.DataFrame(
+            {"TIMESTAMP": local("%Y-%m-%d %H:%M:%S"), "DEVICE": device, "TYPE": "CUL_HM", "READING": reading,
+             "VALUE": HOUSE[name].to_numpy()}
+        )
+        for name, (device, reading) in names.items()
+    ]  # fmt: skip
+    pd.concat(parts).to_csv(folder / "fhem.csv", index=False, sep=";")
+    return [folder / "fhem.csv"]
+
+
+def campbell(folder: Path) -> list[Path]:
+    """Two lines below the names, of units and of how readings were sampled, and one above."""
+    names = ["TIMESTAMP", "RECORD", "T_living_Avg", "T_bath_Avg", "T_out_Avg", "Vlv_living", "Vlv_bath", "P_hp_Avg"]
+    units = ["TS", "RN", "Deg C", "Deg C", "Deg C", "%", "%", "W"]
+    sampled = ["", "", "Avg", "Avg", "Avg", "Smp", "Smp", "Avg"]
+    table = HOUSE[["living", "bath", "out", "v_living", "v_bath", "power"]].to_numpy()
+    rows = [[f"{at}", k, *row] for k, (at, row) in enumerate(zip(local("%Y-%m-%d %H:%M:%S"), table, strict=True))]
+    above = '"TOA5","Station","CR1000","12345","CR1000.Std.32","CPU:prog.CR1","1234","T15","x"'
+    quoted = [",".join(f'"{cell}"' for cell in line) for line in (names, units, sampled)]
+    (folder / "TOA5.dat").write_text("\n".join([above, *quoted, *(",".join(map(str, row)) for row in rows)]))
+    return [folder / "TOA5.dat"]
+
+
+def groups(folder: Path) -> list[Path]:
+    """Names that come twice under a line of groups, weekdays, a.m. and p.m., words for no reading, sums at the end."""
+    group = ",Living room,,Bath,,Outside,Heat pump"
+    names = "Date,Temperature (°C),Valve (%),Temperature (°C),Valve (%),Temperature (°C),Power (W)"
+    rows = []
+    for k, at in enumerate(HOUSE.index.tz_convert(ZONE)):
+        row = HOUSE.iloc[k]
+        half = "a.m." if at.hour < 12 else "p.m."
+        living = "Fault" if k % 77 == 5 else row.living
+        stamp = f"{at:%A} {at:%d %B %Y %I:%M} {half}"
+        rows.append(f"{stamp},{living},{row.v_living},{row.bath},{row.v_bath},{row.out},{row.power}")
+    rows += [f"Average,,,,,{HOUSE.out.mean():.1f},{HOUSE.power.mean():.0f}", "Total,,,,,,1234567"]
+    (folder / "groups.csv").write_text("\n".join([group, names, *rows]), encoding="utf-8")
+    return [folder / "groups.csv"]
+
+
+def spreadsheet(folder: Path) -> list[Path]:
+    """Days since 1899 and spaces between thousands."""
+    days = (HOUSE.index.tz_convert(ZONE).tz_localize(None) - pd.Timestamp("1899-12-30")) / pd.Timedelta("1D")
+    names = [
+        "Date",
+        "Séjour °C",
+        "Salle de bain °C",
+        "Extérieur °C",
+        "Vanne séjour %",
+        "Vanne salle de bain %",
+        "PAC W",
+    ]
+    lines = [";".join(names)]
+    for day, row in zip(days, HOUSE.itertuples(), strict=True):
+        power = f"{row.power:,.0f}".replace(",", "\u202f")
+        cells = (f"{day:.5f}", row.living, row.bath, row.out, row.v_living, row.v_bath, power)
+        lines.append(";".join(str(cell).replace(".", ",") for cell in cells))
+    (folder / "classeur.csv").write_text("\n".join(lines), encoding="utf-8")
+    return [folder / "classeur.csv"]
+
+
 LAYOUTS = (
+    knx,
+    fhem,
+    campbell,
+    groups,
+    spreadsheet,
     ha_history,
     ha_statistics,
     influx,
@@ -341,6 +434,7 @@ LAYOUTS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda one: one.__name__)
 def test_an_export_is_read_by_the_map_that_is_written_for_it(layout, tmp_path):
     files = layout(tmp_path)
@@ -473,6 +567,26 @@ def test_an_outage_of_the_logger_is_a_gap_of_every_signal(tmp_path):
     inside = (at > pd.Timestamp("2026-01-13T07Z")) & (at < pd.Timestamp("2026-01-13T17Z"))
     assert np.isnan(found.record.T_zone_C[:, inside]).all()
     assert np.isnan(found.record.u[:, inside[:-1]]).all()
+
+
+def test_the_line_protocol_of_influx_is_no_table(tmp_path):
+    path = tmp_path / "dump.lp"
+    path.write_text("temperature,room=living value=21.3 1736726400000000000\n" * 3)
+    with pytest.raises(DataError, match=r"line protocol, no table: export it as CSV"):
+        starting_map(path)
+
+
+def test_a_word_in_one_cell_of_a_long_table_does_not_hide_the_signal(tmp_path):
+    files = fhem(tmp_path)
+    text = files[0].read_text().replace("Aussen;CUL_HM;temperature;3.0", "Aussen;CUL_HM;temperature;sensor lost", 1)
+    assert "sensor lost" in text
+    files[0].write_text(text)
+    written = starting_map(files)
+    assert "missing: [sensor lost]}  # CHECK: words for an empty cell?" in written
+    (tmp_path / "map.yaml").write_text(written)
+    outdoors = tf.read_measurements(files, tmp_path / "map.yaml").record.T_out_C
+    assert np.isnan(outdoors).sum() < 3
+    assert np.nanmax(np.abs(outdoors - HOUSE["out"].to_numpy()[: outdoors.size])) < 1.0
 
 
 def test_a_picture_is_no_code_page(tmp_path):

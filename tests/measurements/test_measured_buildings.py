@@ -52,7 +52,7 @@ def test_the_low_energy_house(folder):
     assert known.min() > 0.7
     assert known.max() < 0.95, "gaps stay gaps"
     outdoor = next(s for s in found.understood.signals if s.key == "outdoor")
-    assert [(flag.rule, flag.count) for flag in outdoor.flags] == [("stuck", 131)]
+    assert [(flag.rule, flag.count) for flag in outdoor.flags] == [("frozen", 131)]
     heated = found.served()
     assert heated.record.names.zones == ("t4",)
     part, note = telling_part(heated.record, heated.layout)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record
-from thermoforce_mpc.model.forecast_gaps import completed, lengthened, whole
+from thermoforce_mpc.model.forecast_gaps import completed, lengthened, weather_spread, whole
 
 N, NOW_S = 48, 30 * DAY_S
 
@@ -50,7 +50,7 @@ def test_a_whole_forecast_is_left_alone():
 def test_a_short_hole_in_the_weather_is_a_straight_line():
     filled, how = completed(without(boundary(), "T_out_C", [5, 6]), record(), None)
     np.testing.assert_allclose(filled.T_out_C, boundary().T_out_C)
-    assert how == "forecast: T_out_C at 2 of 49 instants by interpolation"
+    assert how == "forecast: T_out_C at 2 of 49 instants by interpolation (4 % of the plan)"
 
 
 def test_prices_are_not_interpolated_but_those_of_the_day_before():
@@ -67,8 +67,11 @@ def test_a_signal_that_is_missing_altogether_is_the_last_forecast_and_beyond_it_
     np.testing.assert_allclose(found, true)
     rest, before = getattr(filled, name)[..., N - 5 :], getattr(filled, name)[..., N - 29 : N - 23]
     np.testing.assert_allclose(rest, before)
-    assert f"{name} at 49 of 49 instants by the last forecast (6 h old) and the day before" in how
-    assert whole(filled)
+    assert f"{name} at 49 of 49 instants by the last forecast (6 h old) and the day before (100 % of the plan)" in how
+    # The last forecast was given by somebody, the day before is a guess.
+    assert np.flatnonzero(np.atleast_2d(filled.guessed[name])[0]).tolist() == list(range(N - 5, N + 1))
+    assert np.isfinite(getattr(filled, name)).all()
+    assert not whole(filled)
 
 
 def test_without_any_forecast_the_weather_is_that_of_the_day_before():
@@ -114,3 +117,15 @@ def test_a_forecast_that_ends_early_has_holes_and_is_filled_from_the_last_one(gi
     np.testing.assert_allclose(filled.T_out_C, boundary().T_out_C)
     assert "the last forecast (1 h old)" in how
     assert lengthened(boundary(), N, HOUR_S).n_steps == N
+
+
+def test_a_guess_of_the_weather_is_as_far_off_as_such_guesses_were_in_the_record():
+    filled, _ = completed(without(without(boundary(), "T_out_C", slice(20, None)), "T_out_C", 3), record(), None)
+    assert np.flatnonzero(filled.guessed["T_out_C"]).tolist() == [3, *range(20, N + 1)]
+    spread = weather_spread("T_out_C", filled, record())
+    np.testing.assert_allclose(spread[20:], 0.5)  # from day to day
+    assert 0.0 < spread[3] < 1.2  # over two hours: the line misses midnight alone
+    assert not np.delete(spread, filled.guessed["T_out_C"]).any()
+    assert not weather_spread("solar_W_m2", filled, record()).any()
+    longer = lengthened(filled, N + 6, HOUR_S)
+    assert longer.guessed["T_out_C"].shape == longer.T_out_C.shape

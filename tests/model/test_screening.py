@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from simple_house import simple_model
 
+import thermoforce_mpc as tf
 from thermoforce_mpc.data import HOUR_S, Measurement, Record
+from thermoforce_mpc.data.limits import RULES, jumps
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import ReadingLimits, limits_of, screened, screened_history
@@ -136,3 +139,70 @@ def test_power_that_is_only_a_curve_is_believed():
     low, high = ReadingLimits.of(curved).range("power_W")
     assert low < 0.0
     assert high > 1200.0
+
+
+def faulty(signal: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Hourly readings (n,) with an excursion, a leap and a frozen stretch; which are wrong, and by what rule."""
+    n = 30 * 24
+    rng = np.random.default_rng(5)
+    day = 2 * np.pi * np.arange(n) / 24
+    usual = {
+        "T_zone_C": 21 + 0.5 * np.sin(day), "T_out_C": 4 + 3 * np.sin(day),
+        "solar_W_m2": 400 * np.clip(np.sin(day), 0, None),
+    }[signal]  # fmt: skip
+    values, wrong = usual + rng.normal(0.0, 0.05, n), np.zeros(n, dtype=bool)
+    rules = []
+    if signal != "solar_W_m2":
+        values[100:103] += 12.0  # out and back within three hours
+        wrong[100:103] = True
+        rules.append("jump")
+    still = slice(300, 360) if signal != "solar_W_m2" else slice(341, 350)  # from noon on
+    values[still], wrong[still] = values[still.start], True
+    rules.append("frozen")
+    return values, wrong, rules
+
+
+@pytest.mark.parametrize("signal", ["T_zone_C", "T_out_C", "solar_W_m2"])
+def test_tables_and_running_controllers_refuse_the_same_readings(signal):
+    values, wrong, by_rule = faulty(signal)
+    n = values.size
+    time_s = HOUR_S * np.arange(n)
+    as_before = {name: faulty(name)[0] for name in ("T_zone_C", "T_out_C", "solar_W_m2")}
+    for name, series in as_before.items():
+        if name != signal:
+            series[:] = np.where(faulty(name)[1], NAN, series)
+    nothing = np.full(n - 1, NAN)
+    found, notes = screened_history(
+        Record(time_s=time_s, u=nothing, power_W=nothing, heat_W=nothing, **as_before), HOUSE
+    )
+    np.testing.assert_array_equal(np.isnan(np.atleast_2d(getattr(found, signal))[0]), wrong)
+    assert [" does not move " in note for note in notes if note.startswith(signal)] == [r == "frozen" for r in by_rule]
+
+    table = pd.DataFrame(
+        {"T": as_before["T_zone_C"], "out": as_before["T_out_C"], "sun": as_before["solar_W_m2"]},
+        index=pd.date_range("2025-01-01", periods=n, freq="1h", tz="UTC"),
+    )
+    read = tf.read_measurements(table, {"outdoor": "out", "sun": "sun", "zones": {"room": {"temperature": "T"}}})
+    key = {"T_zone_C": "zones.room.temperature", "T_out_C": "outdoor", "solar_W_m2": "sun"}[signal]
+    flags = next(one.flags for one in read.understood.signals if one.key == key)
+    assert [flag.rule for flag in flags] == by_rule
+    assert sum(flag.count for flag in flags) == wrong.sum()
+
+
+def test_air_that_is_heated_and_cooled_at_full_power_does_not_jump():
+    """As in BOPTEST's bestest_air under probing: 9 K within a step, and back, many times."""
+    time_s = 900.0 * np.arange(960)
+    T = 20.0 + 9.0 * (np.arange(960) // 4 % 5 == 0) + np.random.default_rng(1).normal(0.0, 0.1, 960)
+    assert not jumps(time_s, T, RULES["T_zone_C"]).any()
+    calm = 20.0 + np.random.default_rng(1).normal(0.0, 0.1, 960)
+    calm[400:404] += 9.0
+    assert np.flatnonzero(jumps(time_s, calm, RULES["T_zone_C"])).tolist() == [400, 401, 402, 403]
+
+
+def test_what_follows_something_that_moves_is_frozen_sooner():
+    rule = RULES["T_out_C"]
+    assert rule.is_frozen(3.0, moved=2.5)
+    assert not rule.is_frozen(2.9, moved=2.5)
+    assert not rule.is_frozen(30.0, moved=1.0), "its forecast says that nothing happened"
+    assert rule.is_frozen(30.0), "nothing is known of what it follows"
+    assert not rule.is_frozen(20.0)

@@ -344,6 +344,7 @@ def test_the_browser_refuses_scripts_that_are_not_the_pages_own(browser, one_zon
     seen.page.close()
 
 
+@pytest.mark.slow
 def test_a_rule_alone_is_drawn_without_plans(browser, tmp_path):
     house = SimpleHouse()
     run = run_closed_loop(house, Thermostat(), house.period("x"))

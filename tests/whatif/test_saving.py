@@ -225,7 +225,7 @@ def test_the_command(tmp_path: Path) -> None:
     )
     assert said.exit_code == 0, said.output
     assert said.output.startswith("saved +")
-    assert "flagged in outdoor: 1 by rule 'spike'" in said.output
+    assert "flagged in outdoor: 1 by rule 'jump'" in said.output
     kept = json.loads((tmp_path / "s.json").read_text())
     assert kept["claimed"]
     assert kept["meter"] == "power_W"

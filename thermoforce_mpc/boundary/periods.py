@@ -10,18 +10,26 @@ and cooling, each by its highest mean over that of its peak day.
 from __future__ import annotations
 
 import hashlib
+import json
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import DAY_S, Array, Period
+from thermoforce_mpc.dependencies import cache_folder
+from thermoforce_mpc.errors import InputError, StorageError
+from thermoforce_mpc.files import parse_json, read_bounded, write_whole
 
 NAMES = ("peak_heat_day", "typical_heat_day")
 BOTH_NAMES = (*NAMES, "peak_cool_day", "typical_cool_day", "mix_day")
 _QUARTERS = 96
 _HALF_WINDOW_D = 7
 # Days that leave room for the warm-up and first week before, and the second week after.
-_FIRST_DAY, _LAST_DAY = 14, 358
+_AVAILABLE = range(14, 358)
+# Of a file of kept windows.
+_MOST_BYTES = 1000
 _ACTING_W = 1.0
 
 
@@ -60,10 +68,33 @@ def all_windows(heating_W: Array, cooling_W: Array) -> dict[str, Period]:
     lesser = np.minimum(
         *(_highest(power_W) / max(float(power_W.max()), _ACTING_W) for power_W in (heating_W, cooling_W))
     )
-    available = np.arange(_FIRST_DAY, _LAST_DAY)
+    available = np.array(_AVAILABLE)
     mixed = int(available[np.argmax(lesser[available])])
     windows = _windows(heating_W, NAMES) | _windows(cooling_W, BOTH_NAMES[2:4])
     return windows | {"mix_day": centred_window("mix_day", mixed)}
+
+
+def kept_windows(
+    depends_on: Sequence[str], names: tuple[str, ...], find: Callable[[], dict[str, Period]]
+) -> dict[str, Period]:
+    """Return the windows that `find` finds: for them a year is simulated, so their days are kept in the cache folder.
+
+    `depends_on`: all that decides about them. A file there that does not hold days by these names is written anew;
+    where nothing can be kept they are found each time.
+    """
+    key = hashlib.sha256(" ".join(depends_on).encode()).hexdigest()[:32]
+    with suppress(RuntimeError, InputError):  # RuntimeError: who runs this has no home
+        file = cache_folder() / "windows" / f"{key}.json"
+        kept = parse_json(read_bounded(file, _MOST_BYTES, InputError), str(file), InputError)
+        if tuple(kept) == names and all(isinstance(day, int) and day in _AVAILABLE for day in kept.values()):
+            return {name: centred_window(name, day) for name, day in kept.items()}
+    found = find()
+    with suppress(RuntimeError, OSError, StorageError):
+        file = cache_folder() / "windows" / f"{key}.json"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        days = {name: round(window.start_s / DAY_S) + _HALF_WINDOW_D for name, window in found.items()}
+        write_whole(file, json.dumps(days))
+    return found
 
 
 def _highest(power_W: Array) -> Array:
@@ -72,7 +103,7 @@ def _highest(power_W: Array) -> Array:
 
 def _windows(power_W: Array, names: tuple[str, ...]) -> dict[str, Period]:
     highest = _highest(power_W)
-    available = np.arange(_FIRST_DAY, _LAST_DAY)
+    available = np.array(_AVAILABLE)
     peak = int(available[np.argmax(highest[available])])
     median = float(np.median(highest[highest > _ACTING_W])) if (highest > _ACTING_W).any() else 0.0
     not_above = available[highest[available] <= median]

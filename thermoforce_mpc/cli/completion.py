@@ -16,7 +16,7 @@ import click
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-CONTROLLERS = ("thermoforce_mpc", "thermoforce_paper", "rc_mpc", "rc_mpc_paper", "thermostat", "pi", "native")
+CONTROLLERS = ("thermoforce_mpc", "thermoforce_paper", "rc_mpc", "rc_mpc_paper", "dpc", "thermostat", "pi", "native")
 FREE_RESPONSES = ("residual", "chronos", "linear_weather", "rc", "persistence")
 BACKBONES = (
     "shipped", "shipped_weather", "fracast", "chronos-bolt-tiny", "chronos-bolt-mini", "chronos-bolt-small",

@@ -112,10 +112,27 @@ mpc_options = added(
 )
 
 
+class _Prices(click.Path):
+    """A file of prices, or the name of a tariff of the simulated buildings."""
+
+    name = "prices"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not Path(value).exists() and not Path(value).suffix:
+            from thermoforce_mpc.scenario.building import PRICES
+
+            if str(value) in PRICES:
+                return Path(value)
+            self.fail(f"'{value}' is neither a file nor a tariff; tariffs are {', '.join(PRICES)}", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 own_prices_option = click.option(
     "--prices",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Instead of the map's prices: CSV (time, price per kWh; MWh or ct in the column's name), or a bill (.yaml).",
+    metavar="FILE|TARIFF",
+    type=_Prices(exists=True, dir_okay=False, path_type=Path),
+    help="Instead of the map's prices: CSV (time, price per kWh; MWh or ct in the column's name), a bill (.yaml), or a "
+    "tariff of the simulated buildings: constant, dynamic (two levels) or highly_dynamic (hourly, synthetic).",
 )
 
 
@@ -269,6 +286,21 @@ def _note_option(option: str, key: str) -> None:
         context.meta.setdefault(NAMED_BY, {}).update(dict.fromkeys([key], flags[0]) if flags else {})
 
 
+def _options_of(given: Mapping[str, Any]) -> Iterable[str]:
+    """Dotted keys of the options of the controller that is given, or the default one."""
+    from controllers.registry import find_entry
+    from thermoforce_mpc.errors import ConfigError
+    from thermoforce_mpc.scenario.settings import all_keys
+
+    controller = given.get("controller")
+    name = controller.get("name") if isinstance(controller, Mapping) else controller
+    try:
+        config = find_entry(str(name or "thermoforce_mpc")).config()
+    except ConfigError:  # a name that is not known is said by itself
+        return ()
+    return all_keys(config, "controller.options.")
+
+
 def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = None) -> Scenario:
     """Build the scenario of a command from its file, `defaults`, its options and `--set`; the last that says counts.
 
@@ -301,7 +333,7 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
             f"no test case: give --testcase NAME or --config FILE; nothing else is needed for {_READY} (`tf-mpc "
             "testcases` lists all)"
         )
-    scenario = load_scenario(path, given)
+    scenario = load_scenario(path, given, functools.partial(_options_of, given))
     check_named_code([scenario.model_dump()], [keys], options.get("code", ()), str(path or options.get("variants")))
     if "url" in keys.get("plant", ()):
         from thermoforce_mpc.plants.boptest.plant import allow_token

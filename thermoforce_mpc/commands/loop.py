@@ -10,12 +10,13 @@ the loop does within a step, and what else moves it, is `spread`.
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression, nnls
 
 from thermoforce_mpc.commands.command import SAME, Command
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
@@ -107,6 +108,7 @@ class LearnedCommand:
     `last`: the command (NaN: not known) at `last_s`, s, held for `held_s`; `usual` (n,): what it is when left alone, at
     the times of a week, in equal parts, from `origin` on. Seconds count from there; None: from where a plan's do.
     `machine`: name of the machine of whose actuators all are set by this one command; '': the actuator's own.
+    `untold`: why the record does not tell what it does to this actuator, '' where it does.
     """
 
     command: Command
@@ -117,6 +119,7 @@ class LearnedCommand:
     last_s: float
     origin: pd.Timestamp | None = None
     machine: str = ""
+    untold: str = ""
 
     @property
     def in_words(self) -> str:
@@ -136,7 +139,15 @@ class LearnedCommand:
 
 
 def learn_command(
-    command: Command, was: CommandRecord, T_zone_C: Array, T_out_C: Array, u: Array, time_s: Array, where: str
+    command: Command,
+    was: CommandRecord,
+    T_zone_C: Array,
+    T_out_C: Array,
+    u: Array,
+    time_s: Array,
+    where: str,
+    *,
+    may_be_untold: bool = False,
 ) -> LearnedCommand:
     """Learn what the loop makes of `command` from a record of n steps.
 
@@ -147,12 +158,17 @@ def learn_command(
         u: mean level of each step (n,).
         time_s: boundaries (n + 1,), s.
         where: what it is the command of, for messages.
+        may_be_untold: it is enough that the record tells of another one: of a room that was never cold it tells
+            nothing (`untold`, see `check_told`).
 
     Raises:
         DataError: the record is too short, or does not tell what the command does; says what to do.
     """
     step_s = float(time_s[1] - time_s[0])
-    loop, value = _learn_loop(command, was.mean, _means(T_zone_C), _means(T_out_C), u, step_s, time_s, where), was.at
+    loop, untold = _learn_loop(command, was.mean, _means(T_zone_C), _means(T_out_C), u, step_s, time_s, where)
+    if untold and not may_be_untold:
+        raise DataError(untold)
+    value = was.at
     known = np.flatnonzero(np.isfinite(value))
     if not known.size:
         raise DataError(f"{where}: it was never read: check its column")
@@ -163,7 +179,23 @@ def learn_command(
     usual = value if was.usual is None else was.usual
     if not np.isfinite(usual).any():
         raise DataError(f"{where}: usual: its column holds no value: check it, or give a number")
-    return LearnedCommand(command, loop, last, held_s, _usual(usual[:-1], time_s[:-1]), now_s)
+    return LearnedCommand(command, loop, last, held_s, _usual(usual[:-1], time_s[:-1]), now_s, untold=untold)
+
+
+def check_told(learned: Collection[LearnedCommand]) -> None:
+    """Raise `DataError` where the record tells of no command what it does."""
+    if learned and all(one.untold for one in learned):
+        raise DataError(next(iter(learned)).untold)
+
+
+def left_alone(learned: Mapping[int, LearnedCommand]) -> dict[int, str]:
+    """Why actuators, by number, are left alone: the record tells of none that their command sets what it does."""
+    out: dict[int, str] = {}
+    for a, one in learned.items():
+        members = [each for b, each in learned.items() if b == a or (one.machine and each.machine == one.machine)]
+        if all(each.untold for each in members):
+            out[a] = one.untold
+    return out
 
 
 def _means(values: Array) -> Array:
@@ -172,7 +204,8 @@ def _means(values: Array) -> Array:
 
 def _learn_loop(
     command: Command, value: Array, T_zone_C: Array, T_out_C: Array, u: Array, step_s: float, time_s: Array, where: str
-) -> LoopMap:
+) -> tuple[LoopMap, str]:
+    """The map, and why the record does not tell what the command does, '' where it does."""
     measured = np.isfinite(value) & np.isfinite(T_zone_C) & np.isfinite(T_out_C) & np.isfinite(u)
     follows = measured.copy()
     follows[1:] &= measured[:-1]
@@ -191,30 +224,36 @@ def _learn_loop(
     chosen = next(i for i, one in enumerate(rmse) if one <= _AS_GOOD * min(rmse))
     loop, error = candidates[chosen], errors[chosen]
     r2 = 1.0 - rmse[chosen] ** 2 / max(float(np.var(u[rows])), 1e-12)
-    rng, days = np.random.default_rng(_SEED), np.unique(day[rows])
+    rng, groups = np.random.default_rng(_SEED), _alike_days(value[rows], day[rows])
     again = []
     for _ in range(_DRAWS):
-        some = rng.choice(days, days.size)
+        some = np.concatenate([rng.choice(days, days.size) for days in groups])
         again.append(np.concatenate([rows[day[rows] == one] for one in some]))
     drawn = [_fit(command, draw, value, T_zone_C, T_out_C, u, loop.carry) for draw in again]
     s = loop.index(value, T_zone_C, T_out_C)[rows]
     uncertain = np.std([_at(one, loop) for one in drawn], axis=0)
-    _check_acts(command, loop, drawn, value[rows], T_zone_C[rows], T_out_C[rows], r2, where)
+    untold = _untold(command, loop, drawn, value[rows], T_zone_C[rows], T_out_C[rows], r2, where)
     spread = _by_bins(s, error**2, loop.knots) ** 0.5
-    return replace(
-        loop,
-        spread=spread,
-        uncertain=uncertain,
-        rmse=rmse[chosen],
-        r2=r2,
-        days=hours * HOUR_S / DAY_S,
-    )
+    loop = replace(loop, spread=spread, uncertain=uncertain, rmse=rmse[chosen], r2=r2, days=hours * HOUR_S / DAY_S)
+    return loop, untold
+
+
+def _alike_days(value: Array, day: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Days with the commands of most days, and others: of a month with three days of trials each draw has three."""
+    of_day = {one: tuple(np.unique(np.round(value[day == one], 3))) for one in np.unique(day).tolist()}
+    usual, _ = Counter(of_day.values()).most_common(1)[0]
+    groups = [
+        np.array([one for one, values in of_day.items() if (values == usual) is alike]) for alike in (True, False)
+    ]
+    return [group for group in groups if group.size]
 
 
 def _fit(
     command: Command, rows: NDArray[np.intp], value: Array, T_zone_C: Array, T_out_C: Array, u: Array, carry: float
 ) -> LoopMap:
     """The map with the least squares of one-step errors in `rows`."""
+    from scipy.optimize import isotonic_regression, nnls
+
     y = u[rows] - carry * u[rows - 1]
     seen = np.unique(np.round(value[rows], 6))
     values, effects, zone, outdoor = np.array([seen[0], seen[-1]]), np.array([seen[0], seen[-1]]), 1.0, 0.0
@@ -300,7 +339,7 @@ def _by_bins(s: Array, values: Array, knots: Array) -> Array:
     return np.where(count > 0, total / np.maximum(count, 1), values.mean())
 
 
-def _check_acts(
+def _untold(
     command: Command,
     loop: LoopMap,
     drawn: list[LoopMap],
@@ -309,15 +348,15 @@ def _check_acts(
     T_out_C: Array,
     r2: float,
     where: str,
-) -> None:
-    """Raise `DataError` where the record does not tell that more of the command is more heat."""
+) -> str:
+    """Why the record does not tell that more of the command is more heat; '' where it does."""
     if command.of_zone == -1.0:
         low, high = np.quantile(value - T_zone_C, (0.05, 0.95)) + np.median(T_zone_C)
     else:
         low, high = float(value.min()), float(value.max())
     middle = float(np.median(T_zone_C)), float(np.median(T_out_C))
     if high - low <= SAME:
-        raise DataError(f"{where}: it was {low:g} all the time: try other values for some days, then plan")
+        return f"{where}: it was {low:g} all the time: try other values for some days, then plan"
 
     def effect(one: LoopMap) -> float:
         before = one.carry * 0.0
@@ -325,11 +364,12 @@ def _check_acts(
 
     found, error = effect(loop), float(np.std([effect(one) for one in drawn]))
     if found - _CERTAIN * error < _LEAST_EFFECT or r2 < _LEAST_R2:
-        raise DataError(
+        return (
             f"{where}: the record does not tell what it does: from {low:.3g} to {high:.3g} the level changes by "
             f"{found:.2f} ± {error:.2f}, and it explains {100 * max(r2, 0.0):.0f} % of the level's scatter. Try "
             "different values at the same times of the day for some days, or check the columns of command and level"
         )
+    return ""
 
 
 def _usual(value: Array, time_s: Array) -> Array:

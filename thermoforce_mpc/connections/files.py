@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import json
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
 
@@ -34,12 +36,13 @@ class FilesConnection:
         self._measurements, self._outlook, self._levels = measurements, Outlook(forecast), levels
 
     def measurements(self) -> str:
-        """See `Connection.measurements`."""
-        return self._measurements
+        """See `Connection.measurements`; raises `DataError` where there is no such file."""
+        return _there(self._measurements, "measurements")
 
     def forecast(self) -> pd.DataFrame | str:
-        """See `Connection.forecast`."""
-        return self._outlook.now()
+        """See `Connection.forecast`; raises `DataError` where there is no such file."""
+        table = self._outlook.now()
+        return _there(table, "forecast") if isinstance(table, str) else table
 
     def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
         """See `Connection.write`; raises `StorageError`."""
@@ -55,6 +58,12 @@ class FilesConnection:
 
     def close(self) -> None:
         """Nothing is open."""
+
+
+def _there(name: str, key: str) -> str:
+    if not Path(name).exists() and not glob.glob(name):
+        raise DataError(f"connection.{key}: {name}: no such file; name it by --set connection.{key}=FILE")
+    return name
 
 
 def _text(at: datetime) -> str:

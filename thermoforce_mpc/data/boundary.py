@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -299,6 +300,17 @@ class FreeForecast:
         note = "; ".join(dict.fromkeys(zone.note for zone in zones))
         doubt = "; ".join(dict.fromkeys(zone.doubt for zone in zones if zone.doubt))
         return cls(levels, np.stack(rows, axis=1), note, doubt)
+
+    def widened(self, sd_K: Array) -> FreeForecast:
+        """The same with an error of its own added, normal, of standard deviation `sd_K`, (N,) or (Z, N), K."""
+        median = self.median_C
+        rows = []
+        for level, row in zip(np.asarray(self.levels, dtype=np.float64), self.quantiles_C, strict=True):
+            off = np.hypot(row - median, NormalDist().inv_cdf(float(level)) * sd_K)
+            rows.append(np.where(sd_K > 0.0, median + math.copysign(1.0, level - 0.5) * off, row))
+        index = int(np.argmin(np.abs(np.asarray(self.levels) - 0.5)))
+        rows[index] = median
+        return replace(self, quantiles_C=np.stack(rows))
 
     @property
     def median_C(self) -> Array:

@@ -1,5 +1,7 @@
 """Functions compiled by numba, kept on disk under a hash of all sources that they hold.
 
+numba and LLVM take 80 MB and a third of a second: a process that calls none of these functions does not load them.
+
 numba keeps a function by the file that it stands in. Of functions and constants of other files that it took in when it
 was compiled it knows nothing, and goes on with those as they were.
 """
@@ -13,11 +15,10 @@ import re
 import shutil
 import time
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property, update_wrapper
 from pathlib import Path
+from types import ModuleType
 from typing import Any
-
-import numba
 
 from thermoforce_mpc.data.cache import cache_folder
 
@@ -31,23 +32,46 @@ _KEPT_DAYS = 30.0
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit` with these options; with `cache=True` kept by `sources_of` its file.
+    """`numba.njit` with these options, applied when the function is first called.
 
-    It is kept in `NUMBA_CACHE_DIR` where that is set, else in the user's cache folder.
-    Where that cannot be written nothing is kept.
+    With `cache=True` it is kept by `sources_of` its file, in `NUMBA_CACHE_DIR` where that is set, else in the user's
+    cache folder. Where that cannot be written nothing is kept.
     """
+    return lambda function: _Compiled(function, options)
 
-    def decorate(function: Callable[..., Any]) -> Any:
-        folder = _folder(str(function.__globals__["__file__"])) if options.get("cache") else None
-        given = options if folder else {**options, "cache": False}
+
+class _Compiled:
+    """A function that is compiled when it is first called, with those of ours that it calls."""
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        self._function, self._options = function, options
+        update_wrapper(self, function)
+
+    def __call__(self, *args: Any) -> Any:
+        return self.dispatcher(*args)
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """numba's object. It stands in our place in the function's module too, where numba looks for what it calls."""
+        import numba
+
+        function, names = self._function, self._function.__globals__
+        used = function.__code__.co_names
+        for module in [names, *(vars(found) for name in used if isinstance(found := names.get(name), ModuleType))]:
+            for name in used:
+                if isinstance(called := module.get(name), _Compiled) and called is not self:
+                    module[name] = called.dispatcher
+        folder = _folder(str(names["__file__"])) if self._options.get("cache") else None
+        given = self._options if folder else {**self._options, "cache": False}
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = folder or before
         try:
-            return numba.njit(**given)(function)
+            compiled = numba.njit(**given)(function)
         finally:
             numba.config.CACHE_DIR = before
-
-    return decorate
+        if names.get(function.__name__) is self:
+            names[function.__name__] = compiled
+        return compiled
 
 
 def sources_of(file: Path, root: Path = _ROOT) -> list[Path]:
@@ -78,15 +102,24 @@ def _file(module: str, root: Path) -> Path | None:
 
 
 @cache
-def _folder(file: str) -> str | None:
-    """Where functions of a file are kept; None where nothing can be."""
-    # numba itself tells processors and Pythons apart.
-    hashed = hashlib.sha256(numba.__version__.encode())
+def sources_hash(file: str) -> str:
+    """SHA-256 of the text of `sources_of` a module's file, hexadecimal: of what decides about what is kept of it."""
+    hashed = hashlib.sha256()
     for source in sources_of(Path(file)):
         hashed.update(source.name.encode() + b"\0" + source.read_bytes() + b"\0")
+    return hashed.hexdigest()
+
+
+@cache
+def _folder(file: str) -> str | None:
+    """Where functions of a file are kept; None where nothing can be."""
+    import numba
+
+    # numba itself tells processors and Pythons apart.
+    name = hashlib.sha256(f"{numba.__version__} {sources_hash(file)}".encode()).hexdigest()[:32]
     try:
         ours = cache_folder() / "compiled"
-        folder = Path(numba.config.CACHE_DIR or ours) / hashed.hexdigest()[:32]
+        folder = Path(numba.config.CACHE_DIR or ours) / name
         new = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)

@@ -1,13 +1,25 @@
 """Plausibility limits of readings and limits of gaps between them, with their reasons; `RULES` has those of a signal.
 
 The ranges are wide: they reject faults (a broken wire, a lost decimal point, K read as °C), not unusual readings.
-Values outside are treated as not measured; nothing is clipped.
+Values outside are treated as not measured; nothing is clipped. Tables (`measurements.readings`) and running controllers
+(`model.screening`, `controllers.monitoring`) ask the same three questions of a reading:
+
+| question | answered by |
+|---|---|
+| may it be so high or low? | `outside` |
+| may it have come there so fast? | `jumps`: too far from the last one believed, or out and back within hours |
+| does it live? | `frozen`: unchanged for too long; `SignalRule.is_frozen`: or unchanged while what it follows moved |
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermoforce_mpc.data.clock import DAY_S, HOUR_S, Array
 
 # Tolerance of levels outside [0, 1], from rounding of step means and solver solutions.
 ROUNDING = 1e-6
@@ -68,12 +80,13 @@ class SignalRule:
         unit: inside.
         range: possible values; what is outside is not measured.
         usual: of a median or, of levels, a maximum; outside a wrong unit is likely.
-        spike: change from one reading to the next that is none if it comes back within hours (tables).
-        jump: change since the last accepted reading that is possible, and what comes to it in an hour (running).
-        expected: distance from its prediction within which a reading is always believed (running).
-        stuck_h: time after which an unchanging reading is stuck, h; 0: never (tables, which know no more).
-        frozen_h: the same where what it follows has moved by `moved` meanwhile (running): a forecast, a level, or the
-            zone by the model; 0: never.
+        spike: change from one reading to the next that is none if it comes back within 6 h, and at least `times_usual`
+            the 97th percentile of changes: air that is heated and cooled at full power moves by 10 K in a step.
+        jump: change since the last accepted reading that is possible, and what comes to it in an hour.
+        expected: distance from its prediction within which a reading is always believed, where there is a model.
+        stuck_h: time after which an unchanging reading is stuck where nothing is known of what it follows, h; 0: never.
+        frozen_h: the same where what it follows has moved by `moved` meanwhile: a forecast, a level, or the zone by the
+            model; 0: never.
         always: whether every building reports it, so that a missing one is said.
     """
 
@@ -82,12 +95,32 @@ class SignalRule:
     range: tuple[float, float] = (-math.inf, math.inf)
     usual: tuple[float, float] = (-math.inf, math.inf)
     spike: float = math.inf
+    times_usual: float = 3.0
     jump: tuple[float, float] = (math.inf, 0.0)
     expected: float = math.inf
     stuck_h: float = 0.0
     frozen_h: float = 0.0
     moved: float = math.inf
     always: bool = False
+
+    def reach(self, since_s: float) -> float:
+        """Largest plausible change over `since_s` s, in the unit."""
+        at_once, per_h = self.jump
+        return at_once + per_h * since_s / HOUR_S
+
+    @property
+    def in_words(self) -> str:
+        """What a jump is."""
+        return f"more than {min(self.spike, self.reach(0.0)):g} {self.unit} from those before and after"
+
+    def is_frozen(self, hours: float, moved: float = math.nan) -> bool:
+        """Whether a reading that has been the same for `hours` is no longer one.
+
+        `moved`: by how much what it follows has moved meanwhile; NaN: not known.
+        """
+        if math.isnan(moved):
+            return 0.0 < self.stuck_h < hours
+        return self.frozen_h > 0.0 and hours >= self.frozen_h - 1e-6 and moved >= self.moved
 
 
 RULES = {
@@ -108,3 +141,76 @@ RULES = {
     "T_return_C": SignalRule("temperature", "°C", RETURN_WATER_C, (5.0, 90.0)),
 }  # fmt: skip
 """By the name of the signal in a `Record`. Ranges of power and heat are those of the machine (`model/screening.py`)."""
+
+# Longest excursion that is a spike, s; whoever moved a sensor and left it there meant it.
+EXCURSION_S = 6 * HOUR_S
+# Largest zero offset of a pyranometer, W/m² (ISO 9060:2018, class C), and what is no reading but the dark itself.
+_ZERO_OFFSET_W_M2, _DARK_W_M2 = 30.0, 1.0
+# Changes between readings of which one that is a spike is no usual one, in percent.
+_USUAL_CHANGES = 97.0
+
+
+def outside(values: Array, allowed: tuple[float, float]) -> NDArray[np.bool_]:
+    """Which values are infinite or outside the range; NaN is not."""
+    low, high = allowed
+    return np.asarray((values < low) | (values > high) | np.isinf(values))
+
+
+def jumps(time_s: Array, values: Array, rule: SignalRule) -> NDArray[np.bool_]:
+    """Which readings (n,) came too far too fast: out and back within 6 h, or far from the last believed; NaN is not."""
+    wrong = np.zeros(values.size, dtype=bool)
+    known = np.flatnonzero(np.isfinite(values))
+    changes = np.abs(np.diff(values[known]))
+    if not changes.size or not (changes > min(rule.spike, rule.reach(0.0))).any():
+        return wrong
+    most = max(rule.spike, rule.times_usual * float(np.percentile(changes, _USUAL_CHANGES)))
+    wrong[known] = _excursions(time_s[known], values[known], most)
+    known = known[~wrong[known]]
+    at_s, believed = float(time_s[known[0]]), float(values[known[0]])
+    for i in known:
+        if abs(values[i] - believed) > rule.reach(float(time_s[i]) - at_s):
+            wrong[i] = True
+        else:
+            at_s, believed = float(time_s[i]), float(values[i])
+    return wrong
+
+
+def frozen(time_s: Array, values: Array, rule: SignalRule) -> NDArray[np.bool_]:
+    """Which readings (n,), finite, belong to a stretch of one value that lasts too long for a sensor that lives.
+
+    The sun's sensor reads its zero offset in the dark, for a day at most.
+    """
+    if not rule.stuck_h > 0.0 or values.size < 2:
+        return np.zeros(values.size, dtype=bool)
+    most_s = rule.stuck_h * HOUR_S
+    stuck = _unchanged(time_s, values, most_s)
+    if rule.kind == "irradiance":
+        dim = np.abs(values) <= _ZERO_OFFSET_W_M2
+        stuck &= ~dim | _unchanged(time_s, values, max(most_s, DAY_S))
+        stuck &= np.abs(values) > _DARK_W_M2
+    return stuck
+
+
+def _excursions(time_s: Array, values: Array, most: float) -> NDArray[np.bool_]:
+    """Which readings (n,) lie between a jump of more than `most` and one back within 6 h."""
+    away = np.zeros(values.size, dtype=bool)
+    steps = np.diff(values)
+    rows = np.flatnonzero(np.abs(steps) > most)
+    k = 0
+    while k + 1 < rows.size:
+        out, back = int(rows[k]), int(rows[k + 1])
+        returned = abs(values[back + 1] - values[out]) <= most and steps[out] * steps[back] < 0.0
+        if returned and time_s[back + 1] - time_s[out] <= EXCURSION_S:
+            away[out + 1 : back + 1] = True
+            k += 1
+        k += 1
+    return away
+
+
+def _unchanged(time_s: Array, values: Array, most_s: float) -> NDArray[np.bool_]:
+    """Which readings (n,) belong to a stretch of one value that lasts longer than `most_s`."""
+    # A gap that is long beside that tells nothing of what lies in it.
+    changes = (np.diff(values) != 0.0) | (np.diff(time_s) > 0.25 * most_s)
+    begins = np.concatenate([[0], np.flatnonzero(changes) + 1])
+    ends = np.concatenate([begins[1:] - 1, [values.size - 1]])
+    return np.repeat((time_s[ends] - time_s[begins]) > most_s, ends - begins + 1)

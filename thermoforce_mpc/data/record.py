@@ -130,12 +130,14 @@ class Record:
 
     def slice(self, start: int, stop: int) -> Record:
         """Steps `start` … `stop` − 1, with the samples at both their ends."""
-        return Record(
-            **{name: getattr(self, name)[..., start : stop + 1] for name in SAMPLED},
-            **{name: getattr(self, name)[..., start:stop] for name in ACTING},
-            origin=self.origin,
-            names=self.names,
-        )
+        values = {name: getattr(self, name)[..., start : stop + 1] for name in SAMPLED}
+        values |= {name: getattr(self, name)[..., start:stop] for name in ACTING}
+        values |= {"origin": self.origin, "names": self.names}
+        if not 0 <= start <= stop <= self.n_steps:
+            return Record(**values)
+        part = object.__new__(Record)  # what holds of the whole was checked, and holds of its steps
+        part.__dict__.update(values)
+        return part
 
     def part(self, zone: int, actuators: Sequence[int], machines: Sequence[int] = ()) -> Record:
         """The record of one zone with some of the actuators and machines; without machines, power is not measured."""

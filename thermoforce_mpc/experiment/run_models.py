@@ -84,9 +84,8 @@ def _identify(
         display.say(found if verdict is None else f"{found}. {verdict.sentence()}")
         if zone.card.sun_on_sensor is not None:
             display.say(f"Sun on the sensor{of}: {zone.card.sun_on_sensor.in_words()}")
-        if zone.card.blocked_hours or zone.card.blocked_cooling_hours:
-            for note in (note for note in zone.card.notes if "blocked_hours" in note):
-                display.say(f"Hours{of}: {note}")
+        for note in (note for note in zone.card.notes if "watch.blocked_hours" in note or "watch.hour_effects" in note):
+            display.say(f"Hours{of}: {note}")
         if verdict is None and zone.card.unfit:
             display.say(zone.card.unfit)
         elif verdict is not None and not verdict.competent:

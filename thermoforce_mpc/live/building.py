@@ -396,10 +396,19 @@ _OLDEST = pd.Timedelta(days=1)
 
 
 @dataclass(frozen=True)
+class SetCommand:
+    """The command `value` of an actuator that has been set `since` a time, ISO 8601."""
+
+    name: str
+    value: float
+    since: str
+
+
+@dataclass(frozen=True)
 class Kept:
     """The controller's state `before` and `after` the decision at `instant`, and levels `applied` so far.
 
-    Seconds count from `origin`; both times in ISO 8601. `of` tells controllers apart.
+    Seconds count from `origin`; both times in ISO 8601. `of` tells controllers apart. `commands`: what is set now.
     """
 
     origin: str
@@ -408,13 +417,14 @@ class Kept:
     after: object
     applied: tuple[Applied, ...]
     of: str = ""
+    commands: tuple[SetCommand, ...] = ()
 
     def state_at(self, instant: pd.Timestamp) -> object:
         """The state to decide with at `instant`; the step that was decided already is decided once more."""
         return self.before if instant == pd.Timestamp(self.instant) else self.after
 
 
-_FORMAT = StateFormat((*STATE_CLASSES, ProbingState, LevelsState, RoomsState, Kept, Applied))
+_FORMAT = StateFormat((*STATE_CLASSES, ProbingState, LevelsState, RoomsState, Kept, Applied, SetCommand))
 
 
 class KeptState:

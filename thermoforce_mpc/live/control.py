@@ -20,9 +20,9 @@ from thermoforce_mpc.connections.watchdog import Watchdog
 from thermoforce_mpc.data import Block, Boundary, CommandValue, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ControllerRaised, NoForecast, PlantError, ThermoForceError
-from thermoforce_mpc.live.building import Applied, Kept, KeptState, LiveBuilding
+from thermoforce_mpc.live.building import Applied, Kept, KeptState, LiveBuilding, SetCommand
 from thermoforce_mpc.loop.forecasts import OUTAGE_H
-from thermoforce_mpc.loop.loop import Believed, Decided, Loop
+from thermoforce_mpc.loop.loop import Believed, Decided, Loop, not_followed
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of, screened_history
 from thermoforce_mpc.protocols import Controller
@@ -149,6 +149,7 @@ class _Building:
         self._allowed = limits_of(controller)
         self._instant: pd.Timestamp | None = None
         self._applied: list[Applied] = []
+        self._commands: dict[str, SetCommand] = {}
         self._set = False
         self._decided: tuple[pd.Timestamp, object, object] | None = None
         self.begun_anew = False
@@ -162,6 +163,7 @@ class _Building:
             return None
         self._building.count_from(pd.Timestamp(kept.origin))
         self._applied = list(kept.applied)
+        self._commands = {one.name: one for one in kept.commands}
         return kept.state_at(self._next)
 
     def next_step(self) -> bool:
@@ -175,7 +177,7 @@ class _Building:
                 _LOG.warning(
                     "the clock was set back, from the step of %s to that of %s: begun anew", self._instant, now
                 )
-                self._applied, self._next = [], now
+                self._applied, self._commands, self._next = [], {}, now
             else:
                 self._next = max(self._instant + self._step, now)
         if self._left == 0:
@@ -289,18 +291,20 @@ class _Building:
             self._set = not self._write((None,) * len(self._building.names), 0.0)
         if not acts:
             self._record(Block.native(len(self._building.names), self._step.total_seconds()), begin)
-            state = decided.before
-            self._keep(self._at, state, state)
+            state = not_followed(decided.before, decided.after)
+            self._keep(self._at, decided.before, state)
         for block in blocks:
             until = min(begin + pd.Timedelta(seconds=block.duration_s), end)
             # No longer than a step, where the clock was set back; a machine that slept may wake after the block's end.
             self._clock.wait_until(min(begin, self._clock.now() + self._step))
             if until > (now := self._clock.now()):
                 hold_s = min((end - now).total_seconds(), self._step.total_seconds()) + beyond_s
+                block = self._as_may_be(block, now, (until - now).total_seconds())
                 taken = self._write(block.told, hold_s)
+                self._note_commands(block.told if taken else (None,) * len(block.told), now)
                 start_s = self._building.time_s(begin)
                 # A plan whose levels were not taken did not act.
-                state = state if taken else decided.before
+                state = state if taken else not_followed(decided.before, decided.after)
                 # What a command brings is measured, not known.
                 levels = tuple(None if told is not None else u for u, told in zip(block.u, block.command, strict=True))
                 set_block = block if taken else Block.native(len(block.u), block.duration_s)
@@ -314,6 +318,35 @@ class _Building:
         self._clock.wait_until(min(end, self._clock.now() + self._step))
         return state
 
+    def _as_may_be(self, block: Block, now: pd.Timestamp, seconds: float) -> Block:
+        """What is to be set for `seconds` s, but for commands that a controller that was started again within a step
+        would change before they were held, or hold for too long: plans count from the begins of steps.
+        """
+        out = list(block.told)
+        for a, (name, value) in enumerate(zip(self._building.names, block.told, strict=True)):
+            command, before = self._building.command_of(name), self._commands.get(name)
+            if command is None or before is None or not isinstance(value, float):
+                continue
+            held_s = (now - pd.Timestamp(before.since)).total_seconds()
+            may_go_on = held_s + seconds <= command.longest_s(before.value) + _NEXT_DECISION_S
+            if value == before.value and not may_go_on:
+                out[a] = None
+            elif value != before.value and held_s < 60.0 * command.hold_min - _NEXT_DECISION_S and may_go_on:
+                out[a] = before.value
+        if out == list(block.told):
+            return block
+        levels = tuple(None if now_told is None else u for u, now_told in zip(block.u, out, strict=True))
+        by_command = [None if one is None else now_told for one, now_told in zip(block.command, out, strict=True)]
+        return Block(levels, block.duration_s, by_command)
+
+    def _note_commands(self, told: Sequence[CommandValue | None], now: pd.Timestamp) -> None:
+        """Note what is set since when; what is left to itself is not."""
+        for name, value in zip(self._building.names, told, strict=True):
+            if not isinstance(value, float) or self._building.command_of(name) is None:
+                self._commands.pop(name, None)
+            elif name not in self._commands or self._commands[name].value != value:
+                self._commands[name] = SetCommand(name, value, now.isoformat())
+
     def _record(self, block: Block, begin: pd.Timestamp) -> None:
         """Note a block in the journal, whose steps begin when they do, not when they are decided."""
         if self._journal is not None:
@@ -323,7 +356,16 @@ class _Building:
         self._decided = instant, before, after
         if self._kept_state is not None:
             origin = self._building.origin.isoformat()
-            self._kept_state.save(Kept(origin, instant.isoformat(), before, after, tuple(self._applied)))
+            self._kept_state.save(
+                Kept(
+                    origin,
+                    instant.isoformat(),
+                    before,
+                    after,
+                    tuple(self._applied),
+                    commands=tuple(self._commands.values()),
+                )
+            )
 
     def _write(self, told: Sequence[CommandValue | None], seconds: float) -> bool:
         names = self._building.names

@@ -1,79 +1,114 @@
-"""What a controller that only watches would have saved, day by day, as a band.
+"""What a controller that only watches would have saved, day by day, with a band: `tf-mpc worth` of its days.
 
-Plans of a shadow are made from the rooms as the building's own control keeps them, so the first steps of many plans are
-no course. Each whole day is therefore judged by the one plan that was made at its begin: its levels, as they were
-planned for the whole day on the forecast of then, take the place of those of the building in the weather that came
-(`thermoforce_mpc.whatif.counterfactual`). Their last hours are moved until the rooms end the day as they did, so that
-nothing is saved by rooms that are left colder. Errors of the model have one sign on all days: the bands of days add up.
-As with `tf-mpc saving`, a saving is claimed only where all of the band lies above 0.
+The identified house is lived through each day again under the same controller, which plans anew in every step with the
+forecasts, bounds and prices that the shadow had then. House and controller go on from where the day before left them,
+as those of a building under control do. So are houses drawn from what the model does not know; of their savings, added
+up over the days, comes the band. Heat that is stored at the end of a day counts. As with `tf-mpc saving`, a saving is
+claimed only where all of the band lies above 0.
 """
 
 from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Record
-from thermoforce_mpc.errors import DataError, InputError, counted
+from controllers.state_classes import STATE_CLASSES
+from thermoforce_mpc.commands.loop import LearnedCommand
+from thermoforce_mpc.data import CONDITIONS, J_PER_KWH, Boundary, Period, Record
+from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
+from thermoforce_mpc.experiment.worth import Houses, Lived, band_of, outside_Kh
 from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.records.journal import NAME, making_sense, read_run
-from thermoforce_mpc.records.journal_values import planned_of
 from thermoforce_mpc.records.run_folder import write_json
-from thermoforce_mpc.records.told_steps import forecast_of, history_before, told_building, told_loops, told_steps
-from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
+from thermoforce_mpc.records.told_steps import (
+    forecast_of,
+    history_before,
+    told_building,
+    told_loops,
+    told_steps,
+)
+from thermoforce_mpc.state_file import StateFormat
+from thermoforce_mpc.whatif.identified_house import HouseState
 from thermoforce_mpc.whatif.saving import LEAST_AFTER
 
 _LOG = logging.getLogger(__name__)
-_FILE, _MOST_BYTES = "shadow.json", 10_000_000
-# The end of a day that is moved so that rooms end as they did, h, and how near the search comes, as a level.
-_END_H, _HALVINGS = 6.0, 10
-# A plan that began so much later does not stand for the day, s.
-_LATE_S = HOUR_S
+_FILE, _STATE, _MOST_BYTES = "shadow.json", "shadow.npz", 10_000_000
+# Houses drawn beside the likeliest: each costs a plan a step, and a day is judged while control waits.
+_DRAWS = 4
+# Least share of a day's steps with a decision; without, there is nothing to say what the controller would have done.
+_LEAST_DECIDED = 0.9
 
 
 @dataclass(frozen=True)
 class ShadowDay:
-    """A day as it was and as it was planned at its begin: energy as metered (where it is not, by the model), kWh, and
-    the plan's by the model, with its 90 % band, in which is also by what share the model misses what was metered on
-    that very day; cost at the prices in force, and its band; K·h outside the bounds, mean over zones; change of the
-    rooms' mean temperature at its end, K, where the levels could not make up for all of it.
+    """A day as it was and under plans: cost, energy, kWh, K·h outside the bounds in all zones, each of both.
+
+    `saved`: of each house, the likeliest first, currency, with what is stored. `warmer_K`: mean change of the rooms'
+    temperature. `planned`: share of its steps that the model planned. `goes_on`: house and controller began it where
+    the day before had left them; else as the house was.
     """
 
     day: str
+    energy_was_kWh: float
     energy_kWh: float
-    planned_kWh: float
-    planned_low_kWh: float
-    planned_high_kWh: float
+    cost_was: float
     cost: float
-    planned_cost: float
-    planned_low_cost: float
-    planned_high_cost: float
-    discomfort_Kh: float
-    planned_discomfort_Kh: float
-    left_K: float
+    saved: tuple[float, ...]
+    outside_was_Kh: float
+    outside_Kh: float
+    warmer_K: float
+    planned: float
+    goes_on: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ShadowHouses:
+    """Where houses and the controller of each stand at the end of `day`; `of`: tells controllers apart."""
+
+    day: str
+    of: str
+    houses: tuple[HouseState, ...]
+    controllers: tuple[object, ...]
+
+
+_FORMAT = StateFormat((*STATE_CLASSES, HouseState, Record, ShadowHouses))
 
 
 class ShadowBook:
-    """The days of a shadow in a run folder, kept in `shadow.json`."""
+    """The days of a shadow in a run folder, kept in `shadow.json`; where its houses stand is in `shadow.npz`."""
 
-    def __init__(self, folder: Path, model: ThermalModel) -> None:
-        """Go on with the days that are there; a file that cannot be read is begun anew, and the log says so."""
-        self._folder, self._model = folder, model
+    def __init__(
+        self,
+        folder: Path,
+        model: ThermalModel,
+        controller: Controller,
+        commands: Mapping[str, LearnedCommand] | None = None,
+        key: str = "",
+    ) -> None:
+        """Go on with the days that are there; a file that cannot be read is begun anew, and the log says so.
+
+        `controller`: that of the shadow, with what it would set by `commands`; `key`: tells it from others.
+        """
+        self._folder, self._model, self._controller = folder, model, controller
+        self._commands, self._key = commands, key
         self.days: list[ShadowDay] = []
         self._today: date | None = None
         self._over: pd.Timestamp | None = None
         if (folder / _FILE).exists():
             try:
                 told = json.loads(read_bounded(folder / _FILE, _MOST_BYTES, InputError))
-                self.days = [ShadowDay(**day) for day in told["days"]]
+                self.days = [ShadowDay(**{**day, "saved": tuple(day["saved"])}) for day in told["days"]]
             except (InputError, ValueError, KeyError, TypeError) as error:
                 _LOG.warning("%s: begun anew (%s)", folder / _FILE, error)
 
@@ -85,15 +120,129 @@ class ShadowBook:
         if self._over is not None:
             begin, self._over = self._over, None
             self._today = instant.date()
-            day = judged_day(self._folder, self._model, begin)
-            if day.day not in [known.day for known in self.days]:
-                self.days.append(day)
+            if f"{begin:%Y-%m-%d}" not in [known.day for known in self.days]:
+                self.days.append(self._judged(begin))
                 write_json(self._folder / _FILE, {"said": in_words(self.days), "days": [asdict(d) for d in self.days]})
             return in_words(self.days)
         if self._today is not None and instant.date() != self._today:
             self._over = pd.Timestamp(self._today, tz=instant.tz)
         self._today = instant.date()
         return ""
+
+    def _judged(self, begin: pd.Timestamp) -> ShadowDay:
+        """The day from `begin`, midnight, on, from the journal, and where it leaves the houses, which is kept.
+
+        Raises:
+            DataError: too few decisions were made in it, or levels or temperatures were not measured.
+            JournalError: the journal cannot be read.
+        """
+        told = _told_day(self._folder / NAME, begin)
+        houses = Houses(self._model, told.record, self._controller, draws=_DRAWS, seed=0, commands=self._commands)
+        before = self._before(begin)
+        lived: list[Lived] = []
+        for k in range(_DRAWS + 1):
+            stands, state = (None, None) if before is None else (before.houses[k], before.controllers[k])
+            lived.append(
+                houses.lived(k, told.period, told.conditions, forecasts=told.forecasts, before=stands, state=state)
+            )
+        after = ShadowHouses(
+            f"{begin:%Y-%m-%d}",
+            self._key,
+            tuple(replace(one.after, record=replace(one.after.record, origin=None)) for one in lived),
+            tuple(one.controller for one in lived),
+        )
+        try:
+            _FORMAT.write(self._folder / _STATE, after)
+        except (StorageError, TypeError) as error:
+            _LOG.warning("the next day of the shadow begins as the house was: %s", error)
+        return _day(begin, told, lived, goes_on=before is not None)
+
+    def _before(self, begin: pd.Timestamp) -> ShadowHouses | None:
+        """Where the houses stand at `begin`; None where the day before was not judged."""
+        if not (self._folder / _STATE).exists():
+            return None
+        try:
+            before = _FORMAT.read(self._folder / _STATE)
+        except InputError as error:
+            _LOG.warning("the shadow begins anew as the house was: %s", error)
+            return None
+        yesterday = (begin - pd.Timedelta(hours=12)).date().isoformat()
+        fits = isinstance(before, ShadowHouses) and (before.day, before.of) == (yesterday, self._key)
+        return before if fits and len(before.houses) == _DRAWS + 1 else None
+
+
+@dataclass(frozen=True, eq=False)
+class _ToldDay:
+    """A day as the journal tells it: the record until its end, bounds and prices at the record's boundaries, and the
+    forecasts of its steps, by their begin.
+    """
+
+    record: Record
+    conditions: Boundary
+    forecasts: Mapping[float, Boundary]
+    period: Period
+
+
+def _told_day(path: Path, begin: pd.Timestamp) -> _ToldDay:
+    with making_sense(path):
+        entries = read_run(path).entries
+        origin = told_building(entries[0].content).origin
+        if origin is None:
+            raise InputError(f"{path}: is of a simulated building")
+        steps = list(told_steps(told_loops(entries).get("thermoforce_mpc", [])))
+        # Days of 23 and 25 hours, too.
+        begin_s, end_s = (
+            float((at - origin).total_seconds()) for at in (begin, begin.normalize() + pd.DateOffset(days=1))
+        )
+        at = [i for i, step in enumerate(steps) if begin_s - 1.0 < step.time_s < end_s - 1.0]
+        later = next((i for i, step in enumerate(steps) if step.time_s > end_s - 1.0), None)
+        if not at or later is None:
+            raise DataError(f"{begin:%d %b}: no decision was made in it: the day does not count")
+        record = replace(history_before(steps[: later + 1]), origin=origin)
+        forecasts = {float(round(steps[i].time_s)): given for i in at if (given := steps[i].forecast()[0]) is not None}
+        known = [forecast_of(steps[: i + 1]) for i in [*at, later]]
+    first, n = (round((s - float(record.time_s[0])) / record.step_s) for s in (begin_s, end_s))
+    n -= first
+    if first < 1 or first + n > record.n_steps or len(at) < _LEAST_DECIDED * n:
+        raise DataError(f"{begin:%d %b}: {len(at)} of {n} decisions were made in it: the day does not count")
+    period = Period("day", float(record.time_s[first]), n * record.step_s, 0.0)
+    return _ToldDay(record, _in_force(record, known), forecasts, period)
+
+
+def _in_force(record: Record, forecasts: Sequence[Boundary]) -> Boundary:
+    """What the latest of `forecasts` says of each boundary of `record`; NaN before the first."""
+    names = record.names
+    rows: dict[str, Any] = {"time_s": record.time_s}
+    for name in CONDITIONS:
+        if name == "time_s":
+            continue
+        like = np.asarray(getattr(forecasts[0], name))
+        rows[name] = np.full((*like.shape[:-1], record.time_s.size), math.nan)
+        for forecast in forecasts:
+            at = np.round((forecast.time_s - record.time_s[0]) / record.step_s).astype(np.intp)
+            inside = (at >= 0) & (at < record.time_s.size)
+            rows[name][..., at[inside]] = np.asarray(getattr(forecast, name))[..., inside]
+    return Boundary(**rows, names=names)
+
+
+def _day(begin: pd.Timestamp, told: _ToldDay, lived: Sequence[Lived], *, goes_on: bool) -> ShadowDay:
+    likeliest, first = lived[0], round((told.period.start_s - told.record.time_s[0]) / told.record.step_s)
+    was = likeliest.was
+    energy_was = was.power_W * was.step_s / J_PER_KWH
+    price = told.conditions.price_per_kWh[:, first : first + was.n_steps]
+    return ShadowDay(
+        day=f"{begin:%Y-%m-%d}",
+        energy_was_kWh=float(energy_was.sum()),
+        energy_kWh=likeliest.energy_kWh,
+        cost_was=float((energy_was * price).sum()),
+        cost=likeliest.cost,
+        saved=tuple(one.saved for one in lived),
+        outside_was_Kh=outside_Kh(was, told.conditions, first),
+        outside_Kh=likeliest.outside_Kh,
+        warmer_K=float(np.nanmean(likeliest.record.T_zone_C[:, 1:] - was.T_zone_C[:, 1:])),
+        planned=likeliest.planned / max(likeliest.steps, 1),
+        goes_on=goes_on,
+    )
 
 
 def in_words(days: Sequence[ShadowDay]) -> str:
@@ -104,94 +253,16 @@ def in_words(days: Sequence[ShadowDay]) -> str:
     def total(name: str) -> float:
         return sum(float(getattr(day, name)) for day in days)
 
-    saved = total("energy_kWh") - total("planned_kWh")
-    low, high = total("energy_kWh") - total("planned_high_kWh"), total("energy_kWh") - total("planned_low_kWh")
-    share = 100.0 * saved / max(total("energy_kWh"), 1e-9)
-    cost = total("cost") - total("planned_cost")
-    low_cost, high_cost = total("cost") - total("planned_high_cost"), total("cost") - total("planned_low_cost")
-    claim = "would have saved" if low_cost > 0.0 else "no saving can be claimed: the band holds 0;"
-    if high_cost < 0.0:
+    saved, *drawn = np.sum([day.saved for day in days], axis=0).tolist()
+    low, high = band_of(saved, drawn)
+    share = 100.0 * saved / max(total("cost_was"), 1e-9)
+    claim = "would have saved" if low > 0.0 else "no saving can be claimed: the band holds 0;"
+    if high < 0.0:
         claim = "would have saved nothing:"
-    words = (
-        f"shadow, {len(days)} days: {claim} {saved:+.1f} kWh ({share:+.1f} %, 90 % band {low:+.1f} to {high:+.1f}), "
-        f"{cost:+.2f} of cost ({low_cost:+.2f} to {high_cost:+.2f}); rooms {total('planned_discomfort_Kh'):.1f} "
-        f"instead of {total('discomfort_Kh'):.1f} K·h outside their bounds"
+    planned = 100.0 * float(np.mean([day.planned for day in days]))
+    return (
+        f"shadow, {len(days)} days: {claim} {saved:+.2f} of {total('cost_was'):.2f} ({share:+.1f} %, 90 % band "
+        f"{low:+.2f} to {high:+.2f}); {total('energy_kWh'):.1f} instead of {total('energy_was_kWh'):.1f} kWh; rooms "
+        f"{total('outside_Kh'):.1f} instead of {total('outside_was_Kh'):.1f} K·h outside their bounds; "
+        f"{planned:.0f} % of the steps planned"
     )
-    left_K = float(np.mean([day.left_K for day in days]))
-    return words if abs(left_K) < 0.05 else f"{words}; days end {left_K:+.2f} K away from how they did"
-
-
-def judged_day(folder: Path, model: ThermalModel, begin: pd.Timestamp) -> ShadowDay:
-    """The day from `begin`, midnight, on, from the journal in `folder`.
-
-    Raises:
-        DataError: no plan was made at its begin, or levels or temperatures were not measured in it.
-        JournalError: the journal cannot be read.
-    """
-    path = folder / NAME
-    with making_sense(path):
-        entries = read_run(path).entries
-        origin = told_building(entries[0].content).origin
-        if origin is None:
-            raise InputError(f"{path}: is of a simulated building")
-        steps = list(told_steps(told_loops(entries).get("thermoforce_mpc", [])))
-        begin_s = float((begin - origin).total_seconds())
-        at = next((i for i, step in enumerate(steps) if step.time_s >= begin_s - 1.0), None)
-        planned = {} if at is None else planned_of(steps[at].told)
-        if at is None or not planned or steps[at].time_s > begin_s + _LATE_S:
-            raise DataError(f"{begin:%d %b}: nothing was planned at its begin: the day does not count")
-        record, boundary = history_before(steps), forecast_of(steps[: at + 1])
-    first = int(np.searchsorted(record.time_s, steps[at].time_s - 1.0))
-    n = min(round(DAY_S / record.step_s), planned["u"].shape[1], record.n_steps - first)
-    other = _ending_as_it_did(model, record, planned["u"][:, :n], steps[at].time_s)
-    price = boundary.price_per_kWh[:, :n]
-    kWh = record.step_s / J_PER_KWH
-    metered_W = record.power_W[:, first : first + n]
-    was_W = np.where(np.isfinite(metered_W), metered_W, other.power_W)
-    costs = [float(np.nansum(power * price) * kWh) for power in (was_W, other.power_other_W)]
-    energy, by_model = (float(np.nansum(power) * kWh) for power in (was_W, other.power_W))
-    planned_kWh, low_kWh, high_kWh = (
-        float(np.nansum(each)) for each in (other.energy_other_kWh, other.energy_low_kWh, other.energy_high_kWh)
-    )
-    off_kWh = abs(by_model - energy) * planned_kWh / max(by_model, 1e-9)
-    low_kWh, high_kWh = max(low_kWh - off_kWh, 0.0), high_kWh + off_kWh
-
-    def outside_Kh(T_C: Array) -> float:
-        return float(np.nansum(boundary.outside_K(T_C)) / len(T_C) * record.step_s / HOUR_S)
-
-    paid = costs[1] / planned_kWh if planned_kWh > 0.0 else 0.0
-    return ShadowDay(
-        day=f"{begin:%Y-%m-%d}",
-        energy_kWh=energy,
-        planned_kWh=planned_kWh,
-        planned_low_kWh=low_kWh,
-        planned_high_kWh=high_kWh,
-        cost=costs[0],
-        planned_cost=costs[1],
-        planned_low_cost=costs[1] - paid * (planned_kWh - low_kWh),
-        planned_high_cost=costs[1] + paid * (high_kWh - planned_kWh),
-        discomfort_Kh=outside_Kh(other.measured_C),
-        planned_discomfort_Kh=outside_Kh(other.other_C),
-        left_K=float(np.nanmean(other.effect_K[:, -1])),
-    )
-
-
-def _ending_as_it_did(model: ThermalModel, record: Record, u: Array, start_s: float) -> Counterfactual:
-    """The counterfactual of the levels `u` (A, n), those of the last hours moved until the rooms end as they did."""
-    last, signs = max(1, round(_END_H * HOUR_S / record.step_s)), np.array(model.layout.signs, dtype=np.float64)
-    lowest = np.array(model.layout.lowest)[:, None]
-
-    def moved(by: float) -> Counterfactual:
-        levels = u.copy()
-        levels[:, -last:] = np.clip(levels[:, -last:] + by * signs[:, None], lowest, 1.0)
-        return counterfactual(model, record, levels, start=start_s)
-
-    low, high = -1.0, 1.0
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        found = moved(middle)
-        if float(np.nanmean(found.effect_K[:, -1])) > 0.0:
-            high = middle
-        else:
-            low = middle
-    return found

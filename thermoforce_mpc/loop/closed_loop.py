@@ -160,6 +160,7 @@ def run_closed_loop(
     record_days: float = _RECORD_DAYS,
     outage_h: float = OUTAGE_H,
     units: UnitDoubts | None = None,
+    state: object = None,
 ) -> RunResult:
     """Run `controller` on `plant` over the scored window of `period` after its warm-up.
 
@@ -175,6 +176,7 @@ def run_closed_loop(
         record_days: controllers get the record of these latest days, or up to a day more.
         outage_h: how long the plant may give no forecast before the run ends, h; see `Forecasts`.
         units: says which readings and prices are probably in a wrong unit.
+        state: the controller's, to go on from; None: it begins.
 
     Raises:
         PlantError: the plant or its service failed; the KPIs so far are lost.
@@ -183,7 +185,9 @@ def run_closed_loop(
         MemoryError: too little memory is left to begin a step.
     """
     began = time.perf_counter()
-    driver = _Simulated(plant, controller, period, price, on_step, allowed, lowest, keeper, steps, record_days, units)
+    driver = _Simulated(
+        plant, controller, period, price, on_step, allowed, lowest, keeper, steps, record_days, units, state
+    )
     state = Loop(driver, controller, outage_h).run()
     kpis = plant.kpis() | {"time_rat": time_rat(driver.steps, controller.step_s)}
     return RunResult(period, controller.name, kpis, driver.steps, driver.start, time.perf_counter() - began, state)
@@ -208,7 +212,9 @@ class _Simulated:
         steps: KeptSteps[StepRecord] | None,
         record_days: float,
         units: UnitDoubts | None,
+        state: object,
     ) -> None:
+        self._state = state
         self._plant, self._period, self._price, self._step_s = plant, period, price, controller.step_s
         self._allowed = allowed or limits_of(controller)
         self._lowest: Sequence[float] = [self._allowed.lowest] if lowest is None else lowest
@@ -222,7 +228,7 @@ class _Simulated:
         self._end_s, self._now_s = self._period.start_s + self._period.scored_s, self.start.time_s
         self._as_read = self._plant.past(self._step_s)
         self._history, self._notes = screened_history(self._as_read, self._allowed)
-        return None
+        return self._state
 
     def next_step(self) -> bool:
         """See `LoopDriver.next_step`."""

@@ -147,7 +147,7 @@ class Decided:
         blocks: what is to be applied, checked.
         refused: why the plan was refused, '' where it was not.
         notes: of the readings, units and forecast.
-        before, after: the controller's state; after a plan that was refused, and so did not act, that of before.
+        before, after: the controller's state; after a plan that was refused, see `not_followed`.
         forecast_seconds, plan_seconds: computing times, s.
     """
 
@@ -162,6 +162,16 @@ class Decided:
     after: object = None
     forecast_seconds: float = 0.0
     plan_seconds: float = 0.0
+
+
+def not_followed(before: object, after: object) -> object:
+    """The controller's state after a plan that did not act.
+
+    It keeps what was learned of readings alone where its class can tell that apart, by a method of this name; else it
+    is as `before`.
+    """
+    apart = getattr(after, "not_followed", None)
+    return before if apart is None else apart()
 
 
 class LoopDriver(Protocol):
@@ -259,7 +269,7 @@ class Loop:
             refused,
             (*believed.notes, *doubts, *gaps),
             before=state,
-            after=state if refused else after,
+            after=not_followed(state, after) if refused else after,
             forecast_seconds=round(t1 - t0, 6),
             plan_seconds=round(t2 - t1, 6),
         )

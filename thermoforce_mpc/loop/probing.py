@@ -56,7 +56,7 @@ class Probed:
 
     def blocked(self, layout: Layout) -> list[Directions]:
         """What it tells of the hours in which each actuator is kept off (A,)."""
-        from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, called_for, each_direction
+        from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, called_for, each_direction, running
 
         found: list[Directions] = []
         for a, (z, sign, lowest) in enumerate(zip(layout.home, layout.signs, layout.lowest, strict=True)):
@@ -65,7 +65,11 @@ class Probed:
             bands = [pair if isinstance(pair, tuple) else (math.nan, math.nan) for pair in told]
             heating_C, cooling_C = np.reshape(bands, (-1, 2)).T
             asked = called_for(levels, heating_C, cooling_C, self.record.T_zone_C[z])
-            each = each_direction(asked, self.record.part(z, [a]), sign, signed=lowest < 0.0)
+            m = layout.machine_of[a]
+            record = self.record.part(z, [a], [m])
+            if len(layout.fed_by(m)) == 1 and lowest >= 0.0:
+                record = running(record)
+            each = each_direction(asked, record, sign, signed=lowest < 0.0)
             found.append(tuple(BlockedHours.found(*one) for one in each))
         return found
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,18 +17,18 @@ from thermoforce_mpc.data.limits import BRIDGED_GAP_H
 from thermoforce_mpc.data.series import at_instants
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.load import Measurements, sunlight
-from thermoforce_mpc.measurements.map.entries import Signal
-from thermoforce_mpc.measurements.map.mapping import MappedMachine
+from thermoforce_mpc.measurements.map.entries import Power, Signal
+from thermoforce_mpc.measurements.map.mapping import MappedMachine, MeasurementMap
 from thermoforce_mpc.measurements.prices import billed, billed_over_steps, prices_over_steps
 from thermoforce_mpc.measurements.readings import BOUND, OUTDOOR, POWER
 from thermoforce_mpc.measurements.signals import SignalReader
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
-from thermoforce_mpc.measurements.tables.clock import timed
+from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import found_files, read_tables
 from thermoforce_mpc.measurements.tables.forms import TableForm
 from thermoforce_mpc.measurements.tables.raw_table import NoColumn, tables_of
 from thermoforce_mpc.measurements.tables.recognition import recognised
-from thermoforce_mpc.scenario.bill import SUFFIXES, read_bill
+from thermoforce_mpc.scenario.bill import SUFFIXES, Bill, read_bill
 
 # Days before now whose hours tell what a price or bound is likely to be.
 _DAYS = 7
@@ -61,35 +62,92 @@ def read_forecast(
     Raises `DataError`, naming file, column and time, for several files, a forecast that begins more than 6 h after the
     end of the record or ends before it, and a column without any value.
     """
-    rules, record = measured.map, measured.record
-    names = record.names
-    overrides = {key: value for key, value in rules.forecast if value is not None}
-    ours = rules.model_copy(update={key: overrides[key] for key in ("time", "outdoor", "sun") if key in overrides})
-    zones = [rules.zones[name] for name in names.zones]
-    bounds = {name: [overrides.get(name, getattr(zone, name)) for zone in zones] for name in ("lower", "upper")}
-    machines = [rules.machines.get(name, MappedMachine()) for name in names.machines]
-    bill = read_bill(prices) if prices is not None and prices.suffix in SUFFIXES else None
-    by_file = prices is not None and (bill is None or bill.energy is not None)
-    tariffs = [0.0 if by_file else overrides.get("price", machine.price) for machine in machines]
-    weather = [ours.outdoor, *([s for s in (ours.sun.signal, ours.sun.humidity) if s] if ours.sun else [])]
-    at_meter = [rules.forecast.load, rules.forecast.generation]
-    given = (*weather, *bounds["lower"], *bounds["upper"], *tariffs, *at_meter)
-    signals = [s for s in given if isinstance(s, Signal)]
-    columns = [column for signal in signals for column in signal.columns]
-    clock, notes = ours.time, [] if left_out is None else left_out
-    if now is not None:
-        clock, latest = clock.lenient(), now + _LATEST
+    sources = _Sources.of(measured, prices)
+    notes = [] if left_out is None else left_out
+    rows, name = _rows(file, sources, now, notes)
+    grid_s, back = _grid(rows, name, measured, least_steps)
+    reader = SignalReader(
+        rows, _since(rows, name, measured), grid_s, measured.record.step_s, sources.ours, refuse=now is None
+    )
+    outdoor = reader.sampled("outdoor", sources.ours.outdoor, OUTDOOR)
+    solar, _ = sunlight(sources.ours, reader, grid_s, measured.record.origin)
+    lower, upper = _bounds(sources, reader, grid_s, measured)
+    price, past_price, at_meter = _prices(sources, reader, grid_s, measured, prices, notes)
+    others_W = _others_W(sources, reader, grid_s)
+    values, guessed = {"lower_C": lower, "upper_C": upper, "price_per_kWh": price}, {}
+    for signal, rows_of in values.items():
+        past = past_price if signal == "price_per_kWh" else getattr(measured.conditions, signal)
+        values[signal], guessed[signal] = _as_days_before(
+            grid_s, rows_of, measured.conditions.time_s, past, signal, back
+        )
+    names, n = measured.record.names, grid_s.size - back
+    boundary = Boundary(
+        grid_s[back:], outdoor[back:], solar[back:], np.zeros((len(names.zones), n)),
+        values["lower_C"], values["upper_C"], values["price_per_kWh"], np.zeros((len(names.machines), n)), names=names,
+        guessed={signal: rows_of for signal, rows_of in guessed.items() if rows_of.any()},
+        others_W=others_W[back:] if others_W.size else others_W,
+        **{key: of_meter[back:] for key, of_meter in at_meter.items()},
+    )  # fmt: skip
+    _check_known(boundary, measured, name)
+    return boundary
+
+
+@dataclass(frozen=True)
+class _Sources:
+    """What the map says of a forecast, its own key before those of the measurements.
+
+    `ours`: the map with the forecast's own columns of time and weather; `bounds`: of each zone, `tariffs`: of each
+    machine, `at_meter`: of other loads and generation, a column, a number or None; `bill`: of a file of prices.
+    """
+
+    ours: MeasurementMap
+    bounds: Mapping[str, Sequence[float | Signal | None]]
+    tariffs: Sequence[float | Signal | None]
+    at_meter: Sequence[Power | None]
+    bill: Bill | None
+    given: frozenset[str]
+
+    @classmethod
+    def of(cls, measured: Measurements, prices: Path | None) -> _Sources:
+        rules, names = measured.map, measured.record.names
+        own = {key: value for key, value in rules.forecast if value is not None}
+        ours = rules.model_copy(update={key: own[key] for key in ("time", "outdoor", "sun") if key in own})
+        zones = [rules.zones[name] for name in names.zones]
+        bounds = {key: [own.get(key, getattr(zone, key)) for zone in zones] for key in ("lower", "upper")}
+        machines = [rules.machines.get(name, MappedMachine()) for name in names.machines]
+        bill = read_bill(prices) if prices is not None and prices.suffix in SUFFIXES else None
+        by_file = prices is not None and (bill is None or bill.energy is not None)
+        tariffs = [0.0 if by_file else own.get("price", machine.price) for machine in machines]
+        at_meter = [rules.forecast.load, rules.forecast.generation]
+        return cls(ours, bounds, tariffs, at_meter, bill, frozenset(own))
+
+    @property
+    def columns(self) -> list[str]:
+        """Columns of a forecast's table."""
+        weather: list[Signal] = [self.ours.outdoor]
+        if self.ours.sun is not None:
+            weather += [signal for signal in (self.ours.sun.signal, self.ours.sun.humidity) if signal]
+        every = (*weather, *self.bounds["lower"], *self.bounds["upper"], *self.tariffs, *self.at_meter)
+        return [column for signal in every if isinstance(signal, Signal) for column in signal.columns]
+
+
+def _rows(
+    file: str | Path | pd.DataFrame, sources: _Sources, now: pd.Timestamp | None, notes: list[str]
+) -> tuple[Timed, str]:
+    """Rows of a forecast in the order of time, and the name of its table; of one that a machine writes at `now`."""
+    rules, clock, columns = sources.ours, sources.ours.time, sources.columns
+    form, csv = rules.forecast.table or TableForm(), rules.forecast.csv or rules.csv
+    clock = clock if now is None else clock.lenient()
     with _own_columns():
         if isinstance(file, pd.DataFrame):
             if now is None:
-                tables = tables_of(file, clock.column, columns, rules.forecast.table or TableForm(), "forecast")
+                tables = tables_of(file, clock.column, columns, form, "forecast")
             else:
-                tables = [frame_appended(file, columns, clock, latest, notes)]
+                tables = [frame_appended(file, columns, clock, now + _LATEST, notes)]
         else:
             paths = found_files([file])
             if len(paths) > 1:
                 raise DataError(f"{file}: names {len(paths)} files, a forecast is one: name the latest")
-            form, csv = rules.forecast.table or TableForm(), rules.forecast.csv or rules.csv
             if rules.table != TableForm():  # a forecast is a table of another form than the measurements
                 taken = recognised(paths)
                 form, csv = rules.forecast.table or taken.table, rules.forecast.csv or taken.csv
@@ -100,86 +158,107 @@ def read_forecast(
             if now is None:
                 tables = read_tables(paths, clock.column, columns, csv, form, [])
             else:
-                tables = read_appended(paths, columns, clock, csv, form, latest, notes)
-    table, rows = tables[0], timed(tables, clock, now)
+                tables = read_appended(paths, columns, clock, csv, form, now + _LATEST, notes)
+    rows = timed(tables, clock, now)
     if now is not None:
         notes += rows.notes
-    time_s = seconds_since(record.origin, rows.index, table.name)
+    return rows, tables[0].name
+
+
+def _since(rows: Timed, name: str, measured: Measurements) -> Array:
+    return seconds_since(measured.record.origin, rows.index, name)
+
+
+def _grid(rows: Timed, name: str, measured: Measurements, least_steps: int) -> tuple[Array, int]:
+    """Instants from a week before the end of the record to that of the forecast, s, and the place of that end.
+
+    Raises `DataError` for a forecast that does not go on from there.
+    """
+    record, time_s = measured.record, _since(rows, name, measured)
     now_s, step_s = float(record.time_s[-1]), record.step_s
     if time_s[0] > now_s + BRIDGED_GAP_H * HOUR_S or time_s[-1] < now_s + step_s:
         raise DataError(
-            f"{table.name}: goes from {rows.index[0]} to {rows.index[-1]}, the measurements end at "
+            f"{name}: goes from {rows.index[0]} to {rows.index[-1]}, the measurements end at "
             f"{record.stamps()[-1]}: the forecast must begin there (or before, or up to {BRIDGED_GAP_H:g} h later) and "
             "go on"
         )
     ahead = max(np.floor((time_s[-1] - now_s) / step_s + 1e-6), least_steps)
-    back = min(round(_DAYS * DAY_S / step_s), int((now_s - time_s[0]) / step_s) if time_s[0] < now_s else 0)
-    back = max(back, min(round(_DAYS * DAY_S / step_s), record.n_steps))
-    grid_s = now_s + np.arange(-back, ahead + 1.0) * step_s
-    reader = SignalReader(rows, time_s, grid_s, step_s, ours, refuse=now is None)
-    outdoor = reader.sampled("outdoor", ours.outdoor, OUTDOOR)
-    solar, _ = sunlight(ours, reader, grid_s, record.origin)
+    week = round(_DAYS * DAY_S / step_s)
+    back = min(week, int((now_s - time_s[0]) / step_s) if time_s[0] < now_s else 0)
+    back = max(back, min(week, record.n_steps))
+    return now_s + np.arange(-back, ahead + 1.0) * step_s, back
 
-    def found(what: str, source: float | Signal | None, where: str) -> float | Signal:
-        if source is None:
-            raise DataError(f"forecast: no {what}: name a number or a column in the map ({where})")
-        return source
 
-    of_zones, of_machines = "zones, or forecast for all zones", "machines or forecast"
+def _needed(what: str, source: float | Signal | None, where: str) -> float | Signal:
+    if source is None:
+        raise DataError(f"forecast: no {what}: name a number or a column in the map ({where})")
+    return source
+
+
+def _bounds(sources: _Sources, reader: SignalReader, grid_s: Array, measured: Measurements) -> tuple[Array, Array]:
+    """Comfort bounds (Z, n), °C: by columns of the forecast, the schedule of the map, or its zones, in this order."""
+    rules, record = measured.map, measured.record
     by_schedule: dict[str, Array] = {}
     if rules.comfort is not None:
         mapped, at = list(rules.zones), pd.DatetimeIndex(stamps(grid_s, record.origin))
-        rows_of_zones = [mapped.index(zone) for zone in names.zones]
-        for name, of_all in zip(("lower", "upper"), rules.comfort.bounds_at(at, mapped), strict=True):
-            if name not in overrides:
-                by_schedule[name] = of_all[rows_of_zones]
-    lower, upper = (
-        by_schedule[name]
-        if name in by_schedule
-        else np.array(
+        rows_of_zones = [mapped.index(zone) for zone in record.names.zones]
+        for key, of_all in zip(("lower", "upper"), rules.comfort.bounds_at(at, mapped), strict=True):
+            if key not in sources.given:
+                by_schedule[key] = of_all[rows_of_zones]
+
+    def bound(key: str) -> Array:
+        if key in by_schedule:
+            return by_schedule[key]
+        where = "zones, or forecast for all zones"
+        pairs = zip(record.names.zones, sources.bounds[key], strict=True)
+        return np.array(
             [
-                reader.scheduled(f"{name} of {zone}", found(f"{name} of {zone}", source, of_zones), BOUND)
-                for zone, source in zip(names.zones, sources, strict=True)
+                reader.scheduled(f"{key} of {zone}", _needed(f"{key} of {zone}", source, where), BOUND)
+                for zone, source in pairs
             ]
         )
-        for name, sources in bounds.items()
-    )
+
+    return bound("lower"), bound("upper")
+
+
+def _prices(
+    sources: _Sources, reader: SignalReader, grid_s: Array, measured: Measurements, prices: Path | None,
+    notes: list[str],
+) -> tuple[Array, Array, dict[str, Array]]:  # fmt: skip
+    """Prices (M, n) of the forecast and (M, m) of the measurements, and what a bill says of the meter (n,), by name."""
+    record, past = measured.record, measured.conditions
+    machines = record.names.machines
     price = np.array(
         [
-            reader.price(f"price of {machine}", found(f"price of {machine}", tariff, of_machines))
-            for machine, tariff in zip(names.machines, tariffs, strict=True)
+            reader.price(f"price of {machine}", _needed(f"price of {machine}", tariff, "machines or forecast"))
+            for machine, tariff in zip(machines, sources.tariffs, strict=True)
         ]
     )
-    past_price, earns, limit_W = measured.conditions.price_per_kWh, np.empty(0), np.empty(0)
-    if bill is not None and prices is not None:
-        price, earns, read = billed_over_steps(prices, bill, price, ours.time, record.origin, grid_s, step_s)
-        limit_W = 1000.0 * bill.limit_kW(pd.DatetimeIndex(stamps(grid_s, record.origin)))
-        past_s = measured.conditions.time_s
-        past_price = np.stack([billed(bill, row, past_s, record.origin, step_s) for row in past_price])
+    bill, clock, step_s = sources.bill, sources.ours.time, record.step_s
+    if prices is None:
+        return price, past.price_per_kWh, {}
+    if bill is None:
+        of_file, read = prices_over_steps(prices, clock, record.origin, grid_s, step_s)
         notes.append(read)
-    elif prices is not None:
-        of_file, read = prices_over_steps(prices, ours.time, record.origin, grid_s, step_s)
-        price = np.tile(of_file, (len(names.machines), 1))
-        notes.append(read)
-    others_W = np.zeros(grid_s.size) if any(at_meter) else np.empty(0)
-    for key, signal, sign in zip(("load", "generation"), at_meter, (1.0, -1.0), strict=True):
+        return np.tile(of_file, (len(machines), 1)), past.price_per_kWh, {}
+    price, earns, read = billed_over_steps(prices, bill, price, clock, record.origin, grid_s, step_s)
+    notes.append(read)
+    limit_W = 1000.0 * bill.limit_kW(pd.DatetimeIndex(stamps(grid_s, record.origin)))
+    past_price = np.stack([billed(bill, row, past.time_s, record.origin, step_s) for row in past.price_per_kWh])
+    at_meter = {"export_per_kWh": earns, "limit_W": limit_W}
+    return price, past_price, {key: values for key, values in at_meter.items() if values.size}
+
+
+def _others_W(sources: _Sources, reader: SignalReader, grid_s: Array) -> Array:
+    """Other loads at the meter less generation (n,), W; empty where the map names none."""
+    if not any(sources.at_meter):
+        return np.empty(0)
+    others_W = np.zeros(grid_s.size)
+    for key, signal, sign in zip(("load", "generation"), sources.at_meter, (1.0, -1.0), strict=True):
         if signal is not None:
             over_steps = reader.mean(f"forecast.{key}", signal, POWER)
             others_W += sign * np.append(over_steps, over_steps[-1:])
-    values, guessed = {"lower_C": lower, "upper_C": upper, "price_per_kWh": price}, {}
-    for name, rows_of in values.items():
-        past = past_price if name == "price_per_kWh" else getattr(measured.conditions, name)
-        values[name], guessed[name] = _as_days_before(grid_s, rows_of, measured.conditions.time_s, past, name, back)
-    nothing = np.zeros((len(names.machines), grid_s.size - back))
-    boundary = Boundary(
-        grid_s[back:], outdoor[back:], solar[back:], np.zeros((len(names.zones), grid_s.size - back)),
-        values["lower_C"], values["upper_C"], values["price_per_kWh"], nothing, names=names,
-        guessed={name: rows_of for name, rows_of in guessed.items() if rows_of.any()},
-        others_W=others_W[back:] if others_W.size else others_W,
-        export_per_kWh=earns[back:] if earns.size else earns, limit_W=limit_W[back:] if limit_W.size else limit_W,
-    )  # fmt: skip
-    _check_known(boundary, measured, table.name)
-    return boundary
+    return others_W
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from thermoforce_mpc.boundary.tariffs import price_doubt, tariff_from_file
+from thermoforce_mpc.boundary.tariffs import Tariff, by_name, price_doubt, tariff_from_file
 from thermoforce_mpc.data import YEAR_S, Array
 from thermoforce_mpc.data.dataframes import new_year, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError
@@ -19,6 +19,7 @@ from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import as_numbers
 from thermoforce_mpc.measurements.tables.recognition import guessed_form, recognised
 from thermoforce_mpc.scenario.bill import Bill, file_beside
+from thermoforce_mpc.scenario.building import PRICES
 
 # What a column of prices is called, and what its name says of the unit: prices are divided by this.
 _PRICE = re.compile(r"price|preis|prix|prijs|tarif|spot|epex|nordpool|day.?ahead", re.IGNORECASE)
@@ -32,16 +33,20 @@ def prices_over_steps(
 ) -> tuple[Array, str]:
     """Prices per kWh (n,) over the steps that begin at `grid_s` (n,), s from `origin`, and what was read, in words.
 
-    Stamps without an offset are of the zone of `clock`; NaN where the file has no price. Raises `DataError` for a file
+    Stamps without an offset are of the zone of `clock`; NaN where the file has no price. The name of a tariff of the
+    simulated buildings, where no file has it, is that tariff by the building's clock. Raises `DataError` for a file
     whose column of prices or unit is not clear.
     """
+    if path.name in PRICES and not path.exists():
+        words = "of the simulated buildings, per kWh" + (", synthetic" if path.name == "highly_dynamic" else "")
+        return _of_year(by_name()[path.name], str(path), origin, grid_s), f"tariff {path.name} {words}"
     form = guessed_form(path)
     head = head_of(path, _HEAD, form)
     names = [str(name) for name in head.columns]
     if len(names) < 2:
         raise DataError(f"{path}: has one column; expected a time and a price per kWh")
     if pd.api.types.is_numeric_dtype(head.iloc[:, 0]):
-        return _of_year(path, origin, grid_s), f"{path}: prices of a year, which repeats"
+        return _of_year(tariff_from_file(path), str(path), origin, grid_s), f"{path}: prices of a year, which repeats"
     numeric = [name for name in names[1:] if as_numbers(head[name], form.decimal).notna().any()]
     named = [name for name in numeric if _PRICE.search(name)] or numeric
     if len(named) != 1:
@@ -106,11 +111,10 @@ def billed(bill: Bill, energy: Array, time_s: Array, origin: pd.Timestamp, step_
     return np.asarray(np.mean(each, axis=0))
 
 
-def _of_year(path: Path, origin: pd.Timestamp, grid_s: Array) -> Array:
-    """Prices of a file of seconds since 1 January, at the same time of the year; its 366th day is the first again."""
-    tariff = tariff_from_file(path)
+def _of_year(tariff: Tariff, name: str, origin: pd.Timestamp, grid_s: Array) -> Array:
+    """Prices by seconds since 1 January, at the same time of the year; its 366th day is the first again."""
     at = pd.DatetimeIndex(stamps(grid_s, origin))
-    begins = {year: new_year(at[at.year == year], str(path)) for year in dict.fromkeys(at.year)}
+    begins = {year: new_year(at[at.year == year], name) for year in dict.fromkeys(at.year)}
     of_year_s = np.array([(one - begins[one.year]).total_seconds() for one in at])
     try:
         return np.asarray(tariff(np.mod(of_year_s, YEAR_S)))

@@ -2,11 +2,12 @@
 
 | rule | flags (what is flagged is taken as not measured) | overridden in the map by |
 |---|---|---|
-| range | readings outside what is physically possible, see `data/limits.py` | `range` |
-| spike | readings that lie more than `spike` from the one before, and come back so within 6 h | `spike` |
-| stuck | stretches of one and the same reading for longer than `stuck_h` | `stuck_h` (0: never) |
+| range | readings outside what is physically possible | `range` |
+| jump | readings that come too far too fast, or go `spike` away and come back within 6 h | `spike` |
+| frozen | stretches of one and the same reading for longer than `stuck_h` | `stuck_h` (0: never) |
 
-More than 10 % of a signal out of range is a wrong unit, not a fault, and refused.
+They are those of `data/limits.py`, which a running controller asks too. More than 10 % of a signal out of range is a
+wrong unit, not a fault, and refused.
 
 What acts holds from one reading to the next and becomes its mean over each step; what is sampled is read at the steps'
 boundaries on the straight line between readings; irradiance that is read more often than once a step is the mean over
@@ -21,18 +22,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, limits
+from thermoforce_mpc.data import Array, limits
 from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.map.entries import Signal, likelier
 
 _MOST_REFUSED = 0.1
-# Longest excursion that is a spike, s; whoever moved a sensor and left it there meant it.
-EXCURSION_S = 6 * HOUR_S
 # Flagged readings that are kept for a picture.
 _SHOWN = 200
-# Largest zero offset of a pyranometer, W/m² (ISO 9060:2018, class C), and what is no reading but the dark itself.
-_ZERO_OFFSET_W_M2, _DARK_W_M2 = 30.0, 1.0
 # A level may lie outside its range by this much from calibration; it is cut, not refused.
 LEVEL_SLACK = 0.02
 # Stored on change: least readings and share of those that repeat the one before; share of the longest time without one
@@ -53,6 +50,7 @@ def with_map(rule: SignalRule, signal: Signal) -> SignalRule:
         rule,
         range=signal.range or rule.range,
         spike=signal.spike or rule.spike,
+        times_usual=0.0 if signal.spike else rule.times_usual,
         stuck_h=rule.stuck_h if signal.stuck_h is None else signal.stuck_h,
     )
 
@@ -114,7 +112,7 @@ def screened(
 
     low, high = rules.range
     kept = np.arange(values.size)
-    outside = ~((values >= low) & (values <= high))
+    outside = limits.outside(values, rules.range)
     if refuse and outside.mean() > _MOST_REFUSED:
         unit = likelier(raw, declared, rules.kind, rules.usual)
         hint = f"they look like {unit}: set unit: '{unit}'" if unit else "check column, unit and factor"
@@ -134,16 +132,10 @@ def screened(
     if outside.any() and (unit := likelier(raw[outside], declared, rules.kind, rules.usual)):
         possible += f"; in {unit} they were usual: set unit: '{unit}' if it is so"
     kept = flag("range", outside, kept, possible)
-    if np.isfinite(rules.spike):
-        far = _excursions(time_s[kept], values[kept], rules.spike)
-        kept = flag("spike", far, kept, f", more than {rules.spike:g} {rules.unit} from those before and after")
-    if rules.stuck_h > 0.0 and kept.size > 1:
-        stuck = _stuck(time_s[kept], values[kept], rules.stuck_h * HOUR_S)
-        if rules.kind == "irradiance":
-            dim = np.abs(values[kept]) <= _ZERO_OFFSET_W_M2
-            stuck &= ~dim | _stuck(time_s[kept], values[kept], max(rules.stuck_h * HOUR_S, DAY_S))
-            stuck &= np.abs(values[kept]) > _DARK_W_M2
-        kept = flag("stuck", stuck, kept, f", unchanged for more than {rules.stuck_h:g} h")
+    far = limits.jumps(time_s[kept], values[kept], rules)
+    kept = flag("jump", far, kept, f", {rules.in_words}")
+    stuck = limits.frozen(time_s[kept], values[kept], rules)
+    kept = flag("frozen", stuck, kept, f", unchanged for more than {rules.stuck_h:g} h")
     holds = np.zeros(values.size, dtype=bool)
     holds[kept] = True
     return holds, tuple(flags)
@@ -162,32 +154,6 @@ def looks_like_setpoints(values: Array) -> bool:
     )
     low, high = float(distinct[0]), float(distinct[-1])
     return bool(steps and any(least <= low and high <= most for least, most in _SETPOINTS))
-
-
-def _excursions(time_s: Array, values: Array, most: float) -> NDArray[np.bool_]:
-    """Which readings (n,) lie between a jump of more than `most` and one back within 6 h."""
-    away = np.zeros(values.size, dtype=bool)
-    jumps = np.diff(values)
-    rows = np.flatnonzero(np.abs(jumps) > most)
-    k = 0
-    while k + 1 < rows.size:
-        out, back = int(rows[k]), int(rows[k + 1])
-        returned = abs(values[back + 1] - values[out]) <= most and jumps[out] * jumps[back] < 0.0
-        if returned and time_s[back + 1] - time_s[out] <= EXCURSION_S:
-            away[out + 1 : back + 1] = True
-            k += 1
-        k += 1
-    return away
-
-
-def _stuck(time_s: Array, values: Array, most_s: float) -> NDArray[np.bool_]:
-    """Which readings (n,) belong to a stretch of one value that lasts longer than `most_s`."""
-    # A gap that is long beside that tells nothing of what lies in it.
-    changes = (np.diff(values) != 0.0) | (np.diff(time_s) > 0.25 * most_s)
-    begins = np.concatenate([[0], np.flatnonzero(changes) + 1])
-    ends = np.concatenate([begins[1:] - 1, [values.size - 1]])
-    long = (time_s[ends] - time_s[begins]) > most_s
-    return np.repeat(long, ends - begins + 1)
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.data.limits import SignalRule
+from thermoforce_mpc.data.limits import EXCURSION_S, SignalRule
 from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.measurements.map.entries import COUNTER, PER_STEP, Irradiance, Power, Signal, converted
 from thermoforce_mpc.measurements.map.guesses import tags
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.readings import (
-    EXCURSION_S,
     PRICE,
     SOLAR,
     Flag,

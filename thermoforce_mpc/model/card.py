@@ -117,7 +117,8 @@ class ModelCard:
     one). `sun_on_sensor` is the sun in the readings of the zone sensor, `foreign_heat` what the heat meter of the
     actuator shows beside its heat; None: none was found. `blocked_hours`: hours of the day in which nothing came while
     it was probed, whatever was asked for (`machine.blocked_hours`), of signed levels no heat; `blocked_cooling_hours`:
-    of signed levels no cold.
+    of signed levels no cold. `hour_effects`: what predictions an hour ahead tell of hours of the day in which less of
+    the effect of acting came (`machine.blocked_hours.HourSeen`): time, s, error, effect and promise, K.
     """
 
     source: str = _GIVEN
@@ -132,6 +133,7 @@ class ModelCard:
     foreign_heat: OtherLoad | None = None
     blocked_hours: tuple[int, ...] = ()
     blocked_cooling_hours: tuple[int, ...] = ()
+    hour_effects: tuple[tuple[float, float, float, float], ...] = ()
 
     @property
     def unfit(self) -> str:

@@ -6,8 +6,9 @@
 | prices, bounds, occupancy, emissions | the last whole forecast; the day before; the value before, or the first known |
 
 The day before is in the record or a forecast; the last reading of the record is one end of a gap at the begin. A
-weather value that cannot be (`limits`) is none. Values that a source of data has filled itself (`Boundary.guessed`) are
-said in the same words.
+weather value that cannot be (`limits`) is none. What is filled otherwise than by the last forecast is a guess
+(`Boundary.guessed`), as what a source of data has filled itself, and said with its share of the plan. How far guesses
+of the weather may be off (`weather_spread`) widens the band of the free forecast (`predictor`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, RULES
@@ -26,6 +28,8 @@ _SAME_S = 1.0
 # How a source of data fills what follows a schedule.
 BY_DAYS = "the same hour of the days before"
 _DAYS_BEFORE = 7
+# Last days of the record that tell how far a guess of the weather may be off: two weeks, of one season still.
+_SPREAD_DAYS = 14
 
 
 def lengthened(boundary: Boundary, n_steps: int, step_s: float) -> Boundary:
@@ -38,6 +42,10 @@ def lengthened(boundary: Boundary, n_steps: int, step_s: float) -> Boundary:
     for name in CONDITIONS[1:]:
         signal = getattr(boundary, name)
         values[name] = np.concatenate([signal, np.full((*signal.shape[:-1], missing), np.nan)], axis=-1)
+    values["guessed"] = {
+        name: np.concatenate([rows, np.zeros((*rows.shape[:-1], missing), dtype=bool)], axis=-1)
+        for name, rows in boundary.guessed.items()
+    }
     return replace(boundary, **values)
 
 
@@ -48,13 +56,14 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
     where part of them is known. `last`: the last forecast of this run that was whole.
     """
     filled: dict[str, Any] = {}
+    guesses = dict(boundary.guessed)
     notes = [
-        f"{boundary.names.label(name, row)} at {guessed.sum()} of {guessed.size} instants "
-        f"({100 * guessed.mean():.0f} % of the plan) by {BY_DAYS}"
+        f"{boundary.names.label(name, row)} {_at(guessed)}{_share(guessed)} by {BY_DAYS}"
         for name, rows in boundary.guessed.items()
         for row, guessed in enumerate(rows)
-        if guessed.any() and not (name == "heating_price_per_kWh" and "price_per_kWh" in boundary.guessed)
-    ]
+        if name not in WEATHER and guessed.any()
+        and not (name == "heating_price_per_kWh" and "price_per_kWh" in boundary.guessed)
+    ]  # fmt: skip
     labels: set[str] = {note.partition(" ")[0] for note in notes}
     for name in CONDITIONS[1:]:
         rows = np.atleast_2d(getattr(boundary, name))
@@ -62,20 +71,66 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
         missing = ~(np.isfinite(rows) & (rows >= low) & (rows <= high))
         if not missing.any():
             continue
-        out = np.where(missing, np.nan, rows)
+        out, made_up = np.where(missing, np.nan, rows), np.zeros_like(missing)
         for row in range(len(out)):
             if not missing[row].any():
                 continue
-            complete, how = _row(name, row, out[row], boundary, history, last)
+            complete, how, made_up[row] = _row(name, row, out[row], boundary, history, last)
             if how:
                 out[row] = complete
                 label = boundary.names.label(name, row) if np.ndim(getattr(boundary, name)) == 2 else name
                 if name == "heating_price_per_kWh" and label.replace("heating_", "", 1) in labels:
                     continue  # the same price
                 labels.add(label)
-                notes.append(f"{label} at {missing[row].sum()} of {missing[row].size} instants by {how}")
+                notes.append(f"{label} {_at(missing[row])} by {how}{_share(missing[row])}")
         filled[name] = out.reshape(np.shape(getattr(boundary, name)))
-    return (replace(boundary, **filled) if filled else boundary), f"forecast: {', '.join(notes)}" if notes else ""
+        if made_up.any():
+            of_signal = made_up.reshape(np.shape(getattr(boundary, name)))
+            guesses[name] = of_signal | guesses.get(name, np.zeros_like(of_signal))
+    if filled:
+        boundary = replace(boundary, **filled, guessed=guesses)
+    return boundary, f"forecast: {', '.join(notes)}" if notes else ""
+
+
+def _at(instants: NDArray[np.bool_]) -> str:
+    return f"at {instants.sum()} of {instants.size} instants"
+
+
+def _share(instants: NDArray[np.bool_]) -> str:
+    return f" ({100 * instants.mean():.0f} % of the plan)"
+
+
+def weather_spread(name: str, boundary: Boundary, history: Record) -> Array:
+    """Standard deviation of what is guessed of a weather signal (N + 1,), in its unit; 0 where nothing is.
+
+    By the record: what was missed on its last days by a straight line over so long a gap, and by the day before at that
+    hour of the day. Of a record of less than two days its own standard deviation.
+    """
+    guessed = np.asarray(boundary.guessed.get(name, np.zeros(boundary.time_s.size, dtype=bool)))
+    spread = np.zeros(guessed.size)
+    values, step_s = getattr(history, name), history.step_s if history.n_steps else HOUR_S
+    values = values[-round(_SPREAD_DAYS * DAY_S / step_s) :]
+    time_s = history.time_s[-values.size :]
+    known = values[np.isfinite(values)]
+    whole_sd = float(np.std(known)) if known.size else 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], guessed, [False]]).astype(int)))
+    for begin, end in edges.reshape(-1, 2):
+        lasts_s = (end - begin + 1) * boundary.step_s
+        if end < guessed.size and lasts_s <= BRIDGED_GAP_H * HOUR_S:
+            half = max(1, round(0.5 * lasts_s / step_s))
+            off = values[half:-half] - 0.5 * (values[: -2 * half] + values[2 * half :])
+            spread[begin:end] = _rms(off, whole_sd)
+        else:
+            day = round(DAY_S / step_s)
+            off, hours = values[day:] - values[:-day], (time_s[day:] % DAY_S // HOUR_S).astype(int)
+            at = (boundary.time_s[begin:end] % DAY_S // HOUR_S).astype(int)
+            spread[begin:end] = np.array([_rms(off[hours == hour], whole_sd) for hour in range(24)])[at]
+    return spread
+
+
+def _rms(off: Array, otherwise: float) -> float:
+    off = off[np.isfinite(off)]
+    return float(np.sqrt(np.mean(off**2))) if off.size else otherwise
 
 
 def whole(boundary: Boundary) -> bool:
@@ -87,15 +142,17 @@ def whole(boundary: Boundary) -> bool:
 
 def _row(
     name: str, row: int, values: Array, boundary: Boundary, history: Record, last: Boundary | None
-) -> tuple[Array, str]:
-    """One row (N + 1,) of a signal without gaps, and the means by which they were filled."""
+) -> tuple[Array, str, NDArray[np.bool_]]:
+    """One row (N + 1,) of a signal without gaps, the means by which they were filled, and which values nobody gave."""
     out, time_s, how = values.copy(), boundary.time_s, []
+    made_up = np.zeros(values.size, dtype=bool)
 
-    def fill(candidates: Array, by: str) -> None:
+    def fill(candidates: Array, by: str, *, given: bool = False) -> None:
         new = np.isnan(out) & np.isfinite(candidates)
         if new.any():
             out[new] = candidates[new]
             how.append(by)
+            made_up[new] = not given
 
     weather = name in WEATHER
     if weather:
@@ -106,7 +163,7 @@ def _row(
         forecast = np.atleast_2d(getattr(last, name))[row]
         sources.append((last.time_s, forecast))
         hours = (time_s[0] - last.time_s[0]) / HOUR_S
-        fill(at_instants(time_s, last.time_s, forecast, _SAME_S), f"the last forecast ({hours:g} h old)")
+        fill(at_instants(time_s, last.time_s, forecast, _SAME_S), f"the last forecast ({hours:g} h old)", given=True)
     if weather:
         sources.append((history.time_s, getattr(history, name)))
     for day in range(1, _DAYS_BEFORE + 1):
@@ -122,7 +179,7 @@ def _row(
     if finite_at.size and np.isnan(out).any() and name not in ("occupancy", "emission_kg_per_kWh"):
         before = np.maximum(np.searchsorted(finite_at, np.arange(out.size), side="right") - 1, 0)
         fill(out[finite_at[before]], "the value before")
-    return out, " and ".join(dict.fromkeys(how))
+    return out, " and ".join(dict.fromkeys(how)), made_up
 
 
 def _between(time_s: Array, values: Array, history: Record, name: str) -> Array:

@@ -17,6 +17,7 @@ from thermoforce_mpc.data.series import WEATHER, bridged
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, gather, run, timed
 from thermoforce_mpc.model.forced_state import ForcedState, InitialForce, followed
+from thermoforce_mpc.model.forecast_gaps import weather_spread
 from thermoforce_mpc.model.free_response.checks import checked_forecast
 from thermoforce_mpc.model.free_response.following import following
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -225,12 +226,25 @@ class Predictor:
             raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
         measured, states = np.flatnonzero(has_readings).tolist(), list(kept)
         forecasts = [following(self.free_responses[z], free_C[z], history, boundary, kept[z]) for z in measured]
+        # What is guessed of the weather may be off: what that does to each zone, by the forecaster itself.
+        shifted = _shifted(boundary, history)
+        forecasts += [
+            following(self.free_responses[z], free_C[z], history, other, kept[z]) for other in shifted for z in measured
+        ]
         results, forecast_s = yield from timed(gather(forecasts))
+        results, others = results[: len(measured)], results[len(measured) :]
         answers = []
         for z, (answer, states[z]) in zip(measured, results, strict=True):
             answers.append(checked_forecast(answer, boundary.n_steps, self.free_responses[z].name))
         unmeasured = tuple(np.flatnonzero(~has_readings).tolist())
-        free = _with_mean(FreeForecast.stacked(answers), has_readings)
+        stacked = FreeForecast.stacked(answers)
+        if shifted:
+            medians = np.array([answer.median_C for answer, _ in others]).reshape(len(shifted), *stacked.median_C.shape)
+            sd_K = np.sqrt(((medians - stacked.median_C) ** 2).sum(axis=0))
+            stacked = stacked.widened(sd_K)
+            remark = f"weather that nobody gave: it may move a zone by {sd_K.max():.2g} K (standard deviation)"
+            note = f"{note}; {remark}" if note else remark
+        free = _with_mean(stacked, has_readings)
         for z in unmeasured:
             remark = f"{history.names.label('T_zone_C', z)}: never measured, the mean free response of the other zones"
             note = f"{note}, {remark}" if note else f"bridged {remark}"
@@ -252,6 +266,16 @@ class Predictor:
             state=PredictorState(forced_state, tuple(states)),
             names=history.names,
         )
+
+
+def _shifted(boundary: Boundary, history: Record) -> list[Boundary]:
+    """`boundary` with each weather signal that is guessed off by its standard deviation, as long as it is."""
+    out = []
+    for name in WEATHER:
+        spread = weather_spread(name, boundary, history)
+        if (spread > 0.0).any():
+            out.append(replace(boundary, **{name: getattr(boundary, name) + spread}))
+    return out
 
 
 def _with_mean(free: FreeForecast, measured: NDArray[np.bool_]) -> FreeForecast:

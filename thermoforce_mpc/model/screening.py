@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import HOUR_S, Array, Measurement, Record, limits
+from thermoforce_mpc.data import Array, Measurement, Record, limits
 from thermoforce_mpc.data.names import AXIS
 
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
@@ -110,20 +110,21 @@ def screened(measurement: Measurement, allowed: ReadingLimits, history: Record) 
 def _refusal(
     measurement: Measurement, name: str, row: int, value: float, label: str, allowed: ReadingLimits, history: Record
 ) -> str | None:
-    if _outside(np.array([value]), allowed.range(name))[0]:
+    if limits.outside(np.array([value]), allowed.range(name))[0]:
         return f"{label} of {value:.6g}{_unit(name)} is not {_words(allowed, name)}: {_NOT_MEASURED}"
-    if name != "T_zone_C":
+    rule = limits.RULES[name]
+    if np.isnan(value) or np.isinf(rule.jump[0]):
         return None
-    accepted = np.flatnonzero(np.isfinite(history.T_zone_C[row]))
+    before = np.atleast_2d(getattr(history, name))[row]
+    accepted = np.flatnonzero(np.isfinite(before))
     if not accepted.size:
         return None
-    before_C = float(history.T_zone_C[row, accepted[-1]])
-    since_s = measurement.time_s - float(history.time_s[accepted[-1]])
-    if abs(value - before_C) <= _reach_K(since_s) or np.isnan(value):
+    last, since_s = float(before[accepted[-1]]), measurement.time_s - float(history.time_s[accepted[-1]])
+    if abs(value - last) <= rule.reach(since_s):
         return None
     return (
-        f"{label} of {value:.6g} °C is more than {_reach_K(since_s):.3g} K from {before_C:.2f} °C {since_s:g} s "
-        f"before: {_NOT_MEASURED}"
+        f"{label} of {value:.6g}{_unit(name)} is more than {rule.reach(since_s):.3g} K from {last:.2f}{_unit(name)} "
+        f"{since_s:g} s before: {_NOT_MEASURED}"
     )
 
 
@@ -132,37 +133,44 @@ def screened_history(history: Record, allowed: ReadingLimits) -> tuple[Record, t
     refused: dict[str, Any] = {}
     notes: list[str] = []
     for name in limits.RULES:
-        rows = np.atleast_2d(getattr(history, name))
-        wrong = _outside(rows, allowed.range(name))
-        if name == "T_zone_C":
-            wrong = np.array([implausible_zone(values, history.time_s, allowed.range(name)) for values in rows])
-        for row, outside in enumerate(wrong):
-            if not outside.any():
-                continue
-            first, values = int(np.argmax(outside)), rows[row]
-            what = _words(allowed, name)
-            if not _outside(values, allowed.range(name))[outside].all():
-                what += f", or more than {limits.RULES[name].jump[0]:g} K from one instant to the next"
+        rows, rule = np.atleast_2d(getattr(history, name)), limits.RULES[name]
+        wrong = np.zeros(rows.shape, dtype=bool)
+        for row, values in enumerate(rows):
+            outside = limits.outside(values, allowed.range(name))
+            jumps = frozen = np.zeros(values.size, dtype=bool)
+            if values.size == history.time_s.size:
+                jumps = limits.jumps(history.time_s, np.where(outside, np.nan, values), rule)
+                frozen = _frozen(history.time_s, np.where(outside | jumps, np.nan, values), rule)
             label = history.names.label(name, row) if name in AXIS else name
-            notes.append(
-                f"{label} at {outside.sum()} of {values.size} places of the record is not {what} "
-                f"(first {values[first]:.6g}{_unit(name)} at {history.time_s[first]:.10g} s): {_NOT_MEASURED}"
-            )
+            for of_rule, what in (
+                (outside | jumps, f"is not {_words(allowed, name)}" + (f", or {rule.in_words}" if jumps.any() else "")),
+                (frozen, f"does not move for more than {rule.stuck_h:g} h"),
+            ):
+                if of_rule.any():
+                    first = int(np.argmax(of_rule))
+                    notes.append(
+                        f"{label} at {of_rule.sum()} of {values.size} places of the record {what} "
+                        f"(first {values[first]:.6g}{_unit(name)} at {history.time_s[first]:.10g} s): {_NOT_MEASURED}"
+                    )
+            wrong[row] = outside | jumps | frozen
         if wrong.any():
             refused[name] = np.where(wrong, np.nan, rows).reshape(np.shape(getattr(history, name)))
     return (replace(history, **refused), tuple(notes)) if refused else (history, ())
 
 
+def _frozen(time_s: Array, values: Array, rule: limits.SignalRule) -> NDArray[np.bool_]:
+    """Which readings (n,) are frozen; none of a point that never moved in the record, since nothing measures it."""
+    out, known = np.zeros(values.size, dtype=bool), np.isfinite(values)
+    if known.any() and np.ptp(values[known]) > 0.0:
+        out[known] = limits.frozen(time_s[known], values[known], rule)
+    return out
+
+
 def implausible_zone(values: Array, time_s: Array, allowed: tuple[float, float]) -> NDArray[np.bool_]:
     """Which temperatures (n,) of one zone are outside the range, °C, or too far from the last one that is not."""
-    outside = _outside(values, allowed)
-    return np.asarray(outside | _jumps(time_s, np.where(outside, np.nan, values)))
-
-
-def _outside(values: Array, allowed: tuple[float, float]) -> NDArray[np.bool_]:
-    """Which values are infinite or outside the range; NaN is not."""
-    low, high = allowed
-    return np.asarray((values < low) | (values > high) | np.isinf(values))
+    outside = limits.outside(values, allowed)
+    rule = limits.RULES["T_zone_C"]
+    return np.asarray(outside | limits.jumps(time_s, np.where(outside, np.nan, values), rule))
 
 
 def _unit(name: str) -> str:
@@ -173,27 +181,3 @@ def _unit(name: str) -> str:
 def _words(allowed: ReadingLimits, name: str) -> str:
     low, high = allowed.range(name)
     return f"a number between {low:.4g} and {high:.4g}{_unit(name)}"
-
-
-def _reach_K(since_s: float) -> float:
-    """Return the largest plausible change of the zone temperature over `since_s` s, K."""
-    at_once, per_h = limits.RULES["T_zone_C"].jump
-    return at_once + per_h * since_s / HOUR_S
-
-
-def _jumps(time_s: Array, T_zone_C: Array) -> NDArray[np.bool_]:
-    """Return which zone temperatures (n,) are implausibly far from the last accepted one; False for NaN."""
-    wrong = np.zeros(time_s.size, dtype=bool)
-    # Shortcut: no two neighbours are far apart.
-    finite = np.flatnonzero(np.isfinite(T_zone_C))
-    steps = np.abs(np.diff(T_zone_C[finite]))
-    if not (steps > _reach_K(0.0)).any():
-        return wrong
-    at_s, accepted = float(time_s[finite[0]]), float(T_zone_C[finite[0]])
-    for i in finite:
-        reach_K = _reach_K(float(time_s[i]) - at_s)
-        if abs(T_zone_C[i] - accepted) > reach_K:
-            wrong[i] = True
-        else:
-            at_s, accepted = float(time_s[i]), float(T_zone_C[i])
-    return wrong

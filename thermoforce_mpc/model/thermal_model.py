@@ -166,6 +166,22 @@ class ThermalModel:
         by_home = [(home, card.sun_on_sensor) for home, card in cards if card.sun_on_sensor is not None]
         return tuple(next((sun for home, sun in by_home if home == z), None) for z in range(len(self.operator.zones)))
 
+    def card_of(self, z: int, a: int) -> tuple[ModelCard, str]:
+        """The card that says how well the effect of actuator `a` on zone `z` is known, and how names on it end.
+
+        Effects between zones stand on the card of the zone's first actuator, by the other actuator's name.
+        """
+        home = self.operator.home
+        if home[a] == z:
+            return self.cards[a], ""
+        return self.cards[home.index(z) if z in home else a], f"[{self.operator.actuators[a]}]"
+
+    def relative_sd(self, z: int, a: int) -> float:
+        """Relative standard deviation of what a day of actuator `a` does to zone `z`; NaN where no card says it."""
+        card, ending = self.card_of(z, a)
+        mean_K, sd_K = (card.uncertainty.get(f"step_response_24h{of}_K{ending}", np.nan) for of in ("", "_sd"))
+        return float(sd_K / max(abs(mean_K), 1e-9))
+
     def own_heat(self, record: Record) -> Record:
         """`record` with the heat of the actuators alone: without the foreign loads on their meters."""
         foreign = [card.foreign_heat for card in self.cards]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -49,15 +49,19 @@ def load_testcase(name: str) -> TestCase:
     return read_testcase(path)
 
 
-def load_scenario(path: Path | None, overrides: Mapping[str, Any]) -> Scenario:
+def load_scenario(
+    path: Path | None, overrides: Mapping[str, Any], also: Callable[[], Iterable[str]] = tuple
+) -> Scenario:
     """Read a scenario file (or none) and apply `overrides`; raises `ConfigError` naming file and key.
+
+    `also`: keys that may be meant by one that is not known, as `settings.validate` takes them.
 
     Without a period, a heated building gets 'peak_heat_day' and a cooled one 'peak_cool_day'; `model_fields_set` has no
     period then.
     """
     data = merge(read_yaml(path) if path else {}, overrides)
     source = str(path) if path else "options"
-    scenario = validate(Scenario, data, source)
+    scenario = validate(Scenario, data, source, also)
     if "period" not in data and _is_cooled(scenario.testcase):
         return Scenario.model_construct(scenario.model_fields_set, **{**dict(scenario), "period": "peak_cool_day"})
     return scenario

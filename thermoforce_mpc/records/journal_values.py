@@ -182,13 +182,15 @@ def plan_json(plan: Plan, blocks: Sequence[Block], refused: str) -> Json:
 
 def _planned_json(plan: Plan) -> Json:
     """The planned courses, rounded: changes from value to value of all of them, their four bytes apart, in zlib."""
-    shapes, changes = [], []
-    for name, unit in _ROUNDED.items():
-        values = np.asarray(getattr(plan, name)) / unit
-        codes = np.where(np.abs(values) < -_NOTHING, np.rint(values), _NOTHING).astype(np.int32)
-        shapes.append(list(codes.shape))
-        changes.append(np.diff(codes, axis=-1, prepend=np.int32(0)).ravel())
-    change = np.concatenate(changes)
+    courses = [np.asarray(getattr(plan, name)) for name in _ROUNDED]
+    values = np.concatenate([course.ravel() / unit for course, unit in zip(courses, _ROUNDED.values(), strict=True)])
+    codes = np.where(np.abs(values) < -_NOTHING, np.rint(values), _NOTHING).astype(np.int32)
+    change = np.diff(codes, prepend=np.int32(0))
+    # Each row begins with its value itself.
+    lengths = [n for course in courses for n in [course.shape[-1]] * (course.size // max(course.shape[-1], 1))]
+    begins = np.cumsum([0, *lengths[:-1]])
+    change[begins] = codes[begins]
+    shapes = [list(course.shape) for course in courses]
     # Small changes of either sign become small numbers without one.
     octets = ((change << 1) ^ (change >> 31)).astype("<u4").view(np.uint8).reshape(-1, 4).T
     return {"shapes": shapes, "zlib": _deflated(octets.tobytes(), 9)}

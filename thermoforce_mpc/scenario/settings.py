@@ -15,7 +15,7 @@ import functools
 import math
 import re
 import reprlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
@@ -395,13 +395,22 @@ def find_config(kind: str, name: str, others: Iterable[str] = ()) -> Path:
     return known[name]
 
 
-def validate(model: type[Model], data: Mapping[str, Any], source: str) -> Model:
-    """Build `model` from `data`; raises `ConfigError` listing invalid keys, their lines, values and what is allowed."""
+# A word from which on what begins nearly so is meant, and how nearly.
+_SHORT_WORD, _SPELT = 5, 0.85
+
+
+def validate(
+    model: type[Model], data: Mapping[str, Any], source: str, also: Callable[[], Iterable[str]] = tuple
+) -> Model:
+    """Build `model` from `data`; raises `ConfigError` listing invalid keys, their lines, values and what is allowed.
+
+    `also`: dotted keys below `model` that it does not know itself, and that may be meant.
+    """
     try:
         return model.model_validate(dict(data))
     except ValidationError as error:
         items = _without_consequences(error.errors())
-        lines = [_explain(model, data, item) for item in items[:_MOST_LISTED]]
+        lines = [_explain(model, data, item, also) for item in items[:_MOST_LISTED]]
         if len(items) > _MOST_LISTED:
             lines.append(f"and {len(items) - _MOST_LISTED} more")
         raise ConfigError(f"{source}:\n" + "\n".join(f"  {line}" for line in lines)) from error
@@ -480,14 +489,14 @@ def _place(model: type[BaseModel], data: Mapping[str, Any], item: Any) -> tuple[
     return tuple(place)
 
 
-def _explain(model: type[BaseModel], data: Mapping[str, Any], item: Any) -> str:
+def _explain(model: type[BaseModel], data: Mapping[str, Any], item: Any, also: Callable[[], Iterable[str]]) -> str:
     place = _place(model, data, item)
     path = [str(part) for part in place]
     line = data.line(place) if isinstance(data, YamlDocument) else None
     key = ("" if line is None else f"line {line}: ") + (".".join(path) or "(top level)")
     if item["type"] == "extra_forbidden":
         known = _keys_at(model, path[:-1])
-        return f"{key}: unknown key{_meant(model, path[-1], known)}; known here: {', '.join(known)}"
+        return f"{key}: unknown key{_meant(model, path[-1], known, also)}; known here: {', '.join(known)}"
     if item["type"] == "missing":
         return f"{key}: missing"
     reason = item["msg"].removeprefix("Value error, ")
@@ -512,11 +521,11 @@ def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:
     return sorted(current.model_fields) if current else []
 
 
-def _meant(model: type[BaseModel], word: str, known: Sequence[str]) -> str:
-    """Return ", did you mean ...?" for an unknown key, where one here or elsewhere is like it or begins with it."""
-    everywhere = list(_all_keys(model))
+def _meant(model: type[BaseModel], word: str, known: Sequence[str], also: Callable[[], Iterable[str]]) -> str:
+    """Return ", did you mean ...?" for an unknown key, where one here or elsewhere is like it or begins like it."""
+    everywhere = [*all_keys(model), *also()]
     near = difflib.get_close_matches(word, known, n=1, cutoff=0.8)
-    begun = [key for key in everywhere if key.rpartition(".")[2].startswith(word)]
+    begun = [key for key in everywhere if _begins_like(key.rpartition(".")[2], word)]
     alike = difflib.get_close_matches(word, {key.rpartition(".")[2] for key in everywhere}, n=1, cutoff=0.8)
     elsewhere = begun or [key for key in everywhere if key.rpartition(".")[2] in alike]
     if near or not elsewhere:
@@ -524,11 +533,19 @@ def _meant(model: type[BaseModel], word: str, known: Sequence[str]) -> str:
     return f", did you mean '{min(elsewhere, key=len)}'?"
 
 
-def _all_keys(model: type[BaseModel], above: str = "") -> Iterable[str]:
+def _begins_like(key: str, word: str) -> bool:
+    """Whether a key begins with a word, or with one that is spelt nearly so."""
+    begin = key[: len(word)]
+    alike = len(word) > _SHORT_WORD and difflib.SequenceMatcher(None, begin, word).ratio() > _SPELT
+    return begin == word or alike
+
+
+def all_keys(model: type[BaseModel], above: str = "") -> Iterable[str]:
+    """Dotted names of all fields of a model and of those in it."""
     for name, field in model.model_fields.items():
         yield above + name
         for below in _models_in(field.annotation):
-            yield from _all_keys(below, f"{above}{name}.")
+            yield from all_keys(below, f"{above}{name}.")
 
 
 def _models_below(model: type[BaseModel]) -> Iterable[type[BaseModel]]:

@@ -134,13 +134,10 @@ def full_level_of(pair: OperatorParameters) -> str:
 
 def step_response_of(model: ThermalModel, z: int, a: int) -> tuple[Array, Array]:
     """Return the step response of a pair at 0 h and `STEP_RESPONSE_H` and its standard deviation, K; empty: unknown."""
-    home = model.operator.home[a] == z
-    # Effects between zones stand on the card of the zone's first actuator, by the other actuator's name.
-    card = model.cards[a if home else model.operator.home.index(z) if z in model.operator.home else a]
-    suffix = "" if home else f"[{model.operator.actuators[a]}]"
+    card, suffix = model.card_of(z, a)
     means = [card.uncertainty.get(f"step_response_{h}h_K{suffix}") for h in STEP_RESPONSE_H]
     sds = [card.uncertainty.get(f"step_response_{h}h_sd_K{suffix}") for h in STEP_RESPONSE_H]
     if any(value is None for value in (*means, *sds)):
         return np.empty(0), np.empty(0)
-    sign = model.operator.of_actuator(a).sign if home else 1
+    sign = model.operator.of_actuator(a).sign if model.operator.home[a] == z else 1
     return sign * np.array([0.0, *means], dtype=np.float64), np.array([0.0, *sds], dtype=np.float64)

@@ -2,13 +2,14 @@
 
 What the weather, sun and people did to the rooms is in the record once the forced part is taken off; other levels put
 another forced part in its place. Power is what was measured, and what the law of power says that the other levels
-change. Left alone, the house is the record.
+change. Left alone, the house is the record. Where water carries the heat, a level gives less to a room that is warmer
+than it was.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -28,7 +29,7 @@ from thermoforce_mpc.data import (
     Record,
 )
 from thermoforce_mpc.data.series import bridged, interpolated
-from thermoforce_mpc.errors import DataError, InputError
+from thermoforce_mpc.errors import DataError, InputError, NoForecast
 from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -39,6 +40,18 @@ from thermoforce_mpc.whatif.counterfactual import machine_W
 
 # Times that are nearer than this are one, s.
 _CLOCK_S = 1e-6
+# Least and most heat of a level, over what it gives in a room that is as warm as it was.
+_HEAT_RANGE = (0.0, 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class HouseState:
+    """Where a house stands: its `record` until then, and by how much its forced states are more than they were then,
+    `more_K` (Z, A, r), K.
+    """
+
+    record: Record
+    more_K: Array
 
 
 class IdentifiedHouse(Releasing):
@@ -57,19 +70,26 @@ class IdentifiedHouse(Releasing):
         conditions: Boundary,
         *,
         effects: Array | None = None,
+        less_per_K: Array | None = None,
         commands: Mapping[str, LearnedCommand] | None = None,
         error: ForecastError | None = None,
+        forecasts: Mapping[float, Boundary] | None = None,
+        before: HouseState | None = None,
     ) -> None:
         """`conditions`: bounds and prices at the record's boundaries.
 
-        `effects` (Z, A): what actuators do to zones in this house, as a multiple of what the model says. `commands`:
+        `effects` (Z, A): what actuators do to zones in this house, as a multiple of what the model says. `less_per_K`
+        (A,): share by which the heat of a level falls per K that its zone is warmer than it was, 1/K. `commands`:
         loops that answer commands, by actuator. `error`: of its weather forecasts; None: what was measured later.
+        `forecasts`: those that were given then, by their begin in whole s, in the place of both. `before`: where the
+        house stands when it is reset to the end of that record, instead of as it was.
 
         Raises `DataError` where a zone or the weather was never measured, or `conditions` are of other times.
         """
         if conditions.time_s.shape != record.time_s.shape or not np.allclose(conditions.time_s, record.time_s):
             raise DataError("the bounds and prices are not those of the record's times")
         self.model, self._conditions, self._error = model, conditions, error
+        self._forecasts, self._before = forecasts, before
         self._loops = {record.names.actuators.index(name): one for name, one in (commands or {}).items()}
         whole, _ = bridged(model.in_rooms(record))
         self._was = whole
@@ -82,6 +102,7 @@ class IdentifiedHouse(Releasing):
         for zone, row in zip(whole.names.zones, free_C, strict=True):
             if not np.isfinite(row).any():
                 raise DataError(f"the temperature of zone '{zone}' was never measured: nothing to live through")
+        self._less_per_K = np.zeros(len(operator.actuators)) if less_per_K is None else less_per_K
         self._free_C, self._forced_was = np.array([interpolated(row) for row in free_C]), forced_K
         self.steps = whole.n_steps
         machines = range(len(whole.names.machines))
@@ -101,7 +122,7 @@ class IdentifiedHouse(Releasing):
         return day_period(name, ())
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """See `Plant.reset`; until `start_s` all is as it was. Raises `InputError` outside the record."""
+        """See `Plant.reset`; until `start_s` all is as it was, or `before`. Raises `InputError` outside the record."""
         at = (start_s - self._was.time_s[0]) / self._was.step_s
         if abs(at - round(at)) > _CLOCK_S or not 0 <= round(at) <= self.steps:
             raise InputError(f"start of {start_s:g} s: no boundary of the record")
@@ -110,8 +131,23 @@ class IdentifiedHouse(Releasing):
         self.forced_K = self._forced_was[:, :, self._k].copy()
         self.u, self.power_W = self._was.u.copy(), self._power_was.copy()
         self._T_C = self._free_C + self._forced_was.sum(axis=(1, 3))
-        self._part_s = 0.0
+        self._part_s, self._owed_J = 0.0, np.zeros(len(self.power_W))
+        if self._before is not None and abs(self._now_s - float(self._before.record.time_s[-1])) < _CLOCK_S:
+            self._go_on_from(self._before)
         return self._measured(np.full(len(self.u), np.nan), np.full(len(self.power_W), np.nan))
+
+    def _go_on_from(self, before: HouseState) -> None:
+        """Take over what was lived through before; what its record does not hold stays as it was."""
+        n = min(self._k, before.record.n_steps)
+        self.forced_K = self.forced_K + before.more_K
+        self._T_C[:, self._k - n : self._k + 1] = before.record.T_zone_C[:, before.record.n_steps - n :]
+        for row, values in ((self.u, before.record.u), (self.power_W, before.record.power_W)):
+            row[:, self._k - n : self._k] = values[:, before.record.n_steps - n :]
+
+    @property
+    def state(self) -> HouseState:
+        """Where the house stands now."""
+        return HouseState(self._lived(0, self._k), self.forced_K - self._forced_was[:, :, self._k])
 
     def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
         """See `RoomSetpointPlant.advance`: with a command the loop that was learned answers.
@@ -126,13 +162,17 @@ class IdentifiedHouse(Releasing):
         while left_s > _CLOCK_S:
             seconds = min(left_s, self._was.step_s - self._part_s)
             level = self._levels(block.u, block.command)
-            power_W = self._power(level)
+            power_W = self._power(level, seconds)
             self._go_on(level, power_W, seconds)
             u_sum, power_sum, left_s = u_sum + level * seconds, power_sum + power_W * seconds, left_s - seconds
         return self._measured(u_sum / duration_s, power_sum / duration_s)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """See `Plant.forecast`; what lies beyond the record is left out."""
+        """See `Plant.forecast`; what lies beyond the record is left out, but of forecasts that were given then."""
+        if self._forecasts is not None:
+            if (told := self._forecasts.get(float(round(self._now_s)))) is None:
+                raise NoForecast("none was given then")
+            return told.head(round(horizon_s / interval_s))
         time_s = forecast_times(self._now_s, horizon_s, interval_s)
         time_s = time_s[time_s <= self._was.time_s[-1] + _CLOCK_S]
         T_out_C, solar_W_m2 = self._weather("T_out_C", time_s), self._weather("solar_W_m2", time_s)
@@ -195,11 +235,17 @@ class IdentifiedHouse(Releasing):
             level[a] = float(self._loops[a].loop.level(told, T_C, T_out_C, before[a]))
         return np.clip(level, np.array(self.model.layout.lowest), 1.0)
 
-    def _power(self, level: Array) -> Array:
-        """Power of each machine (M,) at levels (A,): as it was, and what other levels change by the law."""
+    def _power(self, level: Array, seconds: float) -> Array:
+        """Power of each machine (M,) at levels (A,): as it was, and what other levels change by the law.
+
+        What lies below 0, since the law said more of what was than the meter, is taken off later: where only that were
+        cut off, all that the meter said beyond the law would be paid twice.
+        """
         T_out_C = self._was.T_out_C[self._k : self._k + 1]
         law = np.array([machine_W(self.model, m, level[:, None], T_out_C)[0] for m in range(len(self.power_W))])
-        return np.maximum(self._power_was[:, self._k] + (law - self._law_was[:, self._k]), 0.0)
+        power_W = self._power_was[:, self._k] + (law - self._law_was[:, self._k]) - self._owed_J / seconds
+        self._owed_J = np.maximum(-power_W, 0.0) * seconds
+        return np.maximum(power_W, 0.0)
 
     def _known_power(self, whole: Record) -> Array:
         """Power as it was (M, n), by the law where it was not measured; raises `DataError` where a machine has none."""
@@ -222,6 +268,9 @@ class IdentifiedHouse(Releasing):
         heat = np.array(
             [float(operator.of_actuator(a).heat_input(np.asarray(one), T_out_C)) for a, one in enumerate(level)]
         )
+        was_K = (1.0 - share) * self._forced_was[:, :, k] + share * self._forced_was[:, :, k + 1]
+        warmer_K = (self.forced_K - was_K).sum(axis=(1, 2))[list(operator.home)]
+        heat *= np.clip(1.0 - self._less_per_K * warmer_K, *_HEAT_RANGE)
         self.forced_K = operator.advance(self.forced_K, operator.modulated(heat, x, self.forced_K))
         weight = seconds / step_s
         for row, values in ((self.u, level), (self.power_W, power_W)):

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.data.dataframes import seconds_since, stamps
@@ -140,6 +139,8 @@ def verified_saving(before: Record, after: Record, *, level: float = _LEVEL) -> 
             metered
             in both records, records that overlap or of which one has a time zone, or a level outside (0, 1).
     """
+    from scipy.special import stdtrit
+
     if not 0.0 < level < 1.0:
         raise DataError(f"level is {level:g}: give a number between 0 and 1, such as 0.95")
     check_same_building("the record before", before.names, "that after", after.names)

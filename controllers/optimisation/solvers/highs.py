@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy import sparse
 
 from controllers.optimisation.programme import QPData
 from controllers.optimisation.solvers.qp import SolverResult
@@ -83,6 +82,7 @@ class Highs:
 
     def _model(self, q: QPData, choices: NDArray[np.intp], scale: float) -> Any:
         import highspy
+        from scipy import sparse
 
         rows, model = sparse.vstack([q.A, q.G], format="csc"), highspy.HighsLp()
         model.num_row_, model.num_col_ = rows.shape

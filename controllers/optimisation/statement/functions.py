@@ -29,6 +29,8 @@ from thermoforce_mpc.model.operator.parameters import N_FEATURES
 
 # Files kept.
 _MOST_FILES = 120
+# What CasADi would add to an answer, and nobody reads: how it depends on parameters.
+_NO_SENSITIVITIES = {"no_nlp_grad": True, "calc_lam_p": False}
 
 
 @cache
@@ -137,33 +139,47 @@ class Functions:
         options = {**options, **dict.fromkeys(constant, "yes")}
         key = json.dumps([options, hidden], sort_keys=True)
         if key not in self.solvers:
-            x, own = (ca.SX.sym(name, self.rows.size1_in(i)) for i, name in enumerate(("x", "p")))
-            p = own
-            if hidden and self.n_gain:
-                others, (given, gain) = own[: own.numel() - self.n_gain], _exported_gain(self.A, self.n_gain, hidden)
-                own, p = ca.vertcat(others, gain), ca.vertcat(others, given)
-            f, g = self.rows(x, own)
-            derivatives = self._derivatives(x, own, p) if self.convex else {}
+            programme, derivatives = self._programme(hidden if self.n_gain else 0)
             self.solvers[key] = ca.nlpsol(
-                "plan",
-                "ipopt",
-                {"x": x, "p": p, "f": f, "g": g},
-                {"print_time": False, "ipopt": options, **derivatives},
+                "plan", "ipopt", programme, {"print_time": False, "ipopt": options, **_NO_SENSITIVITIES, **derivatives}
             )
         return self.solvers[key]
 
-    def _derivatives(self, x: ca.SX, own: ca.SX, p: ca.SX) -> dict[str, ca.Function]:
-        """Those of `local`, which CasADi would work out anew in every process; `own` parameters as expressions of p."""
-        multipliers, scale = ca.SX.sym("lam_g", self.local.size1_in(2)), ca.SX.sym("lam_f")
-        f, gradient, H, equal, A, above, G = self.local(x, own, multipliers)
-        lagrangian = [x, p, scale, multipliers]
+    def _programme(self, hidden: int) -> tuple[dict[str, Any], dict[str, ca.Function]]:
+        """Variables, parameters, objective and rows, with the derivatives where these are constant."""
+        n_x, n_own = (self.rows.size1_in(i) for i in range(2))
+        n_others, x, own = n_own - self.n_gain, ca.SX.sym("x", n_x), ca.SX.sym("p", n_own)
+        p, of_cost = own, own
+        if hidden:
+            given, gain = _exported_gain(self.A, self.n_gain, hidden)
+            others, costs = own[:n_others], ca.depends_on(self.rows(x, own)[0], own[n_others:])
+            p, own = ca.vertcat(others, given), ca.vertcat(others, gain)
+            # The networks stand in the rows alone where the objective does not depend on them.
+            of_cost = own if costs else ca.vertcat(others, ca.SX.ones(self.n_gain))
+        programme = {"x": x, "p": p, "f": self.rows(x, of_cost)[0], "g": self.rows(x, own)[1]}
+        return programme, self._derivatives(x, p, own, of_cost) if self.convex else {}
+
+    def _derivatives(self, x: ca.SX, p: ca.SX, own: ca.SX, of_cost: ca.SX) -> dict[str, ca.Function]:
+        """Those of `local`, which CasADi would work out anew in every process.
+
+        `own` parameters, and those `of_cost`, which the objective depends on, as expressions of `p`.
+        """
+        n_rows = self.local.size1_in(2)
+        multipliers, scale, none = ca.SX.sym("lam_g", n_rows), ca.SX.sym("lam_f"), ca.DM.zeros(n_rows)
+        f, gradient, *_ = self.local(x, of_cost, none)
+        _, _, _, equal, A, above, G = self.local(x, own, none)
+        H = self.local(x, own, multipliers)[2]
         return {
             "grad_f": ca.Function("nlp_grad_f", [x, p], [f, gradient], ["x", "p"], ["f", "grad_f_x"]),
             "jac_g": ca.Function(
                 "nlp_jac_g", [x, p], [ca.vertcat(equal, above), ca.vertcat(A, G)], ["x", "p"], ["g", "jac_g_x"]
             ),
             "hess_lag": ca.Function(
-                "nlp_hess_l", lagrangian, [scale * ca.triu(H)], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+                "nlp_hess_l",
+                [x, p, scale, multipliers],
+                [scale * ca.triu(H)],
+                ["x", "p", "lam_f", "lam_g"],
+                ["triu_hess_gamma_x_x"],
             ),
         }
 

@@ -15,7 +15,7 @@ def folder(tmp_path_factory):
         yield prepared(tmp_path_factory.mktemp("trials"))
 
 
-SLOW = {"hanging FMU", "two controllers", "torn table", "wrong wall clock"}
+SLOW = {"hanging FMU", "two controllers", "torn table", "wrong wall clock", "live faults"}
 
 
 @pytest.mark.slow

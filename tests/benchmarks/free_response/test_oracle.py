@@ -27,6 +27,7 @@ def operator_of(plant) -> BuildingOperator:
     return BuildingOperator(names.zones, names.actuators, pairs, tuple(range(n)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "plant",
     [

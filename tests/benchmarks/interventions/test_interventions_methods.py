@@ -89,6 +89,7 @@ def test_two_states_find_the_time_constants_and_gains_of_the_zone(training):
     assert found.steady_gains_K == pytest.approx(GAINS_K, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_curve_is_not_found_where_there_is_none(training):
     predictor = build_thermoforce(training, FREE, orders=(2,), modulation="linear", exponents=EXPONENTS)
     assert predictor.exponent == 1.0
@@ -105,6 +106,7 @@ def test_the_curve_is_concave_rises_and_keeps_its_ends():
     assert curved(np.array([0.5]), 0.8)[0] == pytest.approx(0.5339, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_curve_is_found_where_there_is_one(training):
     """The zone answers v(u): its records are those of the linear zone, whose control went through the inverse of v."""
     levels = np.linspace(0.0, 1.0, 4001)

@@ -16,6 +16,7 @@ def plant() -> EmbeddedPlant:
     return EmbeddedPlant(synthetic_weather())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("operation", bench.OPERATIONS)
 def test_an_operation_keeps_the_house_warm(plant: EmbeddedPlant, operation: str) -> None:
     record = bench.operated(plant, Layout.single(), operation, 20 * DAY_S, 2)

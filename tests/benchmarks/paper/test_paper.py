@@ -15,6 +15,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import InputError
 
 
+@pytest.mark.slow
 def test_a_days_closed_loop_stands_beside_the_papers(tmp_path):
     done = CliRunner().invoke(
         cli, ["paper", "--quick", "--seeds", "1", "--only", "closed-loop", "--out", str(tmp_path / "p")]

@@ -145,6 +145,7 @@ def test_a_sweep_refuses_what_it_cannot_vary(tmp_path, monkeypatch):
         (("--over", "fallback.safe_C"), "no such numeric option"),
         (("--values", "1,x"), "'x' is not a number"),
         (("--values", ","), "--values"),
+        (("--over", "horizon_h"), "--values: missing; give values of horizon_h"),
     ):
         done = tf_mpc("sweep", "--testcase", TESTCASE, *words)
         assert message in str(done.exception), words

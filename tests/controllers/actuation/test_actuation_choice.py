@@ -73,6 +73,8 @@ def test_a_fixed_part_on_the_meter_counts_more_than_heat_guessed_from_temperatur
     assert choice.power.load == fan
     assert choose(fan, law(1700, 8300), costs).actuation.modulates, "measured heat says what it costs"
     assert choose(law(200, 2800), None, costs).actuation.modulates, "a small one may be an error of the law"
+    quarter = [cost(0.5, 1.0), cost(0.25, 1.0)]
+    assert choose(law(150, 2850), None, quarter).actuation.modulates, "at a quarter as well"
     limited = [LevelCost(0.25, 1.0, 0.03, 1.67, 0.1), LevelCost(0.5, 1.0, 0.03, 1.67, 0.1)]
     assert choose(law(1000, 2000), None, limited).actuation.modulates, "full level gives little more than a half"
 

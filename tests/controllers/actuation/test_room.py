@@ -175,6 +175,7 @@ def test_probing_heats_and_cools_inside_the_band(probed):
     assert out.max() < 0.3, "K beyond the band"
 
 
+@pytest.mark.slow
 def test_a_model_knows_the_floor_area_that_it_was_identified_for(model):
     assert model.floor_area_m2 == model.layout.floor_area_m2 == (48.0,)
 

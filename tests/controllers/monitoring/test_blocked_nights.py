@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from faults import FaultyHouse
-from simple_house import OutdoorResponse, simple_model
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
@@ -49,3 +49,45 @@ def test_the_night_is_kept_though_the_plant_sleeps():
     assert max(standing_back) < 10.3 * DAY_S, "it has worked again at 5:00"
     (news,) = [step.plan.news for step in steps if step.plan.news]
     assert news.startswith("watch: nothing comes from 0:00 to 5:00, whatever is asked for")
+
+
+def cold_at_seven(**known) -> list:
+    """The steps of three days of a house whose plant blows cold air from 19:00 to 20:00 and gives nothing then."""
+
+    def blows(house: FaultyHouse) -> bool:
+        return house.began_s % DAY_S // HOUR_S == 19
+
+    house = FaultyHouse(
+        gives=lambda house, u: 0.0 if blows(house) else u,
+        shows=lambda house, seen: seen if house.asked is None else SimpleHouse.measure(house, house.asked),
+        moves=lambda house, hours: -1.6 * hours if blows(house) else 0.0,
+    )
+    model = simple_model()
+    model = replace(model, cards=(replace(model.only.card, hour_effects=known.pop("hours", ())),))
+    config = MPCConfig.model_validate({"step_s": None, "horizon_h": 24.0} | known)
+    mpc = ThermoForceMPC(model, config, free_response=OutdoorResponse())
+    return run_closed_loop(house, mpc, replace(house.period("x"), start_s=10 * DAY_S, scored_s=3 * DAY_S)).steps
+
+
+def missing_K(steps, day: int) -> float:
+    """What was missing at 20:00 of a day, where the bound begins, K."""
+    (T_C,) = [float(step.T_zone_C[0]) for step in steps if step.time_s == day * DAY_S + 20 * HOUR_S]
+    return 21.0 - T_C
+
+
+def test_an_evening_in_which_a_schedule_blows_cold_is_planned_around_from_the_third_on():
+    steps = cold_at_seven()
+    assert missing_K(steps, 11) > 0.5, "nobody knew"
+    assert missing_K(steps, 12) < 0.2
+    news = [(step.time_s, step.plan.news) for step in steps if "of what it does else" in step.plan.news]
+    assert [time_s for time_s, _ in news] == [11 * DAY_S + 20 * HOUR_S], "two evenings tell"
+    assert news[0][1].startswith("watch: from 19:00 to 20:00 acting does ")
+    assert PlanStatus.WATCH not in {step.plan.status for step in steps}
+    assert missing_K(cold_at_seven(watch={"hour_effects": False}), 12) > 0.5
+
+
+def test_what_a_record_told_of_an_evening_keeps_the_first_one():
+    told = [(day * DAY_S + 20 * HOUR_S, -2.0, 0.4, 0.2) for day in (3.0, 4.0)]
+    steps = cold_at_seven(hours=tuple(told))
+    assert "found while probing" in steps[0].plan.news
+    assert missing_K(steps, 10) < 0.2

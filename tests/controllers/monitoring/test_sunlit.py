@@ -61,6 +61,7 @@ def _planned(controller: ThermoForceMPC, record: Record, state: object) -> Plan:
     return controller.plan(Observation(record, ahead), state)
 
 
+@pytest.mark.slow
 def test_it_is_found_in_the_night_after_it_shone_and_taken_off(sunlit, tmp_path):
     controller = _controller()
     begun = _planned(controller, sunlit.slice(0, sunlit.n_steps - DAY), None)

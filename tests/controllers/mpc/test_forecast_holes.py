@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 import pytest
 from faults import FaultyHouse
-from simple_house import OutdoorResponse, SimpleHouse, simple_model
+from simple_house import POLE, OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.data import Boundary, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, PlanStatus
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 
 FROM_H, TO_H = 20, 26
@@ -76,3 +77,28 @@ def test_what_was_never_known_is_not_invented(name):
 
 def test_the_plans_of_a_run_without_holes_are_not_touched():
     assert {step.plan.status for step in run(half_blind(lambda given: given)).steps} == {PlanStatus.SOLVED}
+
+
+def test_the_margin_is_wider_exactly_where_the_weather_is_guessed():
+    """Plans of one instant: with all of the weather, and with that of its first ten hours."""
+    from_h, house = 10, SimpleHouse()
+    house.reset(10 * DAY_S, 4 * DAY_S)
+    past, ahead = house.past(HOUR_S), house.forecast(DAY_S, HOUR_S)
+    # Days that are warmer and colder by 2 K in turns, so that the day before is so far off.
+    past = replace(past, T_out_C=past.T_out_C + np.where(past.time_s // DAY_S % 2, 1.0, -1.0))
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    plan = mpc.plan(Observation(past, ahead))
+    cut = mpc.plan(Observation(past, without("T_out_C", at=slice(from_h, None))(ahead)))
+    assert "T_out_C at 15 of 25 instants by the day before (60 % of the plan)" in cut.why
+    assert "weather that nobody gave: it may move a zone by" in cut.why
+    assert "nobody gave" not in plan.why
+    band, wider = (one.T_free_high_C[0] - one.T_free_low_C[0] for one in (plan, cut))
+    np.testing.assert_array_equal(wider[:from_h], band[:from_h])
+    moved_K = 2.0 * (1.0 - POLE ** np.arange(1, 25 - from_h))  # what 2 K outdoors do to the house
+    z = NormalDist().inv_cdf(0.9)
+    np.testing.assert_allclose(wider[from_h:] / 2, np.hypot(band[from_h:] / 2, z * moved_K), rtol=1e-6)
+    # So is the margin inside the upper bound; heat makes up for the lower one as soon as more is known.
+    kept, more = (ahead.upper_C[0, 1:] - one.upper_C[0] for one in (plan, cut))
+    np.testing.assert_array_equal(more[:from_h], kept[:from_h])
+    assert (more[from_h:] > kept[from_h:] + 0.001).all()
+    np.testing.assert_array_equal(cut.lower_C, plan.lower_C)

@@ -85,6 +85,28 @@ def test_in_closed_loop_both_zones_are_warm_and_names_say_which_binds():
     assert any(" in hall" in step.plan.why for step in result.steps)
 
 
+def test_plans_count_on_the_part_of_a_neighbours_heat_that_is_known():
+    plain, seen = two_model(), two_observation(houses=TwoHouses(lower_K=1.0))
+    (own, _), (_, other) = plain.operator.pairs
+    across = replace(own, gains=0.3 * own.gains)  # of the radiator on the hall
+    both = replace(plain.operator, pairs=((own, None), (across, other)))
+
+    def controller(sd: float | None) -> ThermoForceMPC:
+        known = {} if sd is None else {"step_response_24h_K[radiator]": 2.0, "step_response_24h_sd_K[radiator]": 2 * sd}
+        cards = (plain.cards[RADIATOR], replace(plain.cards[FLOOR], uncertainty=known))
+        return mpc(replace(plain, operator=both, cards=cards))
+
+    for sd, share in ((None, 1.0), (0.4, 1.0), (0.75, 0.5), (1.3, 0.0)):
+        used = controller(sd)
+        np.testing.assert_allclose(used.planning_operator.gains[1, RADIATOR], share * across.gains)
+        np.testing.assert_allclose(used.planning_operator.gains[0, RADIATOR], own.gains)
+        assert used.model.operator.gains[1, RADIATOR].any(), "what acted is followed by the whole model"
+    unknown, alone = controller(1.3).plan(seen), mpc().plan(seen)
+    assert unknown.status is PlanStatus.SOLVED
+    np.testing.assert_allclose(unknown.u, alone.u, atol=1e-3)
+    assert controller(0.4).plan(seen).u[FLOOR].sum() < alone.u[FLOOR].sum() - 0.5
+
+
 @pytest.mark.slow
 def test_zones_of_different_order_are_controlled_as_those_of_one():
     """A mode of the second zone in two halves: nothing else changes, in no station of a step."""

@@ -41,6 +41,7 @@ def cost(solution: Solution, problem: MPCProblem, operator: BuildingOperator, *,
     return solution.cost
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", SMOOTH.values(), ids=SMOOTH)
 def test_all_solvers_find_one_optimum(case):
     """SQP and Ipopt also where the gain sees the plan: from the same start they end in the same optimum."""

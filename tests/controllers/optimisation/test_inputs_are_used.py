@@ -164,26 +164,35 @@ SOLVERS: dict[str, Callable[..., Solver]] = {
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_a_solver_uses_every_number_of_an_instance(name):
-    operator, problem, shape = instance(CASES["everything convex"], np.random.default_rng(31))
-    problem = replace(problem, last_u=np.zeros(len(operator.actuators)))
-    if name != "milp":
-        problem = replace(problem, weights=replace(problem.weights, curvature=1e-3))
-    shape = replace(shape, terms=(ramp,))
-    used, ignored = SOLVERS[name](operator, shape), []
-    before = used.solve(problem)
-    assert before.ok, before.problem
-    for number, change in CHANGES.items():
-        if name == "milp" and number == "curvature":  # left out of the choice, as it says
-            continue
-        other = change(problem)
-        found, fresh = used.solve(other), SOLVERS[name](operator, shape).solve(other)
-        assert found.ok, (number, found.problem)
-        assert found.cost == pytest.approx(fresh.cost, rel=1e-9), number
-        unchanged = used.model.evaluate(used.model.numbers(other), before.u, before.own_values)
-        better = found.cost < unchanged.cost - 1e-5 or bool(unchanged.broken)
-        if not (better and np.abs(found.u - before.u).max() > 1e-4):
-            ignored.append(number)
-    assert ignored == []
+    """Each number moves the levels of some instance, and in every instance the answer is that of a new solver.
+
+    The programme is nearly linear: its optimum sits where limits meet, and may stay there when a number changes (of 25
+    instances 1 to 15 do for a number). So a number that moves nothing in one instance is tried in the next.
+    """
+    # The choice leaves the curvature out, as it says.
+    ignored = [number for number in CHANGES if (name, number) != ("milp", "curvature")]
+    for seed in range(1, 21):
+        operator, problem, shape = instance(CASES["everything convex"], np.random.default_rng(seed))
+        problem = replace(problem, last_u=np.zeros(len(operator.actuators)))
+        if name != "milp":
+            problem = replace(problem, weights=replace(problem.weights, curvature=1e-3))
+        shape = replace(shape, terms=(ramp,))
+        used = SOLVERS[name](operator, shape)
+        before = used.solve(problem)
+        assert before.ok, before.problem
+        for number in list(ignored):
+            other = CHANGES[number](problem)
+            found, fresh = used.solve(other), SOLVERS[name](operator, shape).solve(other)
+            assert found.ok, (number, found.problem)
+            assert found.cost == pytest.approx(fresh.cost, rel=1e-9), number
+            unchanged = used.model.evaluate(used.model.numbers(other), before.u, before.own_values)
+            assert unchanged.broken or found.cost <= unchanged.cost + 1e-5, (seed, number)
+            better = found.cost < unchanged.cost - 1e-5 or bool(unchanged.broken)
+            if better and np.abs(found.u - before.u).max() > 1e-4:
+                ignored.remove(number)
+        if not ignored:
+            return
+    raise AssertionError(f"in 20 instances nothing moved with {', '.join(ignored)}")
 
 
 def test_sqp_and_ipopt_start_from_the_levels_that_they_are_given():

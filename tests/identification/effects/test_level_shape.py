@@ -12,7 +12,7 @@ from controllers.actuation.actuator import ActuationConfig, choose_actuation
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.effects.level_laws import laws_of
+from thermoforce_mpc.identification.effects.level_laws import laws_of, part_load_costs
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import LevelCost, PowerModel, level_costs
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
@@ -96,6 +96,41 @@ def test_power_at_two_levels_tells_a_limit_from_a_fixed_loss(power, heat):
     for unknown in (recorded(lambda u: u, levels((0.5,)), power), replace(given, power_W=np.nan * given.power_W)):
         for one in of_part_load(unknown):
             assert (one.mean, one.sd) == (pytest.approx(0.1), 0.25), "one level tells neither"
+
+
+def test_part_load_is_compared_with_the_first_half_hour_of_a_machine_that_weakens():
+    """At full level the water reaches its limit: from then on less heat comes, for less power. A fan takes 500 W."""
+    u = levels((0.5, 0.25))
+    since = np.zeros(u.size)
+    for k in range(1, u.size):
+        since[k] = since[k - 1] + 1 if u[k] == 1.0 == u[k - 1] else 0
+    heat = np.where((u == 1.0) & (since >= 2), 0.6, u)
+    given = replace(recorded(lambda u: u, u, lambda u: 0.0 * u), power_W=(u > 0) * 500.0 + 2500.0 * heat)
+    priors = of_part_load(given)
+    full = u == 1.0
+    weakens = 3000.0 / given.power_W[0][full].mean()
+    assert [1.0 + one.mean for one in priors] == pytest.approx([1.04 * 1.07 * weakens] * 2, rel=0.01)
+    power = PowerModel(MachineLoad((500.0, 0.0, 2500.0, 0.0), (-10.0, 20.0), 0.25))
+    found = {one.name: (weakens * 1.07 - 1.0, 0.1) for one in priors}
+    low, middle = part_load_costs(found, [given], power, IDENTITY)
+    assert low.cost == pytest.approx((500.0 + 625.0) / 3000.0 / 0.25, rel=0.03)
+    assert low.heat == pytest.approx(1.0, abs=0.01)
+    assert not choose_actuation(ActuationConfig(), power, IDENTITY, (low, middle)).actuation.modulates
+
+
+def test_power_that_is_flat_from_a_quarter_on_is_no_fixed_part_unless_temperatures_say_so():
+    def power(u):
+        return 3000.0 * (1.0 - (1.0 - u) ** 8)
+
+    given = recorded(lambda u: u, levels((0.5, 0.25)), power)
+    for one, level in zip(of_part_load(given), (0.25, 0.5), strict=True):
+        assert 1.0 + one.mean == pytest.approx(1.04 * power(level) / 3000.0 / level, rel=0.01)
+        assert one.sd > 0.3, "the temperatures decide"
+    law = PowerModel(MachineLoad((2580.0, 0.0, 420.0, 0.0), (-10.0, 20.0), 0.25))
+    valve = [LevelCost(0.25, 1.0, 0.1, 3.6, 0.3), LevelCost(0.5, 1.0, 0.1, 2.0, 0.2)]
+    assert choose_actuation(ActuationConfig(), law, IDENTITY, valve).actuation.modulates
+    pump = [LevelCost(0.25, 3.4, 0.4, 1.05, 0.1), LevelCost(0.5, 1.9, 0.2, 1.02, 0.1)]
+    assert not choose_actuation(ActuationConfig(), law, IDENTITY, pump).actuation.modulates
 
 
 def test_an_electric_heater_is_not_switched_for_an_estimate_below_what_it_can_be():

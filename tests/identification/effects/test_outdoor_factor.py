@@ -122,6 +122,7 @@ def test_heat_that_falls_while_a_level_is_held_makes_the_effect_less_sure(at_fir
     assert levels.sd == 0.0
 
 
+@pytest.mark.slow
 def test_rooms_that_are_heated_together_cannot_be_told_apart():
     names = Names(("north", "south"), ("a", "b"), ("pump",))
     layout = Layout(names, (1, 1), (0, 1), (0, 0), (0.0, 0.0), (0.8, 0.8), (10.0, 90.0))
@@ -134,6 +135,11 @@ def test_rooms_that_are_heated_together_cannot_be_told_apart():
     assert one[0] > 0.25 > 0.1 > other[0]
     assert "levels went together with those of b:" in one[1]
     assert other[1] == ""
+    # Cold days open both for most of the time, each at its own times: as the fit sees them, they are apart.
+    cold = np.repeat(np.random.default_rng(3).random(n // 96 + 1) > 0.5, 96)[:n]
+    rng = np.random.default_rng(4)
+    by_weather = replace(together, u=(rng.random((2, n)) < np.where(cold, 0.9, 0.1)).astype(float))
+    assert confounding([by_weather], layout, 0, CONFIG) == (pytest.approx(0.0, abs=0.12), "")
     part_load = CONFIG.model_copy(update={"part_load": True})
     (law,) = laws_of([together], layout, 0, IDENTITY, part_load)  # at part load one gets what the other leaves
     assert (law.name, law.mean < 0.0) == (OUTDOORS, True), "a circuit's water is warmer when it is cold"

@@ -94,6 +94,7 @@ def test_unknown_levels_of_any_actuator_divide_a_run(row):
     assert not any("filled" in note for note in notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", ROWS)
 @pytest.mark.parametrize("level", [0.0, 0.4])
 def test_an_actuator_that_never_changed_does_not_refuse_the_rest(row, level):
@@ -103,6 +104,7 @@ def test_an_actuator_that_never_changed_does_not_refuse_the_rest(row, level):
     assert not verdicts[row].competent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", ROWS)
 @pytest.mark.parametrize(
     ("levels", "watts", "words"),

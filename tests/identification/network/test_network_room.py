@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from thermal_networks import random_theta, theta_of, transition
 
-from thermoforce_mpc.identification.network.room import DISTURBANCE_H, EMITTER, Law, RoomNetwork, neighbours_of
+from thermoforce_mpc.identification.estimation.regression import DISTURBANCE_H
+from thermoforce_mpc.identification.network.room import EMITTER, Law, RoomNetwork, neighbours_of
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
 ONE = RoomNetwork()

@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 import thermoforce_mpc as tf
-from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.checks import remarks
 
@@ -156,6 +156,27 @@ def test_a_fault_is_found_and_named_with_its_remedy(kind, says, spoil):
     assert all(says in remark.in_words() for remark in found)
 
 
+def three_rooms(hot_water_W: float = 0.0) -> tuple[Record, Layout]:
+    """Three rooms whose heaters hang on one meter; half an hour of hot water twice a day on it."""
+    each = [room(seed)[0] for seed in (1, 4, 9)]
+    names = Names(("a", "b", "c"), ("ha", "hb", "hc"), ("machine",))
+    shares, area = (1 / 3,) * 3, (AREA_M2,) * 3
+    layout = Layout(names, (1, 1, 1), (0, 1, 2), (0, 0, 0), (0.0, 0.0, 0.0), shares, area)
+    at = np.arange(each[0].n_steps) % 96
+    meter = sum(one.power_W for one in each) + hot_water_W * np.isin(at, (24, 25, 82, 83))
+    T, u = (np.concatenate([getattr(one, name) for one in each]) for name in ("T_zone_C", "u"))
+    time_s, T_out_C, sun = (getattr(each[0], name) for name in ("time_s", "T_out_C", "solar_W_m2"))
+    return Record(time_s, T, T_out_C, sun, u, meter, np.full(u.shape, np.nan), names=names), layout
+
+
+def test_hot_water_on_a_meter_that_several_rooms_share_is_found():
+    assert not remarks(*three_rooms())
+    (found,) = remarks(*three_rooms(2500.0))
+    assert found.kind == "meter holds another load"
+    assert "in bursts at the same hours of the day" in found.words
+    assert "take the other load (hot water" in found.remedy
+
+
 def test_gaps_are_no_fault_and_hide_none():
     lost = np.random.default_rng(2).random(CLEAN.n_steps) < 0.03
     holed = replace(CLEAN, u=np.where(lost, np.nan, CLEAN.u), heat_W=np.where(lost, np.nan, CLEAN.heat_W))
@@ -250,3 +271,12 @@ def test_a_boiler_that_is_better_at_part_load_is_no_heat_pump_in_other_units(day
     assert doubts(1.0 - 0.3 * load**2 + noise) == []
     (words,) = doubts(0.25 * 3.2 * np.exp(0.022 * T_out + noise))
     assert "units of heat come from one of energy" in words
+
+
+def test_a_chiller_of_one_efficiency_is_no_boiler_in_other_units():
+    """A steady 2.9 units of cold from one of energy in any weather; as heat of a machine that only heats a doubt."""
+    cold_W = 0.8 * FULL_W * CLEAN.u * (1.0 + 0.2 * np.sin(np.arange(CLEAN.n_steps)))
+    chiller = replace(CLEAN, power_W=cold_W / 2.86 + 2.0, heat_W=-cold_W)
+    units = [remark for remark in remarks(chiller, LAYOUT) if remark.kind == "unit of power"]
+    assert units == []
+    assert "too much for a boiler" in str(remarks(replace(chiller, heat_W=cold_W), LAYOUT))

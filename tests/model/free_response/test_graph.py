@@ -71,6 +71,14 @@ def test_a_graph_of_other_weights_is_refused(copy: Path) -> None:
         load_backbone(str(copy))
 
 
+def test_a_graph_with_other_inputs_is_refused(copy: Path) -> None:
+    """As one that an earlier version exported."""
+    graph = copy / "model.onnx"
+    graph.write_bytes(graph.read_bytes().replace(b"context", b"history"))
+    with pytest.raises(BackboneError, match=r"takes history, expected context; export it again"):
+        load_backbone(str(copy))
+
+
 def test_a_damaged_graph_is_refused_and_without_it_the_weights_are_run_by_torch(copy: Path) -> None:
     graph = copy / "model.onnx"
     before = load_backbone(str(copy)).quantiles_C(_contexts((240, 24)))[0]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
-from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
+from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, HourEffects, HourSeen, running
 
 
 def told(asked, got, T_C, first_hour=0, known=None, step_s=1800.0, sign=1) -> BlockedHours:
@@ -84,3 +87,77 @@ def test_hours_here_and_there_are_no_schedule():
     scattered = BlockedHours.known((0, 1, 2, 10, 11, 20, 21, 23), 40 * DAY_S)
     assert scattered.hours == frozenset()
     assert BlockedHours.known((0, 1, 2, 20, 21, 23), 40 * DAY_S).hours == {0, 1, 2, 20, 21, 23}
+
+
+def seen(day: float, error_K: float, effect_K: float = 1.0, hour: int = 6, promise_K: float = 0.2) -> HourSeen:
+    return HourSeen(day * DAY_S + (hour + 1) * 3600.0, error_K, effect_K, promise_K)
+
+
+def effects(*told: HourSeen, sign: int = 1) -> HourEffects:
+    found = HourEffects(sign)
+    for one in told:
+        found = found.after(one)
+    return found
+
+
+def test_an_hour_differs_once_two_days_running_missed_its_effect():
+    assert not effects(seen(0, -1.0)).laws, "one day is chance"
+    assert not effects(seen(0, -1.0), seen(1, -0.3)).laws, "within the promise"
+    assert not effects(seen(0, 1.0), seen(1, 1.0)).laws, "more than expected is no harm"
+    assert not effects(seen(0, -1.0, effect_K=0.1), seen(1, -1.0, effect_K=0.1)).laws, "nothing was asked"
+    found = effects(seen(0, -1.0), seen(1, -1.0))
+    assert set(found.laws) == {6}
+    law = found.laws[6]
+    assert law.share < 0.95
+    assert law.share - 1.0 + law.dip_K == pytest.approx(-1.0, abs=0.05), "together they explain it"
+    assert "from 6:00 to 7:00" in found.in_words()
+    assert not found.after(seen(2, 0.0)).laws, "taken back when it comes"
+
+
+def test_a_day_without_heat_tells_cold_air_from_a_machine_that_stands():
+    both = effects(seen(0, -1.5), seen(1, -1.5))
+    stands = both.after(seen(2, 0.0, effect_K=0.0))
+    blows = both.after(seen(2, -1.5, effect_K=0.0))
+    assert stands.laws[6].share < both.laws[6].share < blows.laws[6].share
+    assert blows.laws[6].dip_K == pytest.approx(-1.5, abs=0.1)
+
+
+def test_plans_count_on_what_comes_and_try_an_hour_again_after_a_week():
+    found = effects(seen(0, -1.0), seen(1, -1.0))
+    time_s = 2 * DAY_S + 900.0 * np.arange(48)
+    share, dips = found.share(time_s, 900.0), found.dips_K(time_s, 900.0)
+    assert np.flatnonzero(share < 1.0).tolist() == [24, 25, 26, 27]
+    assert dips[23] == 0.0
+    assert dips.min() == dips[27]
+    assert found.laws[6].dip_K <= dips[27] < 0.7 * found.laws[6].dip_K
+    assert dips[-1] > 0.3 * dips[27], "it is forgotten"
+    later = 9 * DAY_S + 6 * 3600.0 + 900.0 * np.arange(4)
+    assert (found.share(later, 900.0) == 1.0).all()
+
+
+def test_cooling_misses_its_effect_to_the_warm_side():
+    assert set(effects(seen(0, 1.0, -1.0), seen(1, 1.0, -1.0), sign=-1).laws) == {6}
+    assert not effects(seen(0, -1.0, -1.0), seen(1, -1.0, -1.0), sign=-1).laws
+
+
+def test_what_was_seen_before_a_run_counts_as_of_the_days_before():
+    found = effects(seen(0, -1.0), seen(1, -1.0)).at(40 * DAY_S)
+    assert [one.hour for one in found.seen] == [6, 6]
+    assert 39 * DAY_S <= found.seen[-1].time_s <= 40 * DAY_S
+
+
+def test_a_machine_that_reports_what_was_asked_of_it_stands_where_its_meter_reads_nothing():
+    u, hours = np.full(48, 0.5), np.arange(48) % 24
+    record = Record(
+        time_s=3600.0 * np.arange(49),
+        T_zone_C=np.full(49, 20.0),
+        T_out_C=np.zeros(49),
+        solar_W_m2=np.zeros(49),
+        u=u,
+        power_W=np.where((hours >= 6) & (hours < 8), 10.0, 1000.0),
+        heat_W=np.full(48, np.nan),
+    )
+    assert np.flatnonzero(running(record).u[0] == 0.0).tolist() == [6, 7, 30, 31]
+    assert BlockedHours.found(u, running(record), 1).hours == {6, 7}
+    for tells_nothing in (np.full((1, 48), np.nan), np.zeros((1, 48)), record.power_W + 500.0):
+        assert (running(replace(record, power_W=tells_nothing)).u == 0.5).all()

@@ -48,6 +48,15 @@ def model() -> ThermalModel:
     )
 
 
+def test_numbers_come_back_whatever_their_order_in_memory(tmp_path):
+    rows = np.arange(6.0).reshape(2, 3)
+    arrays = {"transposed": rows.T, "columns": np.asfortranarray(rows), "every second": np.arange(10.0)[::2]}
+    write_model_file(tmp_path, {"kind": "thermal"}, arrays)
+    _, back = read_model_file(tmp_path)
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(back[name], array)
+
+
 def test_a_model_comes_back_bit_for_bit(tmp_path, model):
     back = load_model(model.save(tmp_path / "model"))
     features = random_features(np.random.default_rng(0), 10)

@@ -54,7 +54,21 @@ class Still:
         setpoints = np.full((ROWS, self.n), setpoint)
         forced = np.broadcast_to(np.asarray(levels, dtype=float), (self.n,)).copy()
         physics.advance(
-            self.T, self.on, self.now, len(rows), 30.0, forced, self.weather, self.gains, setpoints, self.h, rows
+            self.T,
+            self.on,
+            self.now,
+            len(rows),
+            30.0,
+            forced,
+            self.weather,
+            self.gains,
+            setpoints,
+            self.h,
+            rows,
+            np.zeros(0),
+            np.zeros(0),
+            np.zeros(0),
+            2.0,
         )
         self.now += hours * HOUR_S
         return rows

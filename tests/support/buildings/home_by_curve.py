@@ -57,10 +57,21 @@ def cop(T_flow_C: float, T_out_C: float) -> float:
     return 0.5 * (T_flow_C + 273.15) / max(T_flow_C - T_out_C, 10.0)
 
 
-class HomeByCurve:
-    """`Connection` and `Clock`; five minutes a row. In the last `trials` days the offset is another one each 4 h."""
+SG_RULES = RULES | {"machines": {"heat_pump": {"power": "P", "price": "price", "command": {
+    "kind": "sg_ready", "column": "contact", "usual": 2,
+}}}}  # fmt: skip
+# What SG-Ready does to the curve, K; blocked, the pump stands.
+SG_OFFSET_K = {1: 0.0, 2: 0.0, 3: 3.0, 4: 3.0}
 
-    def __init__(self, days: int = 21, trials: int = 5) -> None:
+
+class HomeByCurve:
+    """`Connection` and `Clock`; five minutes a row. In the last `trials` days the offset is another one each 4 h.
+
+    `contacts`: what is set is the state of its SG-Ready contacts instead, in the trials another one each 2 h.
+    """
+
+    def __init__(self, days: int = 21, trials: int = 5, contacts: bool = False) -> None:
+        self._contacts = contacts
         self.at, self.rows, self.told, self.written = START - pd.Timedelta(days=days), [], None, []
         self.T = {"living": 21.5, "bedroom": 19.0}
         self._trials, self._rng = START - pd.Timedelta(days=trials), np.random.default_rng(3)
@@ -73,13 +84,16 @@ class HomeByCurve:
         origin = pd.Timestamp("2025-01-01", tz="UTC")
         while (left_s := (at - self.at).total_seconds()) > 1e-6:
             part_s = min(300.0, left_s)
-            if self._trials <= self.at < START and self.at.hour % 4 == 0 and self.at.minute == 0:
-                self._trial = float(self._rng.integers(-3, 4))
-            trial = self._trial if self._trials <= self.at < START and hasattr(self, "_trial") else 0.0
-            offset = trial if self.told is None else self.told
+            usual, hold_h = (2.0, 2) if self._contacts else (0.0, 4)
+            if self._trials <= self.at < START and self.at.hour % hold_h == 0 and self.at.minute == 0:
+                self._trial = float(self._rng.integers(1, 4) if self._contacts else self._rng.integers(-3, 4))
+            trial = self._trial if self._trials <= self.at < START and hasattr(self, "_trial") else usual
+            told = trial if self.told is None else self.told
+            offset, runs = (SG_OFFSET_K[round(told)], told != 1.0) if self._contacts else (told, True)
             out = float(outdoor_C((self.at - origin).total_seconds()))
-            flow = float(np.clip(27.0 + 0.6 * (20.0 - out) + offset, 20.0, 55.0))
+            flow = float(np.clip(27.0 + 0.6 * (20.0 - out) + offset, 20.0, 55.0)) if runs else 15.0
             row = {"time": self.at, "out": out, "sun": 0.0, "flow": flow, "offset": offset, "price": price(self.at)}
+            row["contact"] = told if self._contacts else 2.0
             heat_W = {}
             for name in ROOMS:
                 valve = float(np.clip((SETPOINT_C[name] + 0.5 - self.T[name]) / 2.0 + 0.5, 0.0, 1.0))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from thermoforce_mpc.data import (
@@ -17,6 +19,7 @@ from thermoforce_mpc.data import (
     Record,
 )
 from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.parameters import linear_operator
@@ -128,7 +131,12 @@ class OutdoorResponse:
         return FreeForecast(np.array([0.1, 0.5, 0.9]), np.stack([median - 0.2, median, median + 0.2]), "exact")
 
 
-def simple_model() -> ThermalModel:
-    """The exact model of the simple house at hourly steps."""
+def simple_model(sd: float | None = None) -> ThermalModel:
+    """The exact model of the simple house at hourly steps; `sd`: how well it is said to know its effect, as a share."""
     power = PowerModel(MachineLoad((FIXED_W, 0.0, PER_U_W, 0.0), (-20.0, 30.0), lowest_level=1.0))
-    return ThermalModel.single(linear_operator(np.array([POLE]), np.array([GAIN_K]), step_s=HOUR_S), power)
+    model = ThermalModel.single(linear_operator(np.array([POLE]), np.array([GAIN_K]), step_s=HOUR_S), power)
+    if sd is None:
+        return model
+    known = {f"step_response_{h}h_K": GAIN_K / (1 - POLE) * (1 - POLE**h) for h in (1, 2, 4, 8, 12, 24, 48)}
+    known |= {name.replace("h_K", "h_sd_K"): sd * value for name, value in known.items()}
+    return replace(model, cards=(ModelCard("exact", uncertainty=known),))

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import Akima1DInterpolator
 
 from thermoforce_mpc.data import HOUR_S, YEAR_S, ZERO_C_K, Array
 from thermoforce_mpc.errors import WeatherError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import Akima1DInterpolator
 
 _HOURS = 8760
 STEFAN_BOLTZMANN_W_M2_K4 = 5.670374419e-8
@@ -113,6 +116,8 @@ class Weather:
 
     def _spline(self, column: str) -> Akima1DInterpolator:
         """Return the column's spline, cached: building it costs more than evaluating a horizon."""
+        from scipy.interpolate import Akima1DInterpolator
+
         if column not in self._splines:
             rows = getattr(self, column)
             # Three rows beyond either end make the spline periodic.

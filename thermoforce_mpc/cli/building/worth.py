@@ -66,11 +66,13 @@ def worth(
     """Say what plans would have saved in the days of a record, with a 90 % band, and what that rests on.
 
     The identified house is lived through the record's weather again: as it was, and with plans made each hour with
-    forecasts as of then (the measured weather with errors of a usual size), at equal comfort: bounds of plans are
-    raised where the house would get colder than it was. The band holds what the model does not know of the house, and
-    what the record does not tell of power. Heat that is stored at the end counts.
+    forecasts as of then (the measured weather with errors of a usual size). Comfort is no less: where rooms would be
+    outside their bounds by more K·h than they were, lower bounds of plans are raised, by 0.5 K at most. Where they were
+    outside by more, the comfort that plans add is paid for. The band holds what the model does not know of the house,
+    and what the record does not tell of power. Heat that is stored at the end counts.
 
-    Such bands held the truth of 3 of 6 simulated houses known without probing: take them for an order of size.
+    Such bands held the truth of 12 of 12 simulated houses known without probing; half their width was 13 % of the cost
+    in the median.
 
     Prices are those of --prices, else of the map; of a bill what a kWh costs, not its peaks and export. With --commands
     plans set what the map names (set-points, offsets).

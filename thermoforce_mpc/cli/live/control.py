@@ -246,7 +246,7 @@ class _Run:
         self.say(f"Actuation: {mpc.actuation_in_words}")
         told = _told(self.say, commands)
         if not acts and not dry:
-            book = ShadowBook(self.out, thermal) if mode == "shadow" else None
+            book = ShadowBook(self.out, thermal, mpc, commands, key) if mode == "shadow" else None
             told = _advised(told, self.out / "advice.json", book, self.say)
         control(
             self.live(mpc.step_s, people),

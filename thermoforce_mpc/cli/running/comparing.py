@@ -158,7 +158,7 @@ def compare(**options: Any) -> None:
     metavar="KEY",
     help="Numeric option (dotted name, or its last part if unique), or key of the scenario.",
 )
-@click.option("--values", default=_VALUES, metavar="X,Y", help="Values of the option.")
+@click.option("--values", metavar="X,Y", help=f"Values of the option.  [default: of comfort_weight_per_m2 {_VALUES}]")
 @click.option(
     "--beside", default="thermostat,native", metavar="A,B", help="Controllers run for comparison; '' for none."
 )
@@ -182,8 +182,10 @@ def sweep(**options: Any) -> None:
     testcase = load_testcase(base.testcase)
     controller = options["varied"]
     key = numeric_option(controller, options["over"])
-    values = []
-    for word in comma_list(options["values"], "--values"):
+    values, given = [], options["values"]
+    if given is None and not key.endswith("comfort_weight_per_m2"):
+        raise ConfigError(f"--values: missing; give values of {key} to compare, such as --values 0.5,1,2")
+    for word in comma_list(given or _VALUES, "--values"):
         try:
             values.append(plain_number(word))
         except ValueError:

@@ -34,10 +34,19 @@ PART_LOADS = (("heat_at_low_level", LEVEL_EDGE, 0.375), ("heat_at_middle_level",
 _MOST_PER_K, _LEAST_FACTOR = 0.08, 0.2
 # Heat per level at part load over that at full level: prior without a power meter, and range. Heat is a concave law of
 # the level: below 1 an estimate is noise, and would switch an electric heater for a loss that it cannot have.
-_HEAT_PRIOR, _HEAT_RANGE = (1.1, 0.25), (1.0, 2.5)
+_HEAT_PRIOR, _LEAST_HEAT = (1.1, 0.25), 1.0
 # The same over what the part of the power that goes with the heat says, mean and standard deviation: water that is
 # cooler at part load gives more heat for it. Of 25 generated machines 1.04 ± 0.10.
 _OF_POWER = (1.04, 0.1)
+# A fixed part above this share of full power needs evidence: fans and pumps are a third of it at most, while a valve
+# that gives most of its heat at a quarter looks the same on the meter. Power is then taken for heat, and temperatures
+# decide: relative standard deviation of that.
+_MOST_FIXED, _FLAT_SD = 0.5, 0.35
+# A machine whose water reaches its limit in long runs at full level gives less heat and takes less power there than in
+# their first half hour. Blocks are such short runs: part load is compared with these where they take so much more
+# power. How much more of heat than of power they have, since the water is colder, with its deviation (three generated
+# heat pumps, 28 November 2026: 1.05 to 1.1).
+_FRESH_S, _WEAKENS, _FRESH_HEAT = 1800.0, 1.05, (1.07, 0.04)
 # Relative standard deviation of the cost by what one number for all part load and a linear law of power are not.
 _COST_SD = 0.03
 # Steps at part load from which their heat is estimated.
@@ -89,14 +98,20 @@ def laws_of(
         laws.append(LevelLaw(OUTDOORS, *prior, lambda u, T: u * (T - mean_C)))
     if config.part_load and not shared:
         u, power_W = (np.concatenate(rows) for rows in ([r.u[a] for r in runs], [r.power_W[m] for r in runs]))
+        fresh = np.concatenate([_fresh(r.u[a], r.step_s) for r in runs])
         bands = [band for band in PART_LOADS if np.count_nonzero(_within(u, *band[1:])) >= _LEAST_STEPS]
-        for (name, above, most), (mean, sd) in zip(bands, _heat_priors(u, power_W, bands), strict=True):
+        for (name, above, most), (mean, sd) in zip(bands, _heat_priors(u, power_W, fresh, bands), strict=True):
             laws.append(LevelLaw(name, mean - 1.0, sd, partial(_level_within, above, most)))
     return laws
 
 
-def _heat_priors(u: Array, power_W: Array, bands: Sequence[tuple[str, float, float]]) -> list[tuple[float, float]]:
+def _heat_priors(
+    u: Array, power_W: Array, fresh: NDArray[np.bool_], bands: Sequence[tuple[str, float, float]]
+) -> list[tuple[float, float]]:
     """Mean and standard deviation of the heat per level in each of `bands` over that at full level.
+
+    `fresh` (n,): steps in which full level has just begun. A machine that weakens at full level is at its limit only
+    later: part load gives as much per level as those steps do.
 
     A machine at the limit of its water temperature gives less at full level than its level stands for, and takes less
     power in proportion; a fixed loss makes part load dear and gives nothing. Two levels below full tell them apart: the
@@ -106,15 +121,37 @@ def _heat_priors(u: Array, power_W: Array, bands: Sequence[tuple[str, float, flo
     seen = [row & np.isfinite(power_W) for row in rows]
     if len(seen) < 3 or min(np.count_nonzero(row) for row in seen) < _LEAST_STEPS:
         return [_HEAT_PRIOR] * len(bands)
+    mean, sd = _OF_POWER
+    weakens = _weakening(power_W, seen[-1], fresh)
+    if weakens > 1.0:
+        return [(mean * weakens * _FRESH_HEAT[0], sd * weakens * _FRESH_HEAT[0])] * len(bands)
     level, power = (np.array([values[row].mean() for row in seen]) for values in (u, power_W))
     power = power / power[-1]
     slopes = np.diff(power) / np.diff(level)
     # A parabola where power saturates, the line through the two levels where it does not.
     bend = max(slopes[0] - slopes[1], 0.0) * level[1] / (level[2] - level[0])
     fixed = float(np.clip(power[0] - level[0] * (slopes[0] + bend), 0.0, 0.9 * power.min()))
+    if fixed > _MOST_FIXED:
+        fixed, sd = 0.0, _FLAT_SD
     told = np.maximum((power - fixed) / level / (1.0 - fixed), 1.0)[:-1]
-    mean, sd = _OF_POWER
     return [(float(mean * heat), float(sd * heat)) for heat in told]
+
+
+def _fresh(u: Array, step_s: float) -> NDArray[np.bool_]:
+    """Which steps (n,) are the first half hour at full level after a step of less than half."""
+    full, found = u >= 1.0 - LEVEL_EDGE, np.zeros(u.size, dtype=bool)
+    for k in np.flatnonzero(full[1:] & (u[:-1] < 0.5)) + 1:
+        found[k : k + max(1, round(_FRESH_S / step_s))] = True
+    return found & full
+
+
+def _weakening(power: Array, full: NDArray[np.bool_], fresh: NDArray[np.bool_]) -> float:
+    """Power of fresh steps over the mean of those at full level; 1 where it is not clearly more, or not known."""
+    known = full & fresh & np.isfinite(power)
+    if np.count_nonzero(known) < _LEAST_STEPS or np.count_nonzero(full & ~fresh) < _LEAST_STEPS:
+        return 1.0
+    ratio = float(power[known].mean() / power[full].mean())
+    return ratio if ratio > _WEAKENS else 1.0
 
 
 def _slope_prior(sign: int) -> tuple[float, float]:
@@ -183,6 +220,7 @@ def part_load_costs(
     law = heat_input.law
     kept = np.isfinite(u) & np.isfinite(T_out) & np.isfinite(power_W) & (np.isfinite(heat_W) | (law is None))
     u, T_out, power_W, heat_W = u[kept], T_out[kept], power_W[kept], heat_W[kept]
+    fresh = np.concatenate([_fresh(h.u[0], h.step_s) for h in histories])[kept]
     full, level = u >= 1.0 - LEVEL_EDGE, np.maximum(u, LEVEL_EDGE)
     if np.count_nonzero(full) < _LEAST_STEPS:
         return []
@@ -193,6 +231,12 @@ def part_load_costs(
     power_per_level = _relative(power_W / level, power(np.ones(u.size), T_out), full)
     heat_per_level = None if law is None else _relative(heat_W / level, law(np.ones(u.size), T_out), full)
     costs: list[LevelCost] = []
+    weakens, fresh_heat, fresh_sd = _weakening(power_per_level, full, fresh), 1.0, 0.0
+    if weakens > 1.0:
+        power_per_level = power_per_level / weakens
+        fresh_heat, fresh_sd = weakens * _FRESH_HEAT[0], _FRESH_HEAT[1] / _FRESH_HEAT[0]
+        if heat_per_level is not None:
+            heat_per_level, fresh_heat, fresh_sd = heat_per_level / heat_per_level[full & fresh].mean(), 1.0, 0.0
     for name, above, most in reversed(PART_LOADS):
         near = _within(u, above, most)
         n = np.count_nonzero(near)
@@ -201,7 +245,9 @@ def part_load_costs(
         if heat_per_level is not None:
             heat, heat_sd = float(heat_per_level[near].mean()), float(heat_per_level[near].std() / np.sqrt(n))
         elif name in found:
-            heat, heat_sd = float(np.clip(1.0 + found[name][0], *_HEAT_RANGE)), found[name][1]
+            all_of_it = 1.0 / float(u[near].mean())
+            heat = float(np.clip((1.0 + found[name][0]) / fresh_heat, _LEAST_HEAT, all_of_it))
+            heat_sd = heat * float(np.hypot(found[name][1] / (1.0 + found[name][0]), fresh_sd))
             if costs and costs[-1].heat > heat:  # heat is a concave law of the level
                 heat, heat_sd = costs[-1].heat, costs[-1].heat_sd
         else:

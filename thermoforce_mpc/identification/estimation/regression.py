@@ -26,6 +26,8 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 STEP_RESPONSE_H: tuple[int, ...] = (1, 2, 4, 8, 12, 24, 48)
 EFFECT_H = 8
 """The one of these hours by which an effect is judged, h."""
+DISTURBANCE_H = (1.0, 6.0, 48.0)
+"""Time constants of what disturbs a room besides weather and actuators, h."""
 BAND = 1.645
 """Half width of a 90 % band of a normal distribution, standard deviations."""
 

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import minimize, nnls
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.data.series import lagged
@@ -37,10 +35,14 @@ class Rest:
     @cached_property
     def factor(self) -> Array:
         """L (rows, rows), K."""
+        from scipy.linalg import cholesky
+
         return np.asarray(cholesky(self.covariance, lower=True, check_finite=False))
 
     def white(self, left: Array) -> Array:
         """L⁻¹ `left` (n, …), K at the first n rows: what each says beyond those before it, in standard deviations."""
+        from scipy.linalg import solve_triangular
+
         n = len(left)
         return np.asarray(solve_triangular(self.factor[:n, :n], left, lower=True, check_finite=False))
 
@@ -55,6 +57,8 @@ def rest_of(regression: RegressionData, free: RcParameters | None) -> Rest:
 
 def fitted_to_pairs(pairs: Sequence[RegressionData], log_tau: Array, gains: Array, sign: int) -> tuple[Array, Array]:
     """ln(τ/h) (r,) and [slope, G_2 … G_r] (r,), none negative, most likely given pairs and a fit without them."""
+    from scipy.optimize import minimize, nnls
+
     target = np.concatenate([e.target / _PAIR_SD_K for e in pairs])
     # One mode stands for several: its time constant depends on what it is fitted to, here the pairs.
     relative_sd, reach = (_PRIOR_SD, _REACH) if log_tau.size > 1 else (_ALONE_SD, _ALONE_SD)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import brentq
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.data.series import interpolated
@@ -128,6 +127,8 @@ class _Candidate:
 
     def _as_large(self, operator: OperatorParameters) -> OperatorParameters:
         """`operator` with the bias at which it gives as much in all, in the rows that the fold sees, as m = 1."""
+        from scipy.optimize import brentq
+
         seen = []
         for e, driven, xs in zip(self.fold.regressions, self.driven, self.features, strict=True):
             n = int(e.rows[e.seen - 1]) if e.seen else 0

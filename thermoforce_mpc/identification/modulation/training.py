@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -149,6 +148,8 @@ def minimise(
 
     Returns the end (P,) and the loss of each epoch (evaluation of loss and gradient).
     """
+    from scipy.optimize import minimize
+
     losses: list[float] = []
 
     def evaluate(parameters: Array) -> tuple[float, Array]:

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
 from thermoforce_mpc.data.series import interpolated, lagged
@@ -61,6 +60,8 @@ def circuit_of(
     `heat_input` is v of the runs. None where heat is not metered, its machine feeds nothing else, or too few steps
     tell.
     """
+    from scipy.optimize import lsq_linear
+
     fed, sign = layout.fed_by(layout.machine_of[a]), layout.signs[a]
     if len(fed) < 2 or heat_input.heat is None or not records:
         return None

@@ -10,14 +10,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import expm
-from scipy.optimize import OptimizeResult, minimize
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.network.filtering import likelihood
 from thermoforce_mpc.identification.network.room import ENVELOPE, ROOM, STRUCTURE, SUN_ON_SENSOR, RoomNetwork
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
 
 # Before the first reading, K: the room is about what it reads, its structure and emitters may be elsewhere.
 _START_SD_K = {ROOM: 1.0, STRUCTURE: 2.0, ENVELOPE: 5.0}
@@ -117,6 +119,8 @@ def start_K2(room: RoomNetwork, stationary: Array) -> Array:
 
 def posterior(room: RoomNetwork, theta: Array, runs: Sequence[RoomRun]) -> tuple[float, Array]:
     """Half the negative log posterior at θ (p,) up to a constant, and its gradient (p,)."""
+    from scipy.linalg import expm
+
     equations, n = room.equations(theta), room.n_states
     value, gradient = room.prior(theta)
     size, sensor = n + room.n_inputs, room.place.get(SUN_ON_SENSOR, -1)
@@ -220,6 +224,8 @@ def searched(room: RoomNetwork, runs: Sequence[RoomRun], start: Array, spread: A
     way. Near another largest posterior, of covariance `spread` (p, p), the curvature is that one's to begin with, and
     learned from the slopes (BFGS).
     """
+    from scipy.optimize import OptimizeResult, minimize
+
     if spread is not None:
         options = {"hess_inv0": spread, "gtol": _FLAT, "maxiter": _MOST_STEPS}
         return minimize(lambda z: _scaled(room, runs, z), start, jac=True, method="BFGS", options=options)

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.identification.estimation.regression import DISTURBANCE_H
 from thermoforce_mpc.identification.network.building import BuildingFit
 from thermoforce_mpc.identification.network.estimate import start_K2
-from thermoforce_mpc.identification.network.room import DISTURBANCE_H
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 
 # What actuators did before a record began moves all nodes alike, K.

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares, nnls
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.estimation.regression import unit_steps
@@ -49,6 +48,8 @@ def projected(responses: Array, own: int, signs: Array, order: int, longest_h: f
     None is longer than `longest_h`, the network's own: what rises on after the last of `RESPONSE_H` would otherwise
     have any steady state.
     """
+    from scipy.optimize import nnls
+
     means = responses * np.asarray(signs)[:, None]
     others = np.arange(len(means)) != own
     log_tau = np.tile(_time_constants(means[[own]], order, longest_h), (len(means), 1))
@@ -63,6 +64,8 @@ def projected(responses: Array, own: int, signs: Array, order: int, longest_h: f
 
 def _time_constants(means: Array, order: int, longest_h: float) -> Array:
     """ln τ (r,) of the modes that suit the responses (K, T), K, best; none is longer than `longest_h`."""
+    from scipy.optimize import least_squares, nnls
+
     # At the longest, neighbours stay apart: equal poles would be one.
     most = np.log(min(longest_h, _LONGEST_H)) - np.log(_APART) * np.arange(order)[::-1]
     weights = [_weights(mean)[:, None] for mean in means]

@@ -29,10 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.identification.estimation.regression import DISTURBANCE_H
 from thermoforce_mpc.model.free_response.rc import INPUTS
-
-DISTURBANCE_H = (1.0, 6.0, 48.0)
-"""Time constants of the disturbances, h."""
 
 
 class Prior(NamedTuple):

@@ -13,8 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
-from scipy.special import expit, log_ndtr
 
 from thermoforce_mpc.data import DAY_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -60,6 +58,8 @@ class _Explanation:
 
     def gained(self, without: float) -> float:
         """Log evidence that it gains over none, with half a Gaussian as its prior: the sun only adds."""
+        from scipy.special import log_ndtr
+
         sd_K = self.sd_K(without)
         positive = float(log_ndtr(self.full_K / sd_K) - log_ndtr(0.0))
         likely = without - self.value + np.log(sd_K / SENSOR_SD_K) + positive
@@ -82,6 +82,8 @@ def sun_on_sensor(
         heat_inputs: v of each actuator (A,).
         config: whether neighbours count.
     """
+    from scipy.linalg import block_diag
+
     home = layout.actuators_of(zone)
     if not home or any(heat_inputs[a].lowest < 0.0 for a in home) or (noon_s := _noon_s(runs)) is None:
         return None
@@ -121,6 +123,8 @@ def sun_on_sensor(
 
 def _probability(explanations: Sequence[_Explanation], without: float) -> float:
     """Probability that the sensor stands in the sun, all explanations together."""
+    from scipy.special import expit
+
     gained = np.logaddexp.reduce([explanation.gained(without) for explanation in explanations])
     beforehand = np.log(_IN_THE_SUN / (1.0 - _IN_THE_SUN))
     return float(expit(gained - np.log(len(explanations)) + beforehand))

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.series import lagged
@@ -92,6 +91,8 @@ def _whitener(time_s: Array, T_out_C: Array, solar_W_m2: Array, step_s: float) -
     """Return the lower Cholesky factor of C over hourly rows (fewer in more than a month), which the levels do not
     change, and those rows.
     """
+    from scipy.linalg import cholesky
+
     stride = max(1, round(_ROW_H * HOUR_S / step_s))
     time_s, rows = time_s[::stride], np.arange(time_s[::stride].size)
     # All temperatures are assumed to be measured.
@@ -109,6 +110,8 @@ def _whitener(time_s: Array, T_out_C: Array, solar_W_m2: Array, step_s: float) -
 
 
 def _criterion(u: Array, step_s: float, whitener: Array, rows: NDArray[np.intp]) -> float:
+    from scipy.linalg import solve_triangular
+
     sensitivities = solve_triangular(whitener, _sensitivities(u, step_s)[rows], lower=True)
     return float(np.linalg.slogdet(np.eye(sensitivities.shape[1]) + sensitivities.T @ sensitivities)[1])
 

@@ -52,6 +52,8 @@ _BAND_AHEAD_S = DAY_S
 _IDLE_SHARE = 0.1
 # Time between two choices of draws, h, and centre of the excursions inside the tightest bound ahead, K.
 _BLOCK_H, _INSIDE_K = 12.0, 0.5
+# How much tighter a bound is that begins, K; mean level from which an hour counts as tried, on how many days.
+_SET_BACK_K, _TRIED, _TRIES, _DAY_H = 0.5, 0.5, 2, 24
 
 
 class ProbingConfig(StrictModel):
@@ -330,10 +332,28 @@ class _Levels:
             self._excitation = self._excitation.resumed(chosen)
         # Positive if the zone is too cold (heating) or too warm (cooling).
         level = self._excitation.next(self._sign * (centre - float(record.T_zone_C[0, -1])))
-        if c.trial_levels:
+        if self._must_try(record, band) and self._sign * (float(record.T_zone_C[0, -1]) - centre) < c.excursion_K:
+            level = max(c.levels)
+        elif c.trial_levels:
             level = self._trial.applied(level, self._applied, max(c.levels))
         self._applied = self._polite(level, centre, band, record)
         return Block(self._applied, c.step_s)
+
+    def _must_try(self, record: Record, band: Boundary) -> bool:
+        """Whether this hour of the day has to be tried at full level.
+
+        Where a bound begins plans count on the hour before and the one after: what a schedule of the plant does there
+        shows on two days only (`machine.blocked_hours.HourEffects`). The first day is left to the draws.
+        """
+        tight_C = band.lower_C[0] if self._sign > 0 else -band.upper_C[0]
+        begins = np.diff(tight_C) > _SET_BACK_K
+        if begins.size < _DAY_H or not (begins[0] or begins[_DAY_H - 1]) or not record.n_steps:
+            return False
+        day, hour = np.divmod(record.time_s[:-1] + 1.0, DAY_S)
+        today, now = divmod(float(record.time_s[-1]) + 1.0, DAY_S)
+        same = (hour // HOUR_S == now // HOUR_S) & (day < today)
+        tried = sum(float(np.mean(record.u[0, same & (day == one)])) >= _TRIED for one in np.unique(day[same]))
+        return tried < min(int((record.time_s[-1] - record.time_s[0]) // DAY_S), _TRIES)
 
     def _idle(self, record: Record) -> bool:
         """Whether the actuator was hardly used since the last choice of draws."""

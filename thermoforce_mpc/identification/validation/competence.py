@@ -16,7 +16,6 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from scipy.special import ndtr
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
@@ -220,6 +219,8 @@ def judge(
         log_odds: that the actuator acts, see `network.estimate.RoomFit.without`.
         heat_W_m2: metered heat of full level per m² of floor, NaN where it is not known.
     """
+    from scipy.special import ndtr
+
     block_h = min(BLOCK_H, last.held_out_h / LEAST_BLOCKS) or BLOCK_H
     errors = errors_of(last, LEAD_TIMES_H, block_h)
     earlier = errors_of(before, LEAD_TIMES_H, block_h, len(last.judged)) if before else {}

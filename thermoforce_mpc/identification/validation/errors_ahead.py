@@ -23,7 +23,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -31,6 +30,7 @@ from thermoforce_mpc.identification.estimation.records import LEAD_REACH
 from thermoforce_mpc.identification.estimation.regression import RegressionData, in_steps
 from thermoforce_mpc.identification.estimation.rest import Rest, rest_of
 from thermoforce_mpc.model.free_response.rc import RcParameters
+from thermoforce_mpc.model.machine.blocked_hours import HourSeen
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
@@ -40,6 +40,9 @@ BLOCK_H, LEAST_BLOCKS = 4.0, 4
 _NOTHING = 1e-9
 # Offset that keeps block numbers of different regressions apart.
 PER_REGRESSION = 10**6
+# Half-width of an 80 % band over a standard deviation, and that over the median of what is normal without its sign;
+# least promise an hour ahead, K: the resolution of sensors.
+_NORMAL_90, _MAD_SD, _LEAST_PROMISE_K = 1.2816, 1.4826, 0.1
 # Quantiles by one-sided probability: polynomials in b, the reach of the autocovariances as a share of the blocks.
 _FIXED_B: dict[float, tuple[float, float, float, float]] = {
     0.90: (1.2816, 1.3040, 0.5135, -0.3386),
@@ -81,6 +84,8 @@ def standard_errors_saved(
 
 def quantile(count: int, probability: float, overlap: int = 0) -> float:
     """What the statistic of `count` blocks exceeds by chance with 1 − `probability`: one of 0.9, 0.95, 0.975, 0.99."""
+    from scipy.special import stdtrit
+
     if not overlap:
         return float(stdtrit(max(count - 1, 1), probability))
     return float(np.polynomial.polynomial.polyval(_reach(count, overlap) / max(count, 1), _FIXED_B[probability]))
@@ -186,6 +191,36 @@ def errors_of(fold: Fold, leads_h: Sequence[float], block_h: float, number: int 
         hours: HeldOutErrors.joined([_errors(number + i, *run, hours, block_h) for i, run in enumerate(runs)])
         for hours in leads_h
     }
+
+
+def hours_seen(fold: Fold, operator: OperatorParameters, gain_sd: float) -> list[HourSeen]:
+    """What each full hour of the runs tells of the effect of its levels, predicted from the temperatures before it.
+
+    `operator` at the step of the data; `gain_sd`: relative standard deviation of the effect of an hour. The promise is
+    what most hours err by: an hour that differs must not excuse itself.
+    """
+    found: list[HourSeen] = []
+    effects = fold.effects
+    for i, e in enumerate(fold.regressions):
+        steps = round(HOUR_S / e.step_s)
+        if e.is_pair or abs(steps * e.step_s - HOUR_S) > 1.0:
+            continue
+        time_s = e.histories[0].time_s[e.rows]
+        starts = np.flatnonzero(np.abs((time_s + 1.0) % HOUR_S - 1.0) < 1.0)
+        targets = np.searchsorted(e.rows, e.rows[starts] + steps)
+        there = targets < e.rows.size
+        starts, targets = starts[there], targets[there]
+        whole = e.rows[targets] - e.rows[starts] == steps
+        starts, targets = starts[whole], targets[whole]
+        if not starts.size:
+            continue
+        errors = _Innovations.of(fold.rests[i], e.target - effects[i]).ahead(starts, targets)
+        impulse = operator.impulse(steps)[::-1]
+        of_hour = np.array([float(impulse @ e.drive[row : row + steps]) for row in e.rows[starts]])
+        usual = _NORMAL_90 * _MAD_SD * float(np.median(np.abs(errors)))
+        promise = np.hypot(max(usual, _LEAST_PROMISE_K), _NORMAL_90 * gain_sd * of_hour)
+        found += [HourSeen(*map(float, row)) for row in zip(time_s[targets], errors, of_hour, promise, strict=True)]
+    return found
 
 
 class _Innovations(NamedTuple):

@@ -17,9 +17,12 @@ from thermoforce_mpc.identification.effects.confounding import Unknown
 from thermoforce_mpc.identification.effects.level_laws import part_load_costs
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
 from thermoforce_mpc.identification.validation.competence import UNJUDGED, judge
+from thermoforce_mpc.identification.validation.errors_ahead import Fold, hours_seen
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.model.card import Competence
+from thermoforce_mpc.model.machine.blocked_hours import HourEffects
 from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ZoneModel
 
 # Least log odds that the actuator acts: of 84 random houses with the levels of another one, 2 had more
@@ -66,6 +69,9 @@ def identify_zone(
         operator, (last, before), found, on_network = modulate(everything, last, before, config, power)
         scores, said = scores | found, [*said, *on_network]
     certainty = estimate.effects[0].uncertainty(unknown.sd) | {"sensor_resolution_K": data.grid_K}
+    hours = _hours_that_differ(everything, operator, certainty)
+    if hours.laws:
+        said.append(hours.in_words())
     operator = operator.resampled(step_s)
     for cost in part_load_costs(estimate.laws, histories, power, heat_input):
         certainty |= cost.numbers()
@@ -78,10 +84,22 @@ def identify_zone(
         uncertainty=certainty,
         notes=(*said, *uncertain(certainty)),
         competence=_verdict(judged, data, estimate, unknown.advice),
+        hour_effects=tuple((one.time_s, one.error_K, one.effect_K, one.promise_K) for one in hours.seen),
     )
     prove(operator)
     say(f"identified an operator of order {operator.order}")
     return ZoneModel(operator, power, everything.free and everything.free.resampled(step_s), card)
+
+
+def _hours_that_differ(fold: Fold, operator: OperatorParameters, certainty: Mapping[str, float]) -> HourEffects:
+    """The hours of the day in which the records show less of the effect of acting than the operator says."""
+    effects = HourEffects(fold.sign)
+    if fold.heat_input.lowest < 0.0:
+        return effects
+    share = certainty["step_response_1h_sd_K"] / max(certainty["step_response_1h_K"], 1e-9)
+    for seen in hours_seen(fold, operator, min(share, 1.0)):
+        effects = effects.after(seen)
+    return effects.believed
 
 
 def _verdict(judged: Competence, data: ZoneData, estimate: Estimate, advice: str) -> Competence:

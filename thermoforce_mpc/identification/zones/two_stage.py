@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
@@ -148,6 +147,8 @@ def fit_passive(
     Raises:
         DataError: different step lengths.
     """
+    from scipy.optimize import lsq_linear
+
     T, rise, T_out, solar, u = _columns(runs)
     step_s = runs[0].step_s
     off = u <= u_off

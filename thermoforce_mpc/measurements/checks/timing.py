@@ -10,7 +10,6 @@ sensor delay anyway, a quarter of an hour or with a floor slab an hour, cannot b
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import nnls
 
 from thermoforce_mpc.data import DAY_S, Array, Layout, Record
 from thermoforce_mpc.data.series import interpolated, lagged
@@ -71,6 +70,8 @@ def _shift(losses: Array) -> tuple[int, float]:
 
 def _losses(record: Record, layout: Layout, zone: int) -> Array | None:
     """Negative log likelihood of a zone by the shift of its heat, and last without it; None: not enough is known."""
+    from scipy.optimize import nnls
+
     T, n = record.T_zone_C[zone], record.n_steps
     if n <= 2 * _MOST_SHIFT or not np.isfinite(T).any():
         return None

@@ -97,7 +97,9 @@ def _of_machine(record: Record, layout: Layout, m: int, machine: str) -> list[Re
     both = np.isfinite(heat) & np.isfinite(power)
     on = both & (power > _ON * _most(power)) & (heat > _ON * _most(heat))
     if on.sum() >= _LEAST_ROWS and not np.allclose(power[both], heat[both], rtol=1e-6):
-        found += _of_ratio(record, heat, power, both, on, f"{of_heat} and {record.names.label('power_W', m)}")
+        where = f"{of_heat} and {record.names.label('power_W', m)}"
+        cools = any(layout.signs[a] < 0 for a in fed) or bool((record.heat_W[fed] < 0.0).any())
+        found += _of_ratio(record, heat, power, both, on, where, cools=cools)
     if not found and np.isfinite(heat).any():
         found += _of_loss(record, layout, fed, heat, of_heat)
     return found
@@ -116,7 +118,12 @@ def _size(load_W: Array, area_m2: float) -> tuple[str, str] | None:
     return None
 
 
-def _of_ratio(record: Record, heat: Array, power: Array, both: Array, on: Array, where: str) -> list[Remark]:
+def _of_ratio(
+    record: Record, heat: Array, power: Array, both: Array, on: Array, where: str, *, cools: bool
+) -> list[Remark]:
+    """What is wrong with heat over energy; how it goes with the weather tells of machines that only heat: a chiller
+    gives two to five units of cold, in any weather or the less the warmer it is.
+    """
     ratio = float(heat[both].sum() / power[both].sum())
     T_out = record.T_out_C[:-1]
     warm = _mean(T_out[on])
@@ -126,7 +133,7 @@ def _of_ratio(record: Record, heat: Array, power: Array, both: Array, on: Array,
         words = f"no machine gives less than {_LEAST_RATIO:g} or more than {possible:.1f}"
         return [_ratio_remark(ratio, step_h, where, words)]
     rows = on & np.isfinite(T_out)
-    if rows.sum() < _LEAST_ROWS or step_h == 1.0:
+    if cools or rows.sum() < _LEAST_ROWS or step_h == 1.0:
         return []
     # At equal temperatures and loads: mild days are those of part load, which has a ratio of its own.
     columns = np.array([np.ones(rows.sum()), T_out[rows], heat[rows] / _most(heat[rows])]).T

@@ -64,10 +64,10 @@ _WORDS: dict[str, tuple[str, str]] = {
         "temperat temp lampotil",
     ),
     "setpoint": (
-        "sp stp setp set setpoint setpt stpt target targ soll sollwert solltemp consigne cons ingesteld gewenst "
-        "streefwaarde setpunt instelling desired wunsch csp hsp clgsp htgsp htsp clsp zsp tset thset tcset tsp "
-        "tsoll wunschtemperatur doel gewuenscht vorgabe occclgsp occhtgsp eff sptrn sollt gewenste ingestelde "
-        "impostata impostato consigna deseada deseado objetivo desiderata desiderato "
+        "sp stp setp set setting settings setpoint setpt stpt target targ soll sollwert solltemp consigne cons "
+        "ingesteld gewenst streefwaarde setpunt instelling desired wunsch csp hsp clgsp htgsp htsp clsp zsp tset "
+        "thset tcset tsp tsoll wunschtemperatur doel gewuenscht vorgabe occclgsp occhtgsp eff sptrn sollt gewenste "
+        "ingestelde impostata impostato consigna deseada deseado objetivo desiderata desiderato "
         "borvarde onskad onsket indstillet innstilt installd asetus asetusarvo tavoite haluttu settpunkt saetpunkt",
         "setpoint sollwert solltemp consigne streef instelwaarde wunschtemp settemp targettemp tempset vorgabe "
         "gewenst ingesteld "
@@ -114,7 +114,7 @@ _WORDS: dict[str, tuple[str, str]] = {
         "varmtvann varmtvand brugsvand kayttoves lamminves",
     ),
     "valve": (
-        "valve vlv vp ventil stellventil stellung stellwert stellgrosse stellgroesse stellsignal stellantrieb "
+        "valve vlv vp yh yk yv ventil stellventil stellung stellwert stellgrosse stellgroesse stellsignal stellantrieb "
         "vanne klep klepstand afsluiter trv opening ouverture oeffnung offnung hv rv htgvlv clgvlv reheat rhv "
         "rhvlv ventilstellung ventilposition vannenposition servo actuator aktor vlvo "
         "valvola valvula apertura "
@@ -122,7 +122,7 @@ _WORDS: dict[str, tuple[str, str]] = {
         "ventil valve vanne klepst stellwert stellgr stellsig stellantr valvol valvul venttiil",
     ),
     "level": (
-        "u level modulation modul mod modulating stage stufe demand cmd command co lvl duty speed drehzahl freq "
+        "u level pct modulation modul mod modulating stage stufe demand cmd command co lvl duty speed drehzahl freq "
         "frequency frequenz frequence toerental vitesse compressor verdichter compresseur pump pumpe pompe pomp "
         "burner brenner bruleur brander relay relais switch schalter position pos heater heizstab hp heatpump "
         "active aktiv ove output fan boiler waermepumpe warmepumpe wp pac warmtepomp ketel chaudiere kessel "
@@ -187,7 +187,7 @@ _WORDS: dict[str, tuple[str, str]] = {
         "kuhl kuehl koel froid climatis kaelte raffre refriger jaahdyt kjoling",
     ),
     "sun": (
-        "sun solar irradiance irrad irradiation ghi glohor hglohor global radiation globalstrahlung strahlung "
+        "sun solar glob irradiance irrad irradiation ghi glohor hglohor global radiation globalstrahlung strahlung "
         "einstrahlung sonne rayonnement ensoleillement straling zonnestraling instraling pyranometer pyrano ps "
         "isol igh solrad solradiation solarradiation shortwave poa isolation glorad zon soleil is sol gsol hsol "
         "radiazione radiacion irraggiamento solare irradiancia irradianza "
@@ -418,7 +418,7 @@ class Column:
     """First readings of a signal: instants (n,) s, increasing, values (n,) NaN where none.
 
     `text`: it is mostly words; `unit`: one that stands elsewhere than in its name; `by`: what
-    values were multiplied by, where a line above the table says it.
+    values were multiplied by, where a line above the table says it; `words`: those that stand amid its numbers.
     """
 
     name: str
@@ -427,6 +427,7 @@ class Column:
     text: bool = False
     unit: str = ""
     by: float = 1.0
+    words: tuple[str, ...] = ()
 
 
 def guesses(columns: Sequence[Column]) -> list[Guess]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,21 @@ from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses, tag
 from thermoforce_mpc.measurements.tables.clock import all_year, instants
 from thermoforce_mpc.measurements.tables.files import all_readings, found_files, head_of, named_after, stamps_of
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
-from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, bad_status, raw_table, unit_of_cells
+from thermoforce_mpc.measurements.tables.raw_table import (
+    MISSING,
+    RawTable,
+    as_numbers,
+    bad_status,
+    raw_table,
+    unit_of_cells,
+)
 from thermoforce_mpc.measurements.tables.recognition import Recognised, recognised, told_beside, units_of_points
 
 # Rows of a file that are looked at where its columns are signals, and readings of a signal where rows are readings.
 _ROWS, _READINGS = 20_000, 5_000
 _CHECK = "CHECK: "
+# Words amid numbers that a map says to be empty cells, at most; and what may be a number that is written otherwise.
+_MOST_MISSING, _NUMBER = 6, re.compile(r"\d[.,' ]?\d|^\W*\d\W*$")
 # Zones of time of people who write so.
 _ZONES = {
     "de": "Europe/Berlin", "fr": "Europe/Paris", "nl": "Europe/Amsterdam", "en": "Europe/Brussels",
@@ -43,6 +53,9 @@ def starting_map(files: str | Path | Sequence[str | Path]) -> str:
     taken = recognised(paths)
     columns = _columns(taken)
     found = guesses(columns)
+    used = {guess.name for guess in found if guess.role}
+    words = dict.fromkeys(word for column in columns if column.name in used for word in column.words)
+    taken = replace(taken, csv=taken.csv.model_copy(update={"missing": tuple(words)[:_MOST_MISSING]}))
     if not any(guess.role in ("zone", "outdoor") for guess in found):
         names = ", ".join(column.name for column in columns[:20]) + (", …" if len(columns) > 20 else "")
         raise DataError(
@@ -63,10 +76,11 @@ def _columns(taken: Recognised) -> list[Column]:
                 name,
                 at[:: -(-at.size // _READINGS)],
                 values[:: -(-at.size // _READINGS)],
-                text,
+                sum(words.values()) > np.isfinite(values).sum(),
                 unit_of(f"({units.get(name, '')})"),
+                words=tuple(word for word in words if word and not _NUMBER.search(word)),
             )
-            for name, (at, values, text) in all_readings(taken.paths, taken.clock, taken.csv, taken.table).items()
+            for name, (at, values, words) in all_readings(taken.paths, taken.clock, taken.csv, taken.table).items()
             if at.size
         ]
     found: dict[str, Column] = {}
@@ -84,13 +98,15 @@ def _columns(taken: Recognised) -> list[Column]:
             numbers = as_numbers(head[name], taken.csv.decimal).to_numpy(dtype=np.float64)
             filled = head[name].notna().to_numpy()
             words = bool(filled.any() and np.isfinite(numbers[filled]).mean() < 0.5)
+            cells = head[name][filled & np.isnan(numbers)].astype(str).str.strip().unique()[:_MOST_MISSING]
+            texts = tuple(cell for cell in cells if cell.lower() not in MISSING and not _NUMBER.search(cell))
             numbers = np.where(bad[: numbers.size], np.nan, numbers)
             key = _key(name, path, taken)
             if key is not None and key not in found:
                 below = next((u for u in (unit_of(f"({units.get(name, '').strip('()[]')})"),) if u), "")
                 unit = unit_of(name) or unit_of_cells(head[name], taken.csv.decimal) or below
                 by = 1.0 / divisors.get(name, 1.0)
-                found[key] = Column(key, time_s, numbers * by, words, unit, by)
+                found[key] = Column(key, time_s, numbers * by, words, unit, by, () if words else texts)
     return list(found.values())
 
 
@@ -204,12 +220,14 @@ class _Text:
         options = {
             "separator": form.separator, "decimal": form.decimal, "encoding": form.encoding,
             "skip_lines": form.skip_lines,
-            "skip_after": form.skip_after, "comment": form.comment,
+            "skip_after": form.skip_after, "comment": form.comment, "missing": form.missing,
         }  # fmt: skip
         other = [f"{key}: {_value(value)}" for key, value in options.items() if value != getattr(CsvFormat(), key)]
         if other:
-            note = self.taken.notes["csv"]
-            lines.append(f"csv: {{{', '.join(other)}}}" + (f"  # {_CHECK}{note[2:]}" if note else ""))
+            note = self.taken.notes["csv"][2:] or ("words for an empty cell?" if form.missing else "")
+            lines.append(f"csv: {{{', '.join(other)}}}{_comment(note)}")
+        if numbered := self.taken.notes["names"]:
+            lines.append(f"# {_CHECK}{numbered}")
         told = [
             f"{key}: {_value(getattr(table, key))}"
             for key in ("point", "value", "by_file", "status")

@@ -6,7 +6,6 @@ writes ERR. A person who hands in a table mends it; here the rest goes on.
 
 from __future__ import annotations
 
-import csv
 import io
 import re
 from bisect import bisect_right
@@ -20,7 +19,15 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.errors import DataError, counted
 from thermoforce_mpc.measurements.tables.clock import newest_first, parsed_or_nat
-from thermoforce_mpc.measurements.tables.files import columns_of, header_of, is_text, opened, read_tables, reading
+from thermoforce_mpc.measurements.tables.files import (
+    cells_of,
+    columns_of,
+    header_of,
+    is_text,
+    opened,
+    read_tables,
+    reading,
+)
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import (
     MISSING,
@@ -105,7 +112,7 @@ def _read(
 ) -> RawTable | None:
     """The `wanted` signals of a file, None where it has none; `known` collects the names of its signals."""
     with reading(path):
-        separator, names, header = header_of(path, form)
+        separator, names, header, cells = header_of(path, form)
         with opened(path) as file:
             content = file.read()
     stamps, values = columns_of(path, names, clock.column, form, table, wanted)
@@ -116,7 +123,7 @@ def _read(
     status = [table.status] if table.status in names else []
     keys = list(dict.fromkeys([*stamps, *points, *values.values(), *status]))
     left = _Left(str(path))
-    lines, rows = _rows(content, form, header + 1 + form.skip_after, separator, names, left)
+    lines, rows = _rows(content, form, header + 1 + form.skip_after, separator, cells, left)
     frame = pd.DataFrame(rows, columns=names, dtype=str)[keys]
     frame = frame.mask(frame.isin({*_EMPTY, *form.missing}))
     for key in dict.fromkeys(values.values()):
@@ -201,11 +208,10 @@ def _rows(
         if "\ufffd" in line:
             left.add(f"is not {form.encoding}", number, line)
             continue
-        cells = line.split(separator) if '"' not in line else next(csv.reader([line], delimiter=separator), [])
+        cells = cells_of(line, separator)
         if len(cells) == len(names) + 1 and not cells[-1].strip():
             cells.pop()
             longer[len(rows)] = number, line
-        cells = [cell.strip() for cell in cells]
         if cells == names:
             left.add("the header again", number)
         elif len(cells) != len(names):

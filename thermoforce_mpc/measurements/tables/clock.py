@@ -26,6 +26,15 @@ _ENGLISH = (
     "January", "February", "March", "April", "May", "June", "July", "August", "September", "October", "November",
     "December",
 )  # fmt: skip
+# Weekdays before a date, in the same languages; the French mar. is March where no date in digits follows.
+_DAY_OF_WEEK = (
+    r"(?i)^\s*(?:monday|tuesday|wednesday|thursday|friday|saturday|sunday|mon|tues?|wed|thu(?:rs?)?|fri|sat|sun|"
+    r"montag|dienstag|mittwoch|donnerstag|freitag|samstag|sonnabend|sonntag|mo|di|mi|do|fr|sa|so|"
+    r"lundi|mardi|mercredi|jeudi|vendredi|samedi|dimanche|lun|mer|jeu|ven|sam|dim|mar(?=\.?,? \d+[./-]\d)|"
+    r"maandag|dinsdag|woensdag|donderdag|vrijdag|zaterdag|zondag|ma|wo|vr|za|zo|"
+    r"lunes|martes|mi[eé]rcoles|jueves|viernes|s[aá]bado|domingo|"
+    r"luned[iì]|marted[iì]|mercoled[iì]|gioved[iì]|venerd[iì]|sabato|domenica)[.,]{0,2}\s+(?=\d)"
+)
 # Hours ahead of UTC of what clocks are called.
 _CLOCKS = {
     "UTC": 0, "GMT": 0, "WET": 0, "WEST": 1, "BST": 1, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2, "EET": 2, "EEST": 3,
@@ -87,7 +96,10 @@ def newest_first(times: pd.Series | NDArray[np.float64]) -> bool:
 
 
 def _counted(table: RawTable, clock: TimeStampRules) -> pd.Series:
-    """Numbers as elapsed time: since an instant where `since` has an offset, else on the clock of the map's zone."""
+    """Numbers as elapsed time: since an instant where `since` has an offset, else on the clock of the map's zone.
+
+    Days of a calendar are times without a zone.
+    """
     if clock.unit is None or clock.since is None:
         raise DataError(
             f"{table.name}: the time stamps are numbers (first {table.stamps.iloc[0]:g}); set time.unit (s, ms, us, "
@@ -98,7 +110,11 @@ def _counted(table: RawTable, clock: TimeStampRules) -> pd.Series:
         row = int(np.argmin(np.isfinite(numbers)))
         raise DataError(f"{table.where(row)}: the time stamp is {numbers[row]:g}; remove the row")
     try:
-        return pd.Series(clock.counted_from() + pd.to_timedelta(numbers, unit=clock.unit)).dt.round("1ms")
+        times = pd.Series(clock.counted_from() + pd.to_timedelta(numbers, unit=clock.unit)).dt.round("1ms")
+        # Days with five decimals, as a spreadsheet writes them, are minutes to within a second.
+        minutes = times.dt.round("1min")
+        of_minutes = clock.of_calendar and ((times - minutes).abs() < pd.Timedelta("1s")).all()
+        return minutes if of_minutes else times
     except (ValueError, OverflowError) as error:
         row = int(np.argmax(np.abs(numbers)))
         raise DataError(
@@ -174,11 +190,17 @@ def plain(text: pd.Series, form: str | None = None) -> pd.Series:
     """Stamps (n,) of text as `strptime` knows them: of intervals the beginning, months in English, offsets in digits.
 
     Midnight at the end of a day, 24:00, becomes 00:00 of the next one where the day is written as in 2025-01-31. Months
-    have three letters, or with %B in `form` all of them.
+    have three letters, or with %B in `form` all of them. Names of weekdays before a date are left out, unless %a or %A
+    in `form` reads them; a.m. becomes am.
     """
     first = str(text.iloc[0])
     if re.search(r":\d\d\D*(?:-|–|—|/| to | bis | tot | à | t/m )\D*\d", first):
         text = _beginnings(text)
+        first = str(text.iloc[0])
+    if re.search(r"(?i)[ap]\.\s?m\b", first):
+        text = text.str.replace(r"(?i)\b([ap])\.\s?m\.?", r"\1M", regex=True)
+    if not form or not re.search("%[aA]", form):
+        text = text.str.replace(_DAY_OF_WEEK, "", regex=True)
         first = str(text.iloc[0])
     if re.search(r"[A-Za-zäéûô]{3,}", first):
         told = pd.unique(text.str.replace(r"[^A-Za-zÀ-ÿ]+", " ", regex=True))

@@ -13,6 +13,7 @@ import lzma
 import re
 import warnings
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -64,6 +65,11 @@ _FIRST, _LEAST_ROWS, _LEAST_OUTAGE_NS = 2000, 100, 7.2e12
 _POINTS = re.compile(r'^"?(Point_\d+):"?[,;\t]"?([^"\r\n]*?)"?(?:[,;\t]|\s*$)')
 # Bytes of one value of a table; a Parquet file may pack a million equal ones into a few.
 _CELL = 8
+# How rows below a table begin that sum it up.
+_SUMMARY = re.compile(
+    r"(?i)^\W*(grand total|total|sum|average|avg|mean|median|min|minimum|max|maximum|std|summe|gesamt|mittel|"
+    r"mittelwert|durchschnitt|somme|moyenne|totaal|gemiddelde|som|totale|media|totalt|medel|gennemsnit|gjennomsnitt)\W*(?:[,;\t|]|$)"
+)
 SEPARATORS = ",;\t|"
 """What may stand between the cells of a line."""
 # What reading a damaged file raises: the errors of pandas and of text that cannot be decoded are ValueErrors.
@@ -178,13 +184,13 @@ def stamps_of(path: Path, stamps: Stamps, form: CsvFormat) -> RawTable:
 
 def all_readings(
     paths: Sequence[Path], clock: TimeStampRules, form: CsvFormat, table: TableForm
-) -> dict[str, tuple[Array, Array, bool]]:
-    """Seconds and values of every signal of files of one reading a row, and whether it holds words; for a first look.
+) -> dict[str, tuple[Array, Array, dict[str, int]]]:
+    """Seconds and values of every signal of files of one reading a row, and the words in it; for a first look.
 
     Stamps that cannot be read count as a quarter of an hour apart.
     """
     names: dict[str, int] = {}
-    wordy: set[str] = set()
+    wordy: dict[str, Counter[str]] = {}
     pieces = []
     for path in paths:
         for part in _parts(path, form):
@@ -196,7 +202,8 @@ def all_readings(
                 piece = readings_table(df, keys or None, table, str(path), line, form.decimal).with_instants()
                 assert piece.codes is not None
                 codes = np.array([names.setdefault(name, len(names)) for name in piece.points])[piece.codes]
-                wordy |= set(piece.wordy)
+                for name, words in piece.wordy.items():
+                    wordy.setdefault(name, Counter()).update(words)
                 at = piece.stamps
                 if not pd.api.types.is_datetime64_any_dtype(at):
                     try:
@@ -212,7 +219,7 @@ def all_readings(
     codes, time_s, readings = codes[order], time_s[order], readings[order]
     edges = np.searchsorted(codes, np.arange(len(names) + 1))
     return {
-        name: (time_s[a:b], readings[a:b], name in wordy)
+        name: (time_s[a:b], readings[a:b], dict(wordy.get(name, {})))
         for name, a, b in zip(names, edges[:-1], edges[1:], strict=True)
     }
 
@@ -250,7 +257,8 @@ def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
     if len(df.columns):
         first = df.iloc[:, 0].astype(str)
         words = df.iloc[:, 1:].isna().all(axis=1) & ~first.str.contains(r"\d", regex=True) & (len(df.columns) > 1)
-        df = df[(first != str(df.columns[0])) & ~words]  # without the header again, and what stands below a table
+        summary = first.str.match(_SUMMARY)
+        df = df[(first != str(df.columns[0])) & ~words & ~summary]  # without the header again, and what stands below
     return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
 
 
@@ -419,14 +427,22 @@ def _parquet(path: Path) -> _Part:
                 f"{path}: {told.num_rows:,} rows, more than {MOST_BYTES / 1e9:.0f} GB; write means or a part"
             )
         try:
-            yield pyarrow.parquet.read_table(path, columns=present).to_pandas(), 1
+            yield pyarrow.parquet.read_table(path, columns=present).to_pandas(ignore_metadata=True), 1
         except (pyarrow.ArrowException, OSError, ValueError) as error:
             raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
 
     return _Part(path, list(schema.names), frames)
 
 
-def _workbook(path: Path, form: CsvFormat) -> _Part:
+def workbook_lines(path: Path, most: int) -> list[str]:
+    """The first rows of a workbook as lines of text, cells parted by tabs."""
+    cells = _cells_of_workbook(path, CsvFormat()).iloc[:most]
+    return [
+        "\t".join("" if pd.isna(cell) else str(cell).replace("\n", " ") for cell in row) for row in cells.to_numpy()
+    ]
+
+
+def _cells_of_workbook(path: Path, form: CsvFormat) -> pd.DataFrame:
     if importlib.util.find_spec("python_calamine") is None:
         raise DataError(
             f"{path}: workbooks are read with python-calamine: pip install 'thermoforce-mpc[workbook]', or save the "
@@ -434,12 +450,17 @@ def _workbook(path: Path, form: CsvFormat) -> _Part:
         )
     check_regular(path, DataError)
     try:
-        cells = pd.read_excel(path, sheet_name=form.sheet or 0, header=None, engine="calamine", dtype=object)
+        return pd.read_excel(path, sheet_name=form.sheet or 0, header=None, engine="calamine", dtype=object)
     except Exception as error:  # calamine raises its own errors, and those of damaged archives
         raise DataError(f"{path}: no workbook that can be read ({_short(error)})") from error
+
+
+def _workbook(path: Path, form: CsvFormat) -> _Part:
+    cells = _cells_of_workbook(path, form)
     if len(cells) <= form.skip_lines:
         raise DataError(f"{path}: the sheet is empty; name another as csv.sheet")
-    names = [str(name).strip() for name in cells.iloc[form.skip_lines].fillna("")]
+    groups = [str(cell).strip() for cell in cells.iloc[form.skip_lines - 1].fillna("")] if form.skip_lines else []
+    names = _told_apart([str(name).strip() for name in cells.iloc[form.skip_lines].fillna("")], groups)
     first = form.skip_lines + 1 + form.skip_after
     rows = cells.iloc[first:].dropna(how="all").set_axis(names, axis=1)
     lines = rows.index.to_numpy() + 1
@@ -453,12 +474,13 @@ def _workbook(path: Path, form: CsvFormat) -> _Part:
 
 def _csv(path: Path, form: CsvFormat, *, scan: bool = True) -> list[_Part]:
     """The parts of a CSV file; without `scan` its first alone, whose lines are not checked."""
-    separator, names, header = header_of(path, form)
+    separator, names, header, cells = header_of(path, form)
     found: list[tuple[list[str], Array | None, int]] = [(names, None, len(names))]
     first = header + 1 + form.skip_after
     if scan:
         with reading(path, " as CSV"):
-            found = _scanned(path, form, separator, names, first)
+            found = _scanned(path, form, separator, cells, first)
+        found = [(names if told == cells else _told_apart(told, []), lines, most) for told, lines, most in found]
 
     def frames_of(names: list[str], lines: Any, cells: int, columns: Any, rows: int | None) -> Any:
         if lines is not None and not lines.size:
@@ -525,14 +547,13 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
             n = np.array([line.count(separator) for line in block])
             special = np.array([line[:1] in "\r\n" or line.startswith(form.comment or "\n") for line in block])
             again = _starts(parts[-1][0], separator)
-            begins = np.array([line.startswith(again) for line in block])
+            begins = np.array([line.startswith(again) or _SUMMARY.match(line) is not None for line in block])
             after = np.append(may_begin, special[:-1])
             may_begin = bool(special[-1])
             kept &= ~special
             start = 0
             for k in np.flatnonzero(kept & (begins | after | (n != len(parts[-1][0]) - 1))):
-                cells = next(csv.reader([block[k].rstrip("\r\n")], delimiter=separator, skipinitialspace=True), [])
-                told = [cell.strip() for cell in cells]
+                cells = told = cells_of(block[k], separator)
                 current = parts[-1][0]
                 n[k] = max(len(cells), 1) - 1  # separators in quotes part no cells
                 if told in (current, names):
@@ -547,7 +568,7 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
                     parts.append((told, []))
                     kept[k], start = False, int(k)
                     continue
-                if not any(told) or _is_footer(told):
+                if not any(told) or _is_footer(told) or _SUMMARY.match(block[k]):
                     kept[k] = False
                     continue
                 expected = len(current)
@@ -567,6 +588,14 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
     ]
 
 
+def cells_of(line: str, separator: str) -> list[str]:
+    """The cells of a line, without spaces around; what stands in quotes is one. Raises `csv.Error` for a huge one."""
+    line = line.rstrip("\r\n")
+    if '"' not in line and len(line) <= csv.field_size_limit():
+        return [cell.strip() for cell in line.split(separator)] if line else []
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+
+
 def _is_footer(cells: Sequence[str]) -> bool:
     """Whether a line is words alone, as "End of Report" below a table."""
     return not any(cells[1:]) and bool(re.fullmatch(r"[^\d\x00-\x1f]*[A-Za-z][^\d\x00-\x1f]*", cells[0]))
@@ -577,14 +606,19 @@ def _starts(names: Sequence[str], separator: str) -> tuple[str, str]:
     return separator.join(names[:2]), separator.join(f'"{name}"' for name in names[:2])
 
 
-def header_of(path: Path, form: CsvFormat) -> tuple[str, list[str], int]:
-    """Separator, names of the columns, and the line (from 0) where these stand."""
-    at, header, called = form.skip_lines, "", dict[str, str]()
+def header_of(path: Path, form: CsvFormat) -> tuple[str, list[str], int, list[str]]:
+    """Separator, names of the columns, the line (from 0) where these stand, and what stands there.
+
+    Columns of the same name are told apart by what the line above says of each, as of groups of columns, else by
+    numbers.
+    """
+    at, header, called, above = form.skip_lines, "", dict[str, str](), ""
     try:
         with reading(path, but=(UnicodeError,)), opened(path, "rt", form.encoding) as lines:
             parts = iter(lambda: lines.readline(_BLOCK), "")  # not the whole of a line without end
             for line in itertools.islice(parts, form.skip_lines):
                 called |= _POINTS.findall(line)
+                above = line
             for line in parts:
                 header = line.lstrip("\ufeff").rstrip("\r\n")
                 if header.strip() and not (form.comment and header.startswith(form.comment)):
@@ -604,8 +638,25 @@ def header_of(path: Path, form: CsvFormat) -> tuple[str, list[str], int]:
         ) from error
     separator = form.separator or max(SEPARATORS, key=header.count)
     with reading(path, " as CSV"):
-        names = next(csv.reader([header], delimiter=separator, skipinitialspace=True))
-    return separator, [called.get(name.strip(), name.strip()) for name in names], at
+        cells, groups = (cells_of(line, separator) for line in (header, above))
+    return separator, _told_apart([called.get(name, name) for name in cells], groups), at, cells
+
+
+def _told_apart(names: list[str], groups: list[str]) -> list[str]:
+    """Names of columns, of which none comes twice but an empty one; `groups`: the cells above them."""
+    twice = {name for name, times in Counter(names).items() if times > 1 and name}
+    if twice and len(groups) == len(names):
+        group: list[str] = []
+        for told in groups:  # merged cells are empty
+            group.append(told or (group[-1] if group else ""))
+        names = [f"{told} {name}".strip() if name in twice else name for told, name in zip(group, names, strict=True)]
+        twice = {name for name, times in Counter(names).items() if times > 1 and name}
+    count: Counter[str] = Counter()
+    out = []
+    for name in names:
+        count[name] += 1
+        out.append(f"{name} {count[name]}" if name in twice else name)
+    return out
 
 
 def is_text(path: Path) -> bool:

@@ -11,6 +11,9 @@ from pydantic import Field, field_validator, model_validator
 
 from thermoforce_mpc.scenario.settings import StrictModel
 
+# What counts from before this year counts days of a calendar, not time that has passed.
+_FIRST_CLOCK = 1970
+
 
 class TimeStampRules(StrictModel):
     """How time stamps are read."""
@@ -82,6 +85,11 @@ class TimeStampRules(StrictModel):
         kept = self.duplicates if self.duplicates != "refuse" else "last"
         return self.model_copy(update={"order": "sort", "duplicates": kept, "nonexistent": "gap"})
 
+    @property
+    def of_calendar(self) -> bool:
+        """Whether numbers are days of a calendar, as spreadsheets count them: the time that a clock shows."""
+        return self.unit == "D" and self.since is not None and self.counted_from().year < _FIRST_CLOCK
+
     def counted_from(self) -> pd.Timestamp:
         """The instant `since`, in `zone` where it has no offset; of an hour that comes twice the first is meant.
 
@@ -93,7 +101,7 @@ class TimeStampRules(StrictModel):
             raise ValueError(f"since is no date: {self.since}") from error
         if pd.isna(since):
             raise ValueError(f"since is no date: {self.since}")
-        if since.tz is not None or self.zone is None:
+        if since.tz is not None or self.zone is None or since.year < _FIRST_CLOCK:
             return since
         localised = since.tz_localize(self.zone, ambiguous=True, nonexistent="NaT")
         if not isinstance(localised, pd.Timestamp):  # NaT

@@ -36,14 +36,16 @@ _QUANTITIES: dict[str, tuple[str, float]] = {
     "ppm": ("ppm", 1.0), "hpa": ("hPa", 1.0), "lx": ("lx", 1.0), "v": ("V", 1.0), "a": ("A", 1.0), "l/h": ("l/h", 1.0),
     "m/s": ("m/s", 1.0), "km/h": ("km/h", 1.0), "€/kwh": ("per kWh", 1.0), "eur/kwh": ("per kWh", 1.0),
 }  # fmt: skip
-_QUANTITY = re.compile(r"([+-]?\d+(?:[.,]\d+)?)\s*([^\d\s.,+-][^\d]{0,7}2?)")
+_QUANTITY = re.compile(r"([+-]?\d[\d.,'’\s]*?)\s*([^\d\s.,'’+-][^\d]{0,7}2?)")
+# A telegram in front of what it says, as '0C 3F | 21.3 °C'.
+_TELEGRAM = re.compile(r"[$0-9a-f ]+\| *")
 # Words of programs for a reading that there is not, beside those that pandas knows.
 MISSING = ("unavailable", "unknown", "undefined", "undef", "uninitialized", "no data", "-", "--", "---")
 ISO = re.compile(r"\s*\d{4}-\d{2}-\d{2}")
 """How stamps begin that are of the form 2025-01-31T14:30."""
 OFFSET = "(?:[+-][0-9]{2}(?::?[0-9]{2})?|Z) *$"
 """How stamps end that have an offset from UTC; databases leave minutes out where there are none."""
-_LOOKED_AT = 50
+_LOOKED_AT, _MOST_WORDS = 50, 20
 _NONE = frozenset((*MISSING, "", "nan", "null", "none", "n/a", "na"))
 
 
@@ -54,7 +56,7 @@ class RawTable:
     `line`: that of its first row in file `name` (1 where rows are counted, as in Parquet files and data frames), or the
     lines of all rows (n,). Where each row is one reading, `points` names the signals and `codes` (n,) says whose a
     row's is; the one column is named ''. `beside`: first readings of other signals; `outages`: from when to when
-    nothing at all was stored, where the stamps are instants; `wordy`: signals that hold words.
+    nothing at all was stored, where the stamps are instants; `wordy`: words that signals hold, with how many.
     """
 
     name: str
@@ -65,7 +67,7 @@ class RawTable:
     codes: NDArray[np.int32] | None = None
     beside: dict[str, Array] = field(default_factory=dict)
     outages: tuple[tuple[pd.Timestamp, pd.Timestamp], ...] = ()
-    wordy: tuple[str, ...] = ()
+    wordy: dict[str, dict[str, int]] = field(default_factory=dict)
 
     def where(self, row: int) -> str:
         """Name of the file and place of a row in it."""
@@ -173,20 +175,24 @@ def readings_table(
     for more in points[1:]:
         told = told + " " + df[more].astype(str).str.strip()
     codes, names = pd.factorize(told)
-    readings, wordy = np.full(len(df), np.nan), set[int]()
+    readings, wordy = np.full(len(df), np.nan), dict[str, dict[str, int]]()
     table = RawTable(name, at, {"": readings}, line, tuple(map(str, names)), codes.astype(np.int32))
     for key in values:
         if key not in df:
             continue
         empty = np.isnan(readings)
         numbers, texts = _with_texts(df[key], decimal, table.codes)
-        wordy |= set(codes[texts].tolist())
+        for code in np.unique(codes[texts]):
+            cells = df[key][texts & (codes == code)].astype(str).str.strip().value_counts()
+            wordy[str(names[code])] = dict(zip(cells.index[:_MOST_WORDS], cells.tolist(), strict=False)) | {
+                "": int(cells[_MOST_WORDS:].sum())
+            }
         readings[empty] = numbers[empty]
         of_wanted = [int(row) for row in np.flatnonzero(texts) if table.points[codes[row]] in wanted]
         if of_wanted:
             _refuse(df[key], of_wanted, table.points[codes[of_wanted[0]]], table, decimal)
     readings[bad_status(df, form)] = np.nan
-    return replace(table, wordy=tuple(table.points[k] for k in wordy))
+    return replace(table, wordy=wordy)
 
 
 def of_one_signal(table: RawTable, name: str, columns: dict[str, Array]) -> RawTable:
@@ -255,6 +261,12 @@ def known_column(key: str, columns: pd.Index, name: str) -> str:
         hint = first if len(names) == 1 else ""
         if key == "FILL IN":
             raise NoColumn(f"{name}: the map still says FILL IN; name a column there, one of {', '.join(names)}")
+        numbered = [one for one in names if re.fullmatch(re.escape(key) + r" \d+", one)]
+        if len(numbered) > 1:
+            raise NoColumn(
+                f"{name}: no column '{key}', but {', '.join(map(repr, numbered))} (columns of the same name are "
+                "numbered from left to right): name one of these"
+            )
         raise NoColumn(f"{name}: no column '{key}'{suggestion(key, names)}; there are {', '.join(names)}{hint}")
     return key
 
@@ -292,7 +304,7 @@ def _with_texts(
         found = np.array([SWITCH.get(word, np.nan) for word in words])
         of_text = np.array([word not in SWITCH and word not in _NONE for word in words])
         if of_text.any():
-            found = np.where(of_text, [_with_both_marks(word, decimal) for word in words], found)
+            found = np.where(of_text, [_grouped(word, decimal) for word in words], found)
             of_text &= np.isnan(found)
         if of_text.any():
             found = _of_quantities(codes, list(words), found, None if of is None else of[rest], decimal)
@@ -303,12 +315,17 @@ def _with_texts(
     return numbers, texts
 
 
-def _with_both_marks(cell: str, decimal: str) -> float:
-    """A number such as 2,435.0 (with the other decimal mark 2.435,0), which can be read in one way only; NaN else."""
+def _grouped(cell: str, decimal: str) -> float:
+    """A number with marks between thousands that can be read in one way only; NaN for others.
+
+    Such as 2,435.0 (with the other decimal mark 2.435,0), and 2 435 or 2'435,0.
+    """
     other = "," if decimal == "." else "."
-    if not re.fullmatch(rf"[+-]?\d{{1,3}}(?:\{other}\d{{3}})+\{decimal}\d+", cell):
+    by_mark = rf"[+-]?\d{{1,3}}(?:\{other}\d{{3}})+\{decimal}\d+"
+    by_space = rf"[+-]?\d{{1,3}}(?:([\s'’])\d{{3}})(?:\1\d{{3}})*(?:\{decimal}\d+)?"
+    if not (re.fullmatch(by_mark, cell) or re.fullmatch(by_space, cell)):
         return np.nan
-    return float(cell.replace(other, "").replace(decimal, "."))
+    return float(re.sub(rf"[\s'’\{other}]", "", cell).replace(decimal, "."))
 
 
 def _of_quantities(
@@ -332,12 +349,13 @@ def _of_quantities(
 
 def quantity_of(cell: str, decimal: str = ".") -> tuple[float, str, float] | None:
     """Number of a cell such as '21.3 °C', what is measured, and in how many of its first unit; None for other cells."""
-    match = _QUANTITY.fullmatch(cell.strip().lower())
+    match = _QUANTITY.fullmatch(_TELEGRAM.sub("", cell.strip().lower(), count=1))
     if match is None or (known := _QUANTITIES.get(match[2].strip())) is None:
         return None
-    if ("," in match[1] and decimal != ",") or ("." in match[1] and decimal == ","):
-        return None
-    return float(match[1].replace(",", ".")), *known
+    if re.fullmatch(rf"[+-]?\d+(?:\{decimal}\d+)?", match[1]):
+        return float(match[1].replace(decimal, ".")), *known
+    number = _grouped(match[1], decimal)
+    return None if np.isnan(number) else (number, *known)
 
 
 def unit_of_cells(column: pd.Series, decimal: str = ".") -> str:

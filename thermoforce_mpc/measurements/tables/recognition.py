@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -10,13 +9,31 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.tables.clock import newest_first, plain
-from thermoforce_mpc.measurements.tables.files import SEPARATORS, head_of, header_of, is_text, named_after, sample
+from thermoforce_mpc.measurements.tables.files import (
+    PARQUET,
+    SEPARATORS,
+    cells_of,
+    head_of,
+    header_of,
+    is_text,
+    named_after,
+    sample,
+    workbook_lines,
+)
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
-from thermoforce_mpc.measurements.tables.raw_table import ISO, SWITCH, as_numbers, unit_of_cells, with_offset
+from thermoforce_mpc.measurements.tables.raw_table import (
+    ISO,
+    SWITCH,
+    as_numbers,
+    quantity_of,
+    unit_of_cells,
+    with_offset,
+)
 
 ROWS = 2000
 """Rows of a table that are looked at."""
@@ -45,15 +62,24 @@ _VALUE = re.compile(
 _STATUS = re.compile(r"(?i)^(status|quality|trend ?flags|reliability|qualit.*|flag|flags|statut)$")
 # Columns of programs beside a reading: whether it was confirmed, where it comes from, what it was.
 _BESIDE = re.compile(r"(?i)^(ack|acknowledged|q|lc|from|_from|source|event|unit|units|type|attributes|id|row|#)$")
+# A device has readings of several kinds: both columns together name a signal.
+_DEVICE_COLUMN = re.compile(r"(?i)^(device.*|room|raum|ort|location|source|gerät|geraet|appareil|apparaat|asset)$")
+_QUANTITY_COLUMN = re.compile(
+    r"(?i)^(reading|parameter|quantity|variable|metric|measurement|channel|kanal|field|data.?point|datapoint|grandeur|"
+    r"mesure|sensor|signal|object.?name|register)$"
+)
 _UNIT_COLUMN = re.compile(r"(?i)^(unit|units|unit_of_measurement|uom|einheit|unité|unite|eenheid|enhet|enhed|yksikkö)$")
 # Stamps without a year, as EnergyPlus writes them, and the year that is taken: 2017, like its own, began on a Sunday.
 _NO_YEAR, _YEAR = r"\s*\d{1,2}/\d{1,2}\s+\d{1,2}:\d{2}(:\d{2})?\s*", 2017
+# A line of InfluxDB's line protocol: what, tags, fields, and when.
+_FIELD = r"[^\s=,]+=(?:\"[^\"]*\"|[^\s,\"]+)"
+_LINE_PROTOCOL = re.compile(rf"(?:[^\s\\]|\\.)+ {_FIELD}(?:,{_FIELD})*(?: \d{{10,19}})?\s*$")
 # A line above the names of columns with what each of them is to be divided by, as NIBE's heat pumps write it.
 _DIVISORS = re.compile(r"(?i)^\W*divisors\b")
 # What stands in a line of units below the names of columns.
 _UNIT = re.compile(
     r"(?i)[\[(]?(°?[cfk]|deg ?[cf]|celsius|%|[kM]?W|[kM]?Wh|W/m.{1,2}|-|hh:mm|datetime|date|time|utc|iso.*|s|min|h|"
-    r"float|double|string|boolean|avg|smp|max|Pa|hPa|ppm|lx|m/s|km/h|Hz|V|A|W|J|l/h|k?Btu.{0,3}|m³|m3|.{1,3}/kWh|"
+    r"float|double|string|boolean|ts|rn|avg|smp|tot|std|min|max|Pa|hPa|ppm|lx|m/s|km/h|Hz|V|A|W|J|l/h|k?Btu.{0,3}|m³|m3|.{1,3}/kWh|"
     r"[dDmMyYHhstT.:/ -]{8,24})?[\])]?"
 )
 _VALUES_OF: tuple[tuple[str, ...], ...] = (("mean", "sum", "state"), ("state",), ("value",), ("_value",))
@@ -62,7 +88,7 @@ _DAYS = (
     "%Y.%m.%d",
     "%Y%m%d", "%d-%b-%y", "%d-%b-%Y", "%d %b %Y", "%d. %b %Y", "%d %b. %Y", "%d.%b.%Y", "%d.%b %Y", "%d/%b/%Y",
     "%d %b %y", "%b %d, %Y", "%b %d %Y",
-    "%a %d %b %Y", "%a, %d %b %Y", "%d-%m-%y", "%Y-%m-%d", "%m-%d-%y", "%y/%m/%d", "%y-%m-%d", "%y.%m.%d",
+    "%d-%m-%y", "%Y-%m-%d", "%m-%d-%y", "%y/%m/%d", "%y-%m-%d", "%y.%m.%d",
 )  # fmt: skip
 _CLOCKS = (
     "%H:%M", "%H:%M:%S", "%H:%M:%S.%f", "%I:%M %p", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M%p", "%I:%M:%S%p", "%H.%M",
@@ -76,6 +102,8 @@ _CALLED = (
     ("C[SD]T", "America/Chicago"), ("M[SD]T", "America/Denver"), ("P[SD]T", "America/Los_Angeles"),
 )  # fmt: skip
 _BETWEEN = (" ", ", ", "T", " - ", ":")
+# Days since 30 December 1899, as spreadsheets count them, of the years 2000 to 2050.
+_SERIALS = (36526.0, 54789.0)
 # A reading of day and month under which a record is so many times as long as under another one is wrong.
 _SURELY_LONGER = 5.0
 
@@ -96,14 +124,14 @@ def told_beside(path: Path, form: CsvFormat) -> tuple[dict[str, str], dict[str, 
     """Units by column from a line below the names of columns, and divisors from one above; of CSV files."""
     if not is_text(path):
         return {}, {}
-    separator, names, at = header_of(path, form)
+    separator, names, at, _ = header_of(path, form)
     _, lines = sample(path)
-    below = [_cells(line, separator) for line in lines[at + 1 : at + 1 + form.skip_after]]
+    below = [cells_of(line, separator) for line in lines[at + 1 : at + 1 + form.skip_after]]
     units = {name: cell for cells in below for name, cell in zip(names, cells, strict=False) if _UNIT.fullmatch(cell)}
     divisors: dict[str, float] = {}
     for line in lines[:at]:
         if _DIVISORS.match(line):
-            cells = zip(names, _cells(line, separator), strict=False)
+            cells = zip(names, cells_of(line, separator), strict=False)
             divisors |= {name: float(cell) for name, cell in cells if re.fullmatch(r"[1-9]\d*", cell)}
     return units, divisors
 
@@ -130,11 +158,9 @@ def recognised(paths: Sequence[Path]) -> Recognised:
     for path, head in zip(paths, heads, strict=True):
         if head.empty:
             raise DataError(f"{path}: the table has no rows")
-        if head.columns.has_duplicates:
-            name = head.columns[head.columns.duplicated()][0]
-            raise DataError(f"{path}: there is more than one column '{name}'; give each a name of its own")
     form, others = forms[0], [f"{path}" for path, one in zip(paths, forms, strict=True) if one != forms[0]]
     notes = {"csv": f"? {', '.join(others[:3])} seem to be written otherwise" if others else ""}
+    notes["names"] = _numbered(paths[0], form)
     head = heads[0]
     column, clock, notes["time"] = _clock(head, paths[0])
     same = all(not column or set(column) <= set(map(str, one.columns)) for one in heads)
@@ -147,27 +173,42 @@ def recognised(paths: Sequence[Path]) -> Recognised:
     return Recognised(tuple(paths), form, table, clock, words, notes)
 
 
-def guessed_form(path: Path) -> CsvFormat:
-    """How a CSV file seems to be written: encoding, lines above the header, separator, decimal comma, lines of "
-    "units."""
+def _numbered(path: Path, form: CsvFormat) -> str:
+    """Which columns of a file are told apart by a number alone, in words."""
     if not is_text(path):
-        return CsvFormat()
+        return ""
+    _, names, _, cells = header_of(path, form)
+    ours = [name for name, cell in zip(names, cells, strict=True) if re.fullmatch(re.escape(cell) + r" \d+", name)]
+    return f"columns of the same name are numbered from left to right: {', '.join(ours[:6])}" if ours else ""
+
+
+def guessed_form(path: Path) -> CsvFormat:
+    """How a file seems to be written: encoding, lines above the header, separator, decimal comma, lines of units.
+
+    Of a workbook the lines above the header and of units alone.
+    """
+    if not is_text(path):
+        if path.suffix.lower() in PARQUET:
+            return CsvFormat()
+        lines = workbook_lines(path, _LINES)
+        skip, _, _ = _header_at(lines)
+        return CsvFormat(skip_lines=skip, skip_after=_after_header(lines, skip, "\t", None))
     encoding, text = sample(path)
     lines = text[:_LINES]
+    if next((line for line in lines if line.strip() and not line.startswith("#")), "") and all(
+        _LINE_PROTOCOL.match(line) for line in lines[:20] if line.strip() and not line.startswith("#")
+    ):
+        raise DataError(
+            f"{path}: is InfluxDB's line protocol, no table: export it as CSV, by influx query '...' --raw, or "
+            "influx -execute '...' -format csv"
+        )
     skip, separator, comment = _header_at(lines)
     rows = [line for line in lines[skip + 1 :] if line.strip() and not (comment and line.startswith(comment))]
-    after = 0
     header = next((line for line in lines[skip:] if line.strip() and not (comment and line.startswith(comment))), "")
-    for line in lines[skip + 1 : skip + 3]:
-        if not (line.strip() and rows and comment and not line.startswith(comment)):
-            break
-        cells = _cells(line, separator)
-        if any(_numeric(cell) or _stamp(cell) for cell in cells) or not any(cells[1:]) or line == header:
-            break
-        after += 1
+    after = _after_header(lines, skip, separator, comment) if rows and comment else 0
     below = "\n".join(rows[after:])
     ends = rf"[ ]*(?:[°%A-Za-z][^{re.escape(separator)}\"\r\n]{{{{0,6}}}})?(?=[{re.escape(separator)}\"\r\n]|$)"
-    number = rf"(?:^|[{re.escape(separator)}\"])[ ]*-?\d+{{}}\d+{ends}"
+    number = rf"(?:^|[{re.escape(separator)}\"])(?:[$0-9A-Fa-f ]+\|)?[ ]*-?\d+{{}}\d+{ends}"
     points, commas = (len(re.findall(number.format(mark), below, re.M)) for mark in (r"\.", ","))
     if separator == ",":  # there a decimal comma needs quotes
         commas = len(re.findall(r'"-?\d+,\d+[^",\d]{0,6}"', below))
@@ -183,6 +224,19 @@ def guessed_form(path: Path) -> CsvFormat:
     )
 
 
+def _after_header(lines: Sequence[str], skip: int, separator: str, comment: str | None) -> int:
+    """How many lines below that of column names, at `skip`, are none of readings, as those of units."""
+    after = 0
+    for line in lines[skip + 1 : skip + 3]:
+        if not line.strip() or (comment and line.startswith(comment)):
+            break
+        cells = cells_of(line, separator)
+        if any(_numeric(cell) or _stamp(cell) for cell in cells) or not any(cells[1:]) or line == lines[skip]:
+            break
+        after += 1
+    return after
+
+
 def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
     """Place of the line of column names, the separator, and the mark of comments (None where the header begins so)."""
     best = (0, -1.0, ",")
@@ -193,7 +247,7 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
             continue
         usual, times = max(counted.items(), key=lambda item: (item[1], item[0]))
         share = times / max(sum(1 for line in lines if line.strip() and not line.startswith("#")), 1)
-        stamped = any(_stamp(cell) for line in lines[:_MOST_HEAD] for cell in _cells(line, separator))
+        stamped = any(_stamp(cell) for line in lines[:_MOST_HEAD] for cell in cells_of(line, separator))
         worth = share + 0.5 * stamped + 0.01 * usual
         if worth > best[1]:
             best = (usual, worth, separator)
@@ -208,15 +262,15 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
         ),
         0,
     )
-    cells = _cells(lines[first], separator)
+    cells = cells_of(lines[first], separator)
     data = sum(_numeric(cell) or _stamp(cell) for cell in cells if cell) > len([c for c in cells if c]) / 2
     above = lines[first - 1] if first else ""
     if data and above.startswith("#") and _separators(above, separator) == usual:
         return first - 1, separator, None
     # Lines of names and units above a table may have as many separators as it: the last before the first stamp counts.
     for k in range(first, min(first + _MOST_HEAD, len(lines) - 1)):
-        after = _cells(lines[k + 1], separator)
-        ours = _cells(lines[k], separator)
+        after = cells_of(lines[k + 1], separator)
+        ours = cells_of(lines[k], separator)
         if any(_stamp(cell) for cell in ours):
             break
         if any(_stamp(cell) for cell in after):
@@ -225,23 +279,21 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
                 for j in range(first, k + 1)
                 if _separators(lines[j], separator) == usual and not lines[j].startswith("#")
             ]
-            units = len(named) > 1 and _is_units(ours) and not _is_units(_cells(lines[named[-2]], separator))
-            return (named[-2] if units else named[-1]) if named else k, separator, "#"
+            # Lines of units, and of how it was sampled, stand below the names.
+            while len(named) > 1 and _is_units(cells_of(lines[named[-1]], separator)):
+                named.pop()
+            return named[-1] if named else k, separator, "#"
     return first, separator, "#"
 
 
 def _separators(line: str, separator: str) -> int:
     """How many times a line is parted; what stands in quotes parts nothing."""
-    return len(_cells(line, separator)) - 1 if '"' in line else line.count(separator)
+    return len(cells_of(line, separator)) - 1 if '"' in line else line.count(separator)
 
 
 def _is_units(cells: Sequence[str]) -> bool:
     """Whether cells are those of a line of units, such as '°C' and '[kW]'."""
     return all(_UNIT.fullmatch(cell) for cell in cells) and any(cells)
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
 
 
 def _numeric(cell: str) -> bool:
@@ -251,8 +303,8 @@ def _numeric(cell: str) -> bool:
 def _stamp(cell: str) -> bool:
     """Whether a cell looks like a date, a time of day, or both."""
     return bool(
-        re.search(r"\d{4}-\d{2}-\d{2}|\d{1,2}[./]\d{1,2}[./]\d{2,4}|\d{4}/\d{2}/\d{2}|\d{1,2}:\d{2}", cell)
-        or re.search(r"\d{1,2}[ .-]+[A-Za-zäûé]{3,9}[ .-]+\d{2,4}", cell)
+        re.search(r"\d{4}-\d{2}-\d{2}|\d{1,2}[./-]\d{1,2}[./-]\d{2,4}|\d{4}/\d{2}/\d{2}|\d{1,2}:\d{2}", cell)
+        or re.search(r"(?<!\w)\d{1,2}[ .-]+[A-Za-zäûé]{3,9}[ .-]+\d{2,4}", cell)
     )
 
 
@@ -304,7 +356,7 @@ def _dated(column: pd.Series) -> bool:
     return len(told) > 0 and bool(
         told.str.fullmatch(_NO_YEAR).all()
         or told.str.contains(
-            r"\d{4}-\d{2}-\d{2}|\d{1,2}[./]\d{1,2}[./]\d{2,4}|\d{4}/\d{1,2}/\d{1,2}|^\d{8}\b", regex=True
+            r"\d{4}-\d{2}-\d{2}|\d{1,2}[./-]\d{1,2}[./-]\d{2,4}|\d{4}/\d{1,2}/\d{1,2}|^\d{8}\b", regex=True
         ).mean()
         > 0.9
         or told.str.contains(
@@ -326,6 +378,9 @@ def _counted_clock(stamps: pd.Series) -> tuple[TimeStampRules, str]:
     for unit, scale in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
         if 1e9 * scale < first < 2.5e9 * scale:
             return TimeStampRules(unit=unit, since="1970-01-01T00:00Z", zone="UTC"), ""
+    days = stamps.dropna().to_numpy(dtype=np.float64)
+    if _SERIALS[0] < first < _SERIALS[1] and (days % 1.0 != 0.0).mean() > 0.5 and np.ptp(days) < _SERIALS[0]:
+        return TimeStampRules(unit="D", since="1899-12-30"), ""
     return TimeStampRules(), "? stamps are numbers: name their unit and what they count from"
 
 
@@ -445,6 +500,22 @@ def _form_of(
     return TableForm(status=status if each_one else None), "one column per signal"
 
 
+def _only_numbers(head: pd.DataFrame, columns: Sequence[str]) -> list[str]:
+    """The one column of numbers of a table, where there is but one."""
+    numeric = [c for c in columns if _numbers(head[c]) and not (_POINT.match(c) or _BESIDE.match(c))]
+    return numeric if len(numeric) == 1 else []
+
+
+def _of_quantities(column: pd.Series) -> bool:
+    """Whether the cells of a column are of several units, as '21.3 °C' and '35 %': readings of several signals."""
+    if pd.api.types.is_numeric_dtype(column) or pd.api.types.is_datetime64_any_dtype(column):
+        return False
+    cells = column.dropna().astype(str).iloc[:200]
+    found = [quantity_of(cell, mark) for cell in cells for mark in (",", ".")]
+    kinds = {one[1] for one in found if one is not None}
+    return len(kinds) > 1 and sum(one is not None for one in found) > 0.8 * len(cells)
+
+
 def _numbers(column: pd.Series) -> bool:
     known = column.dropna()
     return len(known) > 0 and bool(
@@ -500,8 +571,9 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
         return TableForm(point=point[0] if len(point) == 1 else tuple(point), value="_value")
     columns = [c for c in columns if not _UNIT_COLUMN.match(c)]
     told = [c for c in columns if _VALUE.match(c)]
-    # A "reading" may be the name of one, beside its value.
-    values = [c for c in told if _numbers(head[c])] or told
+    # A "reading" may be the name of one, beside its value; a "state" what a program thinks of it.
+    values = [c for c in told if _numbers(head[c])] or _only_numbers(head, columns) or told
+    values = values or [c for c in columns if _of_quantities(head[c])][:1]
     points = [c for c in columns if (_POINT.match(c) or c.lower() == "reading") and c not in values]
     repeated = [
         c for c in columns
@@ -520,6 +592,7 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
     by_lower = {c.lower(): c for c in columns}
     value = [by_lower[k] for k in ours[0] if k in by_lower] if ours else values[:1]
     ids = [c for c in points if re.search(r"(?i)name|entity|statistic|bezeichnung|naam|nom|tag|point|path", c)]
+    ids = ids or [c for c in repeated if re.search(r"(?i)\bname$", c)]
     point = (
         [c for c in ids if not _numbers(head[c])][:1]
         or ids[:1]
@@ -531,7 +604,8 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
         return None
     unique = head[[*point, *[c for c in of_stamps if c in head.columns]]].duplicated().mean() < 0.05
     for more in (*points, *repeated):
-        if not unique and more not in point and not _numbers(head[more]):
+        of_device = _QUANTITY_COLUMN.match(more) and _DEVICE_COLUMN.match(point[0])
+        if (not unique or of_device) and more not in point and not _numbers(head[more]):
             if len(head[[*point, more]].drop_duplicates()) == len(head[point].drop_duplicates()):
                 continue  # another column tells it already
             point.append(more)

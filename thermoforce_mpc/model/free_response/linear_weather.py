@@ -17,8 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dtrtrs
-from scipy.optimize import nnls
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.data.compiled import njit
@@ -180,6 +178,9 @@ def _bounded_least_squares(gram: Array, right: Array, bounded: NDArray[np.bool_]
     There are thousands of rows and few columns; the priors make A'A positive definite. With the free columns first in
     the Cholesky factor, the bounded ones form a nonnegative least-squares problem and the free ones follow.
     """
+    from scipy.linalg.lapack import dpotrf, dtrtrs
+    from scipy.optimize import nnls
+
     order = np.argsort(bounded, kind="stable")
     free = int((~bounded).sum())
     # LAPACK itself: around arrays this small, what checks them takes longer than the arithmetic.

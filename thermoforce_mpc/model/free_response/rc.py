@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.data.compiled import njit
@@ -139,6 +138,8 @@ class RcFreeResponse:
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises `DataError` for no finite value or gaps in the weather."""
+        from scipy.special import ndtri
+
         free_C = checked_free(free_C, history)
         past = self._params.resampled(history.step_s if history.n_steps else boundary.step_s)
         drive = past.drive(history.time_s, history.T_out_C, history.solar_W_m2)

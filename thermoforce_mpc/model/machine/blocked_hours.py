@@ -7,6 +7,9 @@ the wrong side of the set-point that a loop would act (`called_for`). Heating an
 refuses says nothing of the other. Plans leave blocked hours out, but for the hour of now: at once where only probing
 has seen them, later after some days, so that a wrong claim or a schedule that ended is noticed. A schedule that differs
 by weekday is taken for one of every day; hours here and there are none.
+
+Where the plant reports what it was asked for, or its schedule blows cold air, no level tells: `HourEffects` compares
+predictions an hour ahead with what came, by hour of the day.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -133,6 +137,29 @@ class BlockedHours:
         )
 
 
+# Levels from which a machine's power is compared with that of its like, the share below which it stands, and steps that
+# tell what is usual.
+_RUNS, _STANDS, _USUAL_STEPS = 0.25, 0.05, 8
+
+
+def running(record: Record) -> Record:
+    """A record (one zone, an actuator with a machine of its own) with level 0 where the machine stood.
+
+    A plant may report the level that was asked for: where its meter reads next to nothing beside what it usually reads
+    at such levels, nothing came. A meter that is dead or holds other loads tells nothing.
+    """
+    u, per_level = np.abs(record.u[0]), np.full(record.n_steps, np.nan)
+    asked = np.isfinite(u) & (u >= _RUNS)
+    per_level[asked] = record.power_W[0, asked] / u[asked]
+    known = np.isfinite(per_level)
+    if np.count_nonzero(known) < _USUAL_STEPS:
+        return record
+    # Of hours that stand in between the median of those above the middle says what is usual.
+    usual = float(np.median(per_level[known & (per_level >= np.median(per_level[known]))]))
+    stood = known & (per_level < _STANDS * usual)
+    return replace(record, u=np.where(stood, 0.0, record.u)) if stood.any() else record
+
+
 def called_for(asked: Array, heating_C: Array, cooling_C: Array, T_zone_C: Array) -> Array:
     """What was surely asked of an actuator in n steps (n,).
 
@@ -143,6 +170,143 @@ def called_for(asked: Array, heating_C: Array, cooling_C: Array, T_zone_C: Array
     coldest, warmest = np.minimum(T_zone_C[:-1], T_zone_C[1:]), np.maximum(T_zone_C[:-1], T_zone_C[1:])
     calls = 1.0 * (warmest < heating_C - _CALLS_K) - 1.0 * (coldest > cooling_C + _CALLS_K)
     return np.where(by_loops, calls, asked)
+
+
+# Effect of an hour's levels from which it can be missed, K, and its least share that is; in promised half-widths, at
+# 2 of which one error in 200 is by chance; on how many days running.
+_TELLS_K, _MISSING, _BEYOND, _DAYS = 0.25, 0.5, 2.0, 2
+# Days that are kept of each hour, and for how long, s.
+_KEPT, _KEPT_S = 4, 14 * DAY_S
+# Prior standard deviations of what an hour takes of the effect, and of what it does to the zone besides, K. The same
+# two days tell only their sum: half of each makes plans count on less heat and begin earlier.
+_SHARE_SD, _DIP_SD_K = 0.5, 1.0
+# How fast a zone forgets what an hour did to it, s, as air and furniture do; the most of it that is believed, K.
+_FORGETS_S, _MOST_DIP_K = 3 * HOUR_S, 3.0
+
+
+class HourSeen(NamedTuple):
+    """A prediction an hour ahead that came due at `time_s`: error (measured − predicted), predicted effect of the
+    levels of the hour and promised half-width of the error, K.
+    """
+
+    time_s: float
+    error_K: float
+    effect_K: float
+    promise_K: float
+
+    @property
+    def hour(self) -> int:
+        """The hour of the day that was predicted."""
+        return _hour(self.time_s - HOUR_S)
+
+
+@dataclass(frozen=True)
+class HourLaw:
+    """What an hour of the day is believed to do: `share` of the effect of acting comes, and `dip_K` besides, K."""
+
+    share: float
+    dip_K: float
+
+
+@dataclass(frozen=True)
+class HourEffects:
+    """What predictions an hour ahead tell of the hours of the day, for one actuator with this `sign`.
+
+    An hour is believed to differ where on two days running less than half of the effect of acting came, each time by
+    more than twice the promise; one day on which it comes takes that back. `seen`: the last days of each hour.
+    """
+
+    sign: int = 1
+    seen: tuple[HourSeen, ...] = ()
+
+    def after(self, told: HourSeen) -> HourEffects:
+        """With one prediction more."""
+        same = [one for one in self.seen if one.hour == told.hour and told.time_s - one.time_s < _KEPT_S]
+        others = [one for one in self.seen if one.hour != told.hour]
+        return replace(self, seen=(*others, *same[1 - _KEPT :], told))
+
+    def at(self, now_s: float) -> HourEffects:
+        """What was seen before a run, as if it had been seen in the days before `now_s`."""
+        last_s = max((one.time_s for one in self.seen), default=now_s)
+        later_s = (now_s - last_s) // DAY_S * DAY_S
+        return replace(self, seen=tuple(one._replace(time_s=one.time_s + later_s) for one in self.seen))
+
+    @property
+    def believed(self) -> HourEffects:
+        """Only the hours that are believed to differ."""
+        return replace(self, seen=tuple(one for one in self.seen if one.hour in self.laws))
+
+    @cached_property
+    def laws(self) -> dict[int, HourLaw]:
+        """What the hours do that are believed to differ, by hour."""
+        found = {}
+        for hour in sorted({one.hour for one in self.seen}):
+            of_hour = [one for one in self.seen if one.hour == hour]
+            asked = [one for one in of_hour if self.sign * one.effect_K >= _TELLS_K][-_DAYS:]
+            if len(asked) == _DAYS and all(map(self._misses, asked)):
+                found[hour] = self._law(of_hour)
+        return found
+
+    def _misses(self, one: HourSeen) -> bool:
+        lacking_K = -self.sign * one.error_K
+        return lacking_K > max(_BEYOND * one.promise_K, _MISSING * abs(one.effect_K))
+
+    def _law(self, seen: Sequence[HourSeen]) -> HourLaw:
+        """The most likely law given the errors of its days, error = (share − 1) effect + dip, neither of help."""
+        from scipy.optimize import lsq_linear
+
+        _, error, effect, promise = np.array(seen).T
+        rows = np.stack([effect, np.ones(effect.size)], axis=1) / promise[:, None]
+        rows = np.vstack([rows, np.diag([1.0 / _SHARE_SD, 1.0 / _DIP_SD_K])])
+        lowest, highest = np.sort(np.array([0.0, -self.sign * _MOST_DIP_K]))
+        bounds = np.array([-1.0, lowest]), np.array([0.0, highest])
+        share, dip = lsq_linear(rows, np.append(error / promise, [0.0, 0.0]), bounds).x
+        return HourLaw(1.0 + float(share), float(dip))
+
+    def over(self, start_s: float, lasts_s: float) -> bool:
+        """Whether an hour that is believed to differ lies in the time from `start_s` on, s."""
+        return any(_hour(start_s + k * HOUR_S) in self.laws for k in range(math.ceil(lasts_s / HOUR_S)))
+
+    def share(self, time_s: Array, step_s: float) -> Array:
+        """Share of the effect of each step from `time_s` (n,), s, on that plans count with, (n,).
+
+        The hour of now is tried again after some days in which nothing was asked of it.
+        """
+        parts_s = time_s[:, None] + step_s * (np.arange(_PARTS) + 0.5) / _PARTS
+        hours, shares = parts_s % DAY_S // HOUR_S, np.ones(parts_s.shape)
+        for hour, law in self.laws.items():
+            asked_s = max(one.time_s for one in self.seen if one.hour == hour and abs(one.effect_K) >= _TELLS_K)
+            again = time_s[0] - asked_s > _AGAIN_DAYS[1] * DAY_S
+            now = parts_s // HOUR_S == parts_s[0, 0] // HOUR_S
+            shares[(hours == hour) & ~(again & now)] = law.share
+        return np.asarray(shares.mean(axis=1))
+
+    def dips_K(self, time_s: Array, step_s: float) -> Array:
+        """What the hours do to the zone besides, at the end of each step from `time_s` (n,), s, on, (n,), K."""
+        out, left, kept = np.zeros(time_s.size), 0.0, math.exp(-step_s / _FORGETS_S)
+        for k, start_s in enumerate(time_s.tolist()):
+            law = self.laws.get(_hour(start_s))
+            left = kept * left + (law.dip_K * step_s / HOUR_S if law else 0.0)
+            out[k] = left
+        return out
+
+    def in_words(self) -> str:
+        """What is believed, for people; empty where nothing is."""
+        told = []
+        for hour, law in self.laws.items():
+            *_, last = [one for one in self.seen if one.hour == hour and abs(one.effect_K) >= _TELLS_K]
+            came_K = last.effect_K + last.error_K
+            besides = f", and {law.dip_K:+.1f} K besides" if abs(law.dip_K) > 0.05 else ""
+            told.append(
+                f"from {hour}:00 to {(hour + 1) % _HOURS}:00 acting does {law.share:.0%} of what it does else{besides} "
+                f"({last.effect_K:+.1f} K were expected of it and {came_K:+.1f} K came, where ±{last.promise_K:.1f} K "
+                "was promised, and the day before likewise)"
+            )
+        if not told:
+            return ""
+        return (
+            f"{'; '.join(told)}: the plant's own schedule; plans count on that (controller.options.watch.hour_effects)"
+        )
 
 
 Directions = tuple[BlockedHours, ...]

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.machine.load import (
@@ -114,6 +113,8 @@ def fit_heat(
 
 def _fit_at(steps: Steps, residual_scale: float, lowest_level: float, kind: MachinePrior) -> HeatFit:
     """Fit one machine type and lowest level; `residual_scale` is the error of a step as a share of full heat."""
+    from scipy.optimize import lsq_linear
+
     u, y, ends = steps.u, steps.load_W, EndValues.around(steps)
     levels_seen = lowest_level < 1.0
     carriers = [np.minimum(u / lowest_level, 1.0), u] if levels_seen else [u]

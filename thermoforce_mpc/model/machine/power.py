@@ -27,8 +27,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
-from scipy.optimize import lsq_linear, minimize_scalar, nnls
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.data.series import lagged
@@ -125,6 +123,8 @@ def fit_return_water(
     `T_return_C`, `u` (n,): means over each step; `T_zone_C` (n,) at its start. `misfit_of`: sum of squared residuals,
     W², of the load fitted with given factors (n,). `full_W`: an error of a step has `RESIDUAL_SCALE` times that.
     """
+    from scipy.optimize import minimize_scalar
+
     running = np.isfinite(T_return_C) & (u > LEVEL_EDGE)
     if running.sum() < _LEAST_STEPS:
         return None
@@ -290,6 +290,8 @@ def fit_both_directions(histories: Sequence[Record], heating: Array, cooling: Ar
     the law of the other, which `source` says: a few winter days do not show cooling, and a plan for them hardly needs
     it. Raises `DataError` where neither direction was on in enough measured steps.
     """
+    from scipy.linalg import block_diag
+
     T_out, power = (
         np.concatenate([values(h) for h in histories]) for values in (lambda h: h.T_out_C[:-1], lambda h: h.power_W[0])
     )
@@ -375,6 +377,7 @@ def _with_prior(design: Array, load_W: Array, prior: Array, full_W: float, runni
 
     A step counts as its error does: what the record did not span, such as cold weather, stays at the prior.
     """
+    from scipy.optimize import lsq_linear
 
     def fitted(scale_W: float) -> Array:
         rows = np.vstack([design / scale_W, prior])
@@ -396,8 +399,8 @@ _SAME_AS_FULL, _SAME_AS_CHEAPEST = 0.03, 0.02
 _COST, _COST_SD = "cost_of_heat_at_level_", "cost_of_heat_sd_at_level_"
 _HEAT, _HEAT_SD = "heat_per_level_at_level_", "heat_per_level_sd_at_level_"
 # Share of full power by which a middle level is above the line from the lowest to full level where a machine is at its
-# limit; a fixed part, and water that gets hotter, leave none.
-_BENT = 0.1
+# limit; a fixed part, and water that gets hotter, leave none. Power that a low level takes already: no fixed part is.
+_BENT, _FLAT = 0.1, 0.7
 # Weight of full level, which is 1 by definition, in the fit of the shape.
 _EXACT = 1e3
 
@@ -441,7 +444,8 @@ def at_its_limit(costs: Sequence[LevelCost]) -> bool:
     """Whether power hardly rises above a middle level: a machine at a limit gives no more heat there either."""
     levels = [one.level for one in costs] + [1.0]
     power = [one.cost * one.heat * one.level for one in costs] + [1.0]
-    return any(
+    flat = len(costs) > 0 and levels[0] < 0.5 and power[0] > _FLAT
+    return flat or any(
         middle > np.interp(level, [levels[0], 1.0], [power[0], 1.0]) + _BENT
         for level, middle in zip(levels[1:-1], power[1:-1], strict=True)
     )
@@ -461,6 +465,8 @@ class PowerShape:
 
         `heat`: heat at each level of `costs`, as a share of that of full level, by the model that plans.
         """
+        from scipy.optimize import nnls
+
         u = np.array([*(one.level for one in costs), 1.0])
         power = np.array([*(one.cost * share for one, share in zip(costs, heat, strict=True)), 1.0])
         weights = np.append(1.0 / u[:-1], _EXACT)

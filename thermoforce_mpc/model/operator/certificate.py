@@ -19,7 +19,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
@@ -78,6 +77,8 @@ def feedback_bounds(params: OperatorParameters, n_steps: int) -> FeedbackBounds:
 
 def _pruned(corners: Array) -> Array:
     """Return fewer points with the same convex hull (or, above 768 points, their bounding box)."""
+    from scipy.spatial import ConvexHull, QhullError
+
     order = corners.shape[1]
     if order == 1:
         return np.array([corners.min(axis=0), corners.max(axis=0)])

@@ -10,9 +10,10 @@ import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
-from thermoforce_mpc.boundary.periods import all_windows, heating_windows, published_windows
+from thermoforce_mpc.boundary.periods import all_windows, heating_windows, kept_windows, published_windows
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import (
+    DAY_S,
     YEAR_S,
     ZERO_C_K,
     Array,
@@ -23,6 +24,7 @@ from thermoforce_mpc.data import (
     PlantInfo,
     Record,
 )
+from thermoforce_mpc.data.compiled import sources_hash
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import day_period, is_day
 from thermoforce_mpc.plants.embedded import exposure
@@ -110,6 +112,10 @@ class Emulator(BranchingShell):
         return self._periods[name] if name in self._periods else day_period(name, self._periods)
 
     def _windows_of_year(self) -> dict[str, Period]:
+        code = sources_hash(__file__), sources_hash(str(self.case.system.__file__))
+        return kept_windows((*code, self.case.name, self.weather.fingerprint), self.case.periods, self._find_windows)
+
+    def _find_windows(self) -> dict[str, Period]:
         of_year = self.native_powers_W()
         if self.case.cooling is None:
             return heating_windows(of_year[self.case.heating])
@@ -223,9 +229,12 @@ class Emulator(BranchingShell):
         self._lived = self._scheduled
         try:
             self.reset(0.0, 0.0)
-            _, rows = self._simulated({}, YEAR_S)
-            names = [name for name in (self.case.heating, self.case.cooling) if name]
-            return {name: np.asarray(rows[:, self._column[name]].reshape(-1, 30).mean(axis=1)) for name in names}
+            means: dict[str, list[Array]] = {name: [] for name in (self.case.heating, self.case.cooling) if name}
+            for _ in range(365):  # by days: samples of a year would take 150 MB
+                _, rows = self._simulated({}, DAY_S)
+                for name, of_days in means.items():
+                    of_days.append(rows[:, self._column[name]].reshape(-1, 30).mean(axis=1))
+            return {name: np.concatenate(of_days) for name, of_days in means.items()}
         finally:
             self._lived = lived
             self.restore(here)

@@ -29,6 +29,9 @@ from thermoforce_mpc.plants.embedded.houses import OFFICE
 from thermoforce_mpc.plants.embedded.schedule import is_open
 
 _AIR_S = 1.0
+# The sample of the instant at which the schedule switches shows the state before, s: so do the set-points in the real
+# case's records; its gas peaks, of the quarter of an hour that begins then, agree to 0.3 % instead of 1.5.
+_BEFORE_S = 1e-3
 
 # Scalar states: the first eight are carried from step to step, the others computed from them by `_operate`.
 (T_AIR, HEATING_INTEGRAL, COOLING_INTEGRAL, COOLS, FLOW_LAGGED, FLOW_KG_S, CO2_PPM, CO2_SENSED,
@@ -194,5 +197,5 @@ def advance(
         steady_ppm = _OUTDOOR_PPM + people * _PERSON_PPM / aired
         scalars[CO2_PPM] = steady_ppm + (scalars[CO2_PPM] - steady_ppm) * math.exp(-_AIR_CHANGES_S * aired * dt)
         scalars[CO2_SENSED] += sensor_lag * (scalars[CO2_PPM] - scalars[CO2_SENSED])
-        _operate(scalars, begin + dt, overrides)
-        _note(scalars, begin + dt, w, record[step])
+        _operate(scalars, begin + dt - _BEFORE_S, overrides)
+        _note(scalars, begin + dt - _BEFORE_S, w, record[step])

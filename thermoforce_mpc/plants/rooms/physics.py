@@ -18,6 +18,19 @@ import numpy as np
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.plants.drawn_houses import envelope
 from thermoforce_mpc.plants.random_houses.draw import ground_C, heat_pump_cop
+from thermoforce_mpc.plants.rooms.device import (
+    BUFFER,
+    CHARGES,
+    DEFROST_POWER,
+    RAISE,
+    RECOMMENDED,
+    STANDBY,
+    TANK_J_K,
+    TANK_OVER,
+    heat_of_device,
+    switched,
+)
+from thermoforce_mpc.plants.rooms.device import TANK as TANK_STATE
 from thermoforce_mpc.plants.rooms.house import DrawnHouse, core_W_m2K, curve_supply_C, full_capacity_W
 
 # Blocks of nodes, each of one node a room. Nodes with few neighbours come first, which keeps the elimination sparse.
@@ -26,8 +39,9 @@ N_BLOCKS = 5
 # Weather columns, interpolated: °C, W/m²; then the sun through each room's windows, W, and each room's air change
 # relative to the mean infiltration.
 T_OUT, GLOBAL, SUN = range(3)
-# Record of a step: machine and house, then for each room operative temperature °C, level and heat to its circuit W.
-POWER, HEAT, SUPPLY, OUTDOOR, SOLAR, LOSS, GAIN, STORED, ROOMS = range(9)
+# Record of a step: machine, house and tank (°C, NaN without one); then for each room operative temperature °C, level
+# and heat to its circuit W.
+POWER, HEAT, SUPPLY, OUTDOOR, SOLAR, LOSS, GAIN, STORED, TANK, ROOMS = range(10)
 
 # Native thermostats: half of the dead band, K.
 DEAD_BAND_K = 0.25
@@ -233,6 +247,50 @@ def machine(
 
 
 @njit(cache=True)
+def own_controller(
+    h: HouseNetwork,
+    T: np.ndarray,
+    levels: np.ndarray,
+    T_out_C: float,
+    q: np.ndarray,
+    state: np.ndarray,
+    device: np.ndarray,
+    contact: float,
+    draw_W: float,
+    dt: float,
+) -> tuple[float, float, float]:
+    """As `machine`, of one behind its own controller, whose `state` is advanced by `dt` s, see `device`."""
+    n = q.size
+    asked = np.empty(n)
+    raised, wanted, is_open = device[RAISE] if contact >= RECOMMENDED else 0.0, -1e9, False
+    for i in range(n):
+        asked[i] = _supply(
+            h.curve[i, DESIGN],
+            h.curve[i, EXPONENT],
+            h.curve[i, SHIFT] + raised,
+            h.curve[i, LIMIT],
+            h.heat_pump[DESIGN_OUT],
+            T_out_C,
+        )
+        if levels[i] > 0.0:
+            wanted, is_open = max(wanted, asked[i]), True
+    switched(state, device, wanted, is_open, contact, dt)
+    water = state[BUFFER]
+    taken = circuits_W(h, T, levels, asked, water, q)
+    capacity = _capacity(h.heat_pump[CAPACITY], h.heat_pump[CAPACITY_K], h.heat_pump[DESIGN_OUT], T_out_C)
+    least = h.heat_pump[LOWEST] * capacity
+    was_tank = state[TANK_STATE]
+    heat, defrosts = heat_of_device(state, device, taken, wanted, least, capacity, T_out_C, draw_W, dt)
+    power = device[STANDBY]
+    if defrosts > 0.0:
+        power += h.heat_pump[FIXED] + DEFROST_POWER * capacity
+    elif heat > 0.0:
+        condenses = was_tank + device[TANK_OVER] if state[CHARGES] > 0.0 else max(water, wanted)
+        power += h.heat_pump[FIXED] + heat / _cop(h.heat_pump[CARNOT], T_out_C, condenses)
+    return taken, power, water
+
+
+@njit(cache=True)
 def thermostats(on: np.ndarray, room_C: np.ndarray, setpoint_C: np.ndarray) -> None:
     """Switch the rooms' native thermostats `on` (Z,), 0 or 1, at half a dead band from their set-points."""
     for i in range(on.size):
@@ -256,6 +314,10 @@ def advance(
     setpoints: np.ndarray,
     h: HouseNetwork,
     record: np.ndarray,
+    state: np.ndarray,
+    device: np.ndarray,
+    draws: np.ndarray,
+    contact: float,
 ) -> None:
     """Advance nodes `T` (5 Z,) °C and thermostats `on` (Z,) in place by `n_steps` of `dt` s and fill `record`.
 
@@ -264,7 +326,9 @@ def advance(
         forced: levels in [0, 1], shape (Z,); NaN: native control.
         weather: year every 15 min, shape (35041, 2 + 2 Z), see `T_OUT` and following; interpolated.
         gains, setpoints: internal gains W and native set-points °C, shape (35041, Z); held for 15 min.
-        record: one row per step, shape (n_steps, 8 + 3 Z), see `POWER` and following.
+        record: one row per step, shape (n_steps, 9 + 3 Z), see `POWER` and following.
+        state, device, draws: of the machine's own controller, see `device`; no `device`: an ideal machine.
+        contact: state of its SG-Ready contacts.
     """
     n = on.size
     nodes = T.size
@@ -280,7 +344,10 @@ def advance(
         thermostats(on, room_C, setpoints[row])
         for i in range(n):
             levels[i] = on[i] if math.isnan(forced[i]) else forced[i]
-        heat, power, supply = machine(h, T, levels, w[T_OUT], q)
+        if device.size:
+            heat, power, supply = own_controller(h, T, levels, w[T_OUT], q, state, device, contact, draws[row], dt)
+        else:
+            heat, power, supply = machine(h, T, levels, w[T_OUT], q)
         # Weather at the end of the step, schedules of its start.
         envelope.read(weather, now + dt, w)
         T_out = w[T_OUT]
@@ -320,6 +387,7 @@ def advance(
             gained += gains[row, i] + w[SUN + i]
             out[ROOMS + i], out[ROOMS + n + i], out[ROOMS + 2 * n + i] = room_C[i], levels[i], q[i]
         out[POWER], out[HEAT], out[SUPPLY] = power, heat, supply
+        out[TANK] = state[TANK_STATE] if device.size and device[TANK_J_K] > 0.0 else math.nan
         out[OUTDOOR], out[SOLAR], out[LOSS], out[GAIN], out[STORED] = T_out, w[GLOBAL], lost, gained, stored
 
 

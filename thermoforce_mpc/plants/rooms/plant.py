@@ -18,6 +18,7 @@ from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnH
 from thermoforce_mpc.plants.people import PERSON_W, live
 from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics, schedule
+from thermoforce_mpc.plants.rooms.device import N_STATES, NORMAL, Device
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import DrawnHouse
 from thermoforce_mpc.plants.rooms.use import USES
@@ -96,6 +97,8 @@ class HouseOfRooms(DrawnHousePlant):
 
     Attributes:
         curve_offset_K: offset of the heating curves of all circuits, K.
+        device: the controller of the heat pump itself; None: an ideal machine, which gives what is asked at once.
+        contact: state of its SG-Ready contacts, from 1 to 4; only with a device.
         layout: rooms, valves and the heat pump; valve i stands in room i.
         zones, actuators: names by row of all arrays.
         thermostat_C: of the baseline thermostat of each room, shape (Z,).
@@ -103,9 +106,11 @@ class HouseOfRooms(DrawnHousePlant):
 
     house: DrawnHouse
     curve_offset_K: float = 0.0
+    device: Device | None = None
+    contact: int = NORMAL
     _told: tuple[float | None, ...] = ()
     _kind = "house of rooms"
-    _changing = (*DrawnHousePlant._changing, "_T", "_on")
+    _changing = (*DrawnHousePlant._changing, "_T", "_on", "_device_state")
 
     def __init__(
         self, house: DrawnHouse, people: int | None = None, highly_dynamic: tariffs.Tariff | None = None
@@ -159,8 +164,13 @@ class HouseOfRooms(DrawnHousePlant):
         )
 
     def recorded(self, start_s: float, final_s: float) -> tuple[Array, Array]:
-        """Return times (n,), s, and rows (n, 8 + 3 Z) of `physics.advance` between two times, both included."""
+        """Return times (n,), s, and rows (n, 9 + 3 Z) of `physics.advance` between two times, both included."""
         return self._samples.between(start_s, final_s)
+
+    def supply_C(self, edges: Array) -> Array:
+        """Mean supply temperature between `edges` (n + 1,), s: (n,), °C."""
+        times, rows = self._samples.times, self._samples.rows
+        return means_between(times, rows[:, [physics.SUPPLY]].T, edges)[0]
 
     def _blocks(self) -> tuple[range, range, range]:
         """Columns of the rows with temperatures, levels and heat."""
@@ -198,7 +208,9 @@ class HouseOfRooms(DrawnHousePlant):
             curve[:, physics.SHIFT] += self.curve_offset_K
             network = network._replace(curve=curve)
         state = self._T, self._on, before_s, len(rows), dt_s
-        physics.advance(*state, forced, weather, gains, setpoints, network, rows)
+        parameters, draws = (np.empty(0),) * 2 if self.device is None else (self.device.parameters, self.device.draw_W)
+        own = self._device_state, parameters, draws, float(self.contact)
+        physics.advance(*state, forced, weather, gains, setpoints, network, rows, *own)
 
     def _measured(self, before_s: float) -> Measurement:
         rooms, valves, heats = self._blocks()
@@ -218,13 +230,14 @@ class HouseOfRooms(DrawnHousePlant):
             u=means[:n],
             heat_W=means[n : 2 * n],
             power_W=means[2 * n : 2 * n + 1],
-            points={"T_supply_C": float(means[2 * n + 1])},
+            points={"T_supply_C": float(means[2 * n + 1]), "T_tank_C": float(row[physics.TANK])},
         )
 
     def _first_row(self) -> Array:
         n = len(self.zones)
         self._T = np.tile([room.lower_C for room in self.house.rooms], physics.N_BLOCKS)
         self._on = np.zeros(n)
+        self._device_state = np.zeros(N_STATES) if self.device is None else self.device.begin()
         row = np.zeros(physics.ROOMS + 3 * n)
         row[self._blocks()[0]] = self._T[:n]
         row[physics.OUTDOOR], row[physics.SOLAR] = self._weather_now()

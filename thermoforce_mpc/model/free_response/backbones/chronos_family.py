@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 GRAPH = "model.onnx"
 WEIGHTS_KEY = "weights_sha256"
+# What a graph of each family is given.
+_INPUTS = {"ChronosBoltPipeline": ("context",), "Chronos2Pipeline": ("context", "future_covariates")}
 # Largest batch: beyond, the activations leave the cache of a core and the pass becomes slower.
 _AT_ONCE = 48
 # Contexts of one length below which they join a batch of longer ones.
@@ -47,10 +49,10 @@ _FEW = 16
 class Graph:
     """The graph in `folder`, run on one thread, so that results are the same bits.
 
-    Raises `BackboneError` for one that cannot be read, or was exported from other weights.
+    Raises `BackboneError` for one that cannot be read, has other `inputs`, or was exported from other weights.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, inputs: tuple[str, ...]) -> None:
         import onnxruntime
 
         self._weights = folder / WEIGHTS
@@ -63,6 +65,10 @@ class Graph:
         except Exception as error:  # the library raises many types
             reason = " ".join(str(error).split())[:300]
             raise BackboneError(f"{folder / GRAPH} cannot be loaded ({reason}); {_again(folder)}") from error
+        if (found := {one.name for one in self._session.get_inputs()}) != set(inputs):
+            raise BackboneError(
+                f"{folder / GRAPH} takes {', '.join(sorted(found))}, expected {', '.join(inputs)}; {_again(folder)}"
+            )
         exported_from = self._session.get_modelmeta().custom_metadata_map.get(WEIGHTS_KEY)
         if exported_from != self.weights_sha256:
             raise BackboneError(f"{folder / GRAPH} was exported from other weights than {WEIGHTS}; {_again(folder)}")
@@ -215,12 +221,8 @@ class Chronos2Backbone(ByGraph):
         for i, context in enumerate(contexts):
             past[i, 1:, k - context.free_C.size :] = context.past_weather.T[: rows - 1]
             ahead[i, 1:, :steps] = context.ahead_weather.T[: rows - 1]
-        values = self.graph(
-            context=past.reshape(-1, k)[:, -self._longest :],
-            group_ids=np.repeat(np.arange(len(contexts)), rows),
-            future_covariates=ahead.reshape(-1, ahead.shape[2]),
-        )
-        return list(values[::rows][:, self._levels, :steps].astype(np.float64))
+        values = self.graph(context=past[:, :, -self._longest :], future_covariates=ahead)
+        return list(values[:, self._levels, :steps].astype(np.float64))
 
     def _by_library(self, contexts: Sequence[Context], steps: int) -> list[Array]:
         tasks = [
@@ -253,7 +255,8 @@ def load(name: str, folder: Path, label: str = "") -> Backbone:
     graph, pipeline = None, functools.cache(functools.partial(torch_pipeline, name, folder))
     config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
     if (folder / GRAPH).is_file():
-        family, settings, graph = config["chronos_pipeline_class"], config["chronos_config"], Graph(folder)
+        family, settings = config["chronos_pipeline_class"], config["chronos_config"]
+        graph = Graph(folder, _INPUTS.get(family, ()))
     else:
         family, settings = type(pipeline()).__name__, vars(pipeline().model.chronos_config)
     levels = settings.get("quantiles", [])

@@ -1,0 +1,70 @@
+"""Contacts keep their holds, and how long a device may be blocked, also where the controller is killed in between."""
+
+from __future__ import annotations
+
+from itertools import groupby, pairwise
+
+import pandas as pd
+import pytest
+from home_by_curve import SG_RULES, START, HomeByCurve, curve_model
+
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
+from thermoforce_mpc.live import KeptState, LiveBuilding, control
+from thermoforce_mpc.measurements.load import learned_commands, read_measurements
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+
+RULES = MeasurementMap.model_validate(SG_RULES)
+
+
+class KilledError(BaseException):
+    """The process is killed: nothing more is done."""
+
+
+def controlled(home, folder, kill_at_h=None, steps=None):
+    """Control it, with what its readings tell of its commands then, until it is killed."""
+    measured = read_measurements(home.measurements(), RULES, step_s=3600.0).served()
+    off = {"enabled": False}
+    options = {"step_s": 3600.0, "horizon_h": 12.0, "free_response": {"name": "persistence"}, "gate": off, "watch": off}
+    controller = ThermoForceMPC(
+        curve_model(home), MPCConfig.model_validate(options), commands=learned_commands(measured)
+    )
+    wait, write = home.wait_until, home.write
+
+    def killed(until):
+        if kill_at_h is not None and until > START + pd.Timedelta(hours=kill_at_h):
+            wait(START + pd.Timedelta(hours=kill_at_h))
+            home.write = home.wait_until = nothing
+            raise KilledError
+        wait(until)
+
+    def nothing(*_):
+        raise KilledError
+
+    home.wait_until = killed
+    building = LiveBuilding(home, RULES, 3600.0)
+    try:
+        control(building, controller, clock=home, steps=steps, delay_s=0.0, kept=KeptState(folder / "s.npz", "k"))
+    except BaseException as error:
+        if kill_at_h is None or KilledError not in (type(error), type(error.__cause__)):
+            raise
+    finally:
+        home.wait_until, home.write = wait, write
+
+
+@pytest.mark.slow
+def test_what_is_blocked_is_so_for_two_hours_at_most_also_across_restarts(tmp_path, monkeypatch):
+    monkeypatch.setattr("home_by_curve.price", lambda at: 3.0 if 14 <= at.hour < 20 else 0.1)
+    home = HomeByCurve(days=14, contacts=True)
+    for hours in (14.6, 15.7, 17.2):  # in dear hours, when the device is blocked
+        controlled(home, tmp_path, kill_at_h=hours)
+    controlled(home, tmp_path, steps=4)
+    rows = [row for row in home.rows if row["time"] >= START]
+    runs = [(value, list(same)) for value, same in groupby(rows, key=lambda row: row["contact"])]
+    begins = [of[0]["time"] for _, of in runs]
+    held_s = [(end - begin).total_seconds() for begin, end in pairwise(begins)]
+    assert {value for value, _ in runs} <= {1.0, 2.0, 3.0}
+    blocked_s = [seconds for (value, _), seconds in zip(runs[:-1], held_s, strict=True) if value == 1.0]
+    assert blocked_s
+    assert max(blocked_s) <= 7200.0
+    assert min(held_s) >= 600.0

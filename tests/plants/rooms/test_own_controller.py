@@ -1,0 +1,112 @@
+"""A heat pump behind its own controller: hysteresis and minimum times, defrosting, hot water first, SG-Ready."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.plants.rooms import house_of_rooms, physics
+from thermoforce_mpc.plants.rooms.device import (
+    BLOCKED,
+    DEFROST_POWER,
+    MIN_OFF,
+    MIN_ON,
+    RECOMMENDED,
+    STANDBY,
+    TANK_BAND,
+    draw_device,
+)
+from thermoforce_mpc.plants.rooms.house import full_capacity_W
+
+_START = 20 * DAY_S
+
+
+def lived(hot_water: bool = True, contact: int = 2, days: float = 2.0, hours_of_contact: float = 0.0):
+    """Rows of 30 s of a house in January, its device, and the plant; the contact is set in the last hours."""
+    plant = house_of_rooms("house:3rooms:901")
+    plant.device = draw_device(plant.house, hot_water)
+    plant.reset(_START, DAY_S)
+    plant.advance(None, days * DAY_S - hours_of_contact * HOUR_S)
+    if hours_of_contact:
+        plant.contact = contact
+        plant.advance(None, hours_of_contact * HOUR_S)
+    time_s, rows = plant.recorded(_START, _START + days * DAY_S)
+    return time_s, rows, plant
+
+
+@pytest.fixture(scope="module")
+def usual():
+    return lived()
+
+
+def runs_of(rows) -> list[tuple[bool, int]]:
+    on = rows[:, physics.POWER] > 100.0
+    edges = np.flatnonzero(np.diff(on)) + 1
+    return [(bool(part[0]), part.size) for part in np.split(on, edges)]
+
+
+def test_it_keeps_its_minimum_times_and_the_water_near_the_curve(usual):
+    _, rows, plant = usual
+    parts = runs_of(rows)[1:-1]
+    assert sum(on for on, _ in parts) >= 3
+    least = {True: plant.device.parameters[MIN_ON], False: plant.device.parameters[MIN_OFF]}
+    assert all(n * 30.0 >= least[on] - 30.0 for on, n in parts)
+    # Its water swings about what an ideal machine supplies at once.
+    ideal = house_of_rooms("house:3rooms:901")
+    ideal.reset(_START, DAY_S)
+    ideal.advance(None, 2 * DAY_S)
+    _, at_once = ideal.recorded(_START, _START + 2 * DAY_S)
+    assert np.mean(rows[:, physics.SUPPLY]) == pytest.approx(np.mean(at_once[:, physics.SUPPLY]), abs=3.0)
+
+
+def test_the_tank_comes_first_and_stays_in_its_band(usual):
+    _, rows, plant = usual
+    tank = rows[:, physics.TANK]
+    target = plant.device.tank_C
+    assert target - plant.device.parameters[TANK_BAND] - 4.0 < tank.min()
+    assert tank.max() < target + 1.0
+    charging = np.diff(tank) > 0.01
+    assert 0.02 < charging.mean() < 0.2
+    _, without, _ = lived(hot_water=False)
+    assert np.isnan(without[:, physics.TANK]).all()
+    more_kWh = (rows[:, physics.POWER].sum() - without[:, physics.POWER].sum()) * 30.0 / 3.6e6
+    used_kWh = plant.house.people * 1.63 * 2
+    assert 0.2 * used_kWh < more_kWh < 0.9 * used_kWh
+
+
+def test_it_defrosts_in_the_cold(usual):
+    _, rows, plant = usual
+    pump, h = plant.house.heat_pump, physics.network(plant.house).heat_pump
+    most_W = [
+        full_capacity_W(pump.capacity_W, pump.capacity_per_K, h[physics.DESIGN_OUT], T)
+        for T in rows[:, physics.OUTDOOR]
+    ]
+    expected = plant.device.parameters[STANDBY] + pump.fixed_W + DEFROST_POWER * np.array(most_W)
+    defrosts = np.abs(np.roll(expected, 1) - rows[:, physics.POWER]) < 1.0
+    begins = np.flatnonzero(np.diff(defrosts.astype(int)) == 1)
+    assert begins.size >= 2
+    assert defrosts[begins[0] + 1 : begins[0] + 11].all()
+    assert not defrosts[begins[0] + 11]
+    falls = [rows[k + 5, physics.SUPPLY] < rows[k, physics.SUPPLY] for k in begins if k + 5 < len(rows)]
+    assert np.mean(falls) > 0.5
+
+
+def test_contacts_block_it_and_raise_the_curve():
+    _, rows, _ = lived(contact=BLOCKED, hours_of_contact=2.0)
+    assert (rows[-200:, physics.POWER] < 20.0).all()
+    _, raised, plant = lived(contact=RECOMMENDED, hours_of_contact=3.0)
+    _, normal, _ = lived()
+    assert raised[-120:, physics.TANK].max() > plant.device.tank_C + 1.0
+    assert raised[-360:, physics.POWER].mean() > normal[-360:, physics.POWER].mean()
+
+
+def test_the_same_house_has_the_same_device_and_goes_on_where_it_stood():
+    one, other = (draw_device(house_of_rooms("house:3rooms:902").house) for _ in range(2))
+    np.testing.assert_array_equal(one.parameters, other.parameters)
+    np.testing.assert_array_equal(one.draw_W, other.draw_W)
+    _, _, plant = lived(days=1.0)
+    there = plant.snapshot()
+    again = [plant.advance(None, HOUR_S).power_W[0]]
+    plant.restore(there)
+    assert plant.advance(None, HOUR_S).power_W[0] == again[0]
