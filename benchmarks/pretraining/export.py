@@ -61,7 +61,7 @@ class _Chronos2(nn.Module):
     def forward(self, context: Tensor, future_covariates: Tensor) -> Tensor:
         model, settings = self.model, self.model.chronos_config
         n, rows, _ = context.shape
-        patches, measured, loc_scale = model._prepare_patched_context(context.flatten(0, 1))
+        patches, measured, loc_scale = self._patched(context.flatten(0, 1))
         known = self._known_ahead(future_covariates.flatten(0, 1), loc_scale)
         between = model.shared(torch.full((n * rows, 1), model.config.reg_token_id))
         x = torch.cat([model.input_patch_embedding(patches), between, model.input_patch_embedding(known)], dim=1)
@@ -84,6 +84,18 @@ class _Chronos2(nn.Module):
         loc, scale = (of_rows.reshape(n, rows)[:, :1] for of_rows in loc_scale)
         courses = values.transpose(1, 2).flatten(1)
         return cast("Tensor", model.instance_norm.inverse(courses, (loc, scale)).reshape(n, model.num_quantiles, -1))
+
+    def _patched(self, context: Tensor) -> tuple[Tensor, Tensor, Any]:
+        """Patches of series (n, k) with their times and gaps, which of them hold a reading, and their scale."""
+        model, settings = self.model, self.model.chronos_config
+        context = context[:, -settings.context_length :]
+        known = model.patch(torch.isnan(context).logical_not().to(context.dtype)).nan_to_num(nan=0.0)
+        scaled, loc_scale = model.instance_norm(context)
+        values = torch.where(known > 0.0, model.patch(scaled), 0.0)
+        of_patches = known.shape[1] * settings.input_patch_size
+        times = torch.arange(-of_patches, 0, dtype=torch.float32).div(settings.time_encoding_scale)
+        times = times.reshape(1, known.shape[1], -1).expand(context.shape[0], -1, -1)
+        return torch.cat([times, values, known], dim=-1), known.sum(dim=-1) > 0, loc_scale
 
     def _attended(self, layer: Any, x: Tensor, asking: slice, mask: Tensor | None, *, rotated: bool = False) -> Tensor:
         """What tokens `asking` of `x` (sequences, tokens, width) are after they attended to all of their sequence."""

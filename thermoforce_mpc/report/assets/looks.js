@@ -3,7 +3,7 @@
 
 const Looks = (() => {
   // Those that ship have places of their own; others take the places that a page leaves, in their order.
-  const SHIPPED = ["thermoforce_mpc", "native", "thermostat", "pi", "rc_mpc", "thermoforce_paper", "rc_mpc_paper"];
+  const SHIPPED = ["thermoforce_mpc", "native", "thermostat", "pi", "rc_mpc", "thermoforce_paper", "rc_mpc_paper", "dpc"];
   const COLOURS = ["--planned", "--series-1", "--series-2", "--series-3", "--series-4", "--series-5", "--series-0"];
   const DASHES = [undefined, [6, 3], [2, 3], [10, 3, 2, 3], [4, 2, 1, 2], [12, 4]];
   const SHAPES = ["circle", "square", "up", "diamond", "down", "cross", "plus"];
