@@ -83,6 +83,14 @@ def test_a_set_point_is_held_for_its_least_time(home, hold_min):
     assert all(one.end_s - one.start_s >= 60.0 * hold_min for one in settings[1:-1])
 
 
+def test_a_loop_answers_the_room_as_it_is_when_the_plan_begins(home):
+    """What the emitters still hold has warmed the room to 21.1 °C: a set-point of 20 °C brings nothing in the first hour."""
+    plan = planned(home, with_command(minimum=17.0, maximum=20.0))
+    assert home.measurements()["T"].iloc[-1] > 21.0
+    assert plan.u[0, 0] == 0.0
+    assert plan.u[0, 1:].max() > 0.0
+
+
 def test_a_plan_days_after_its_commands_were_learned_holds_none_of_then():
     """Its own control acted since: at noon the people's set-point is held, not that of the night of the start."""
     home = HomeBySetpoint(days=14)
