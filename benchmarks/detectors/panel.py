@@ -305,7 +305,7 @@ FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "blocked hours of a unit": ("air unit", _unit_asleep),
     "hours with less effect": ("generated house", _cold_mornings),
     "foreign load": ("generated house", _other_load),
-    "watch": ("embedded", _changed("weak", meters=False)),
+    "watch": ("embedded", _changed("weak")),
     "watch, actuator stuck": ("embedded", _changed("stuck", level=0.0)),
     "guard": ("embedded", _changed("window")),
     "zone sensor": ("embedded", _changed("offset", offset_K=3.0)),
