@@ -84,7 +84,7 @@ def test_a_set_point_is_held_for_its_least_time(home, hold_min):
 
 
 def test_a_loop_answers_the_room_as_it_is_when_the_plan_begins(home):
-    """What the emitters still hold has warmed the room to 21.1 °C: a set-point of 20 °C brings nothing in the first hour."""
+    """Emitters have warmed the room to 21.1 °C: a set-point of 20 °C brings nothing in the first hour."""
     plan = planned(home, with_command(minimum=17.0, maximum=20.0))
     assert home.measurements()["T"].iloc[-1] > 21.0
     assert plan.u[0, 0] == 0.0
