@@ -11,6 +11,7 @@ import tarfile
 import zipfile
 from importlib.metadata import packages_distributions
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -40,8 +41,10 @@ def sdist(tmp_path_factory) -> Path:
 def wheel(sdist, tmp_path_factory) -> Path:
     """The wheel as pip makes it of an sdist."""
     unpacked = tmp_path_factory.mktemp("unpacked")
+    # `filter` came with Python 3.11.4; Debian 12 has 3.11.2.
+    safely: dict[str, Any] = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
     with tarfile.open(sdist) as content:
-        content.extractall(unpacked, filter="data")
+        content.extractall(unpacked, **safely)
     (source,) = unpacked.iterdir()
     (found,) = build(source, tmp_path_factory.mktemp("wheel"), "wheel")
     return found
