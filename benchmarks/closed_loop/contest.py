@@ -29,6 +29,7 @@ from thermoforce_mpc.experiment.identifying import chosen_of, identification_tas
 from thermoforce_mpc.experiment.windows import scored_period
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.loop.probing import Identifying, probe_until_known
+from thermoforce_mpc.model.free_response.backbones.base import one_thread
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
 from thermoforce_mpc.plants.registry import build_plant
@@ -167,7 +168,6 @@ def trained_ppo(case: Case, window: Period) -> Controller:
     Its reward is what the MPC minimises. It has tried what no building would be given to try.
     """
     import gymnasium
-    import torch
     from stable_baselines3 import PPO
 
     import thermoforce_mpc.gym
@@ -183,13 +183,9 @@ def trained_ppo(case: Case, window: Period) -> Controller:
         **weather,
     )  # fmt: skip
     env = NormalizedActionWrapper(NormalizedObservationWrapper(env))
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # networks this small are slower on several
-    try:
+    with one_thread():  # networks this small are slower on several
         agent = PPO("MlpPolicy", env, seed=1, gamma=0.98, n_steps=168 * 4, batch_size=168, n_epochs=8, device="cpu")
         agent.learn(_PPO_STEPS)
-    finally:
-        torch.set_num_threads(threads)
     with tempfile.TemporaryDirectory() as folder:
         thermoforce_mpc.gym.save(agent, env, Path(folder) / "ppo.zip")
         env.close()

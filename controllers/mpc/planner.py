@@ -21,6 +21,7 @@ from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.sqp import SQPSolver
 from controllers.optimisation.statement.terms import Terms
 from thermoforce_mpc.data import HOUR_S, Layout
+from thermoforce_mpc.model.card import UNTOLD_SD
 from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
 from thermoforce_mpc.model.machine.power import level_costs
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -176,9 +177,6 @@ def free_responses_of(
 
 # Number of cached planners for adapted models; others are rebuilt when needed.
 _KEPT = 4
-# Relative standard deviation up to which plans count on all of an effect between zones: that from which the model card
-# says that the record does not tell it.
-_KNOWN_SD = 0.5
 
 # What each actuator's model differs in from the identified one; None where in nothing.
 _Factors = tuple[tuple[float, float] | None, ...]
@@ -187,14 +185,14 @@ _Factors = tuple[tuple[float, float] | None, ...]
 def known_part(model: ThermalModel, operator: BuildingOperator) -> BuildingOperator:
     """The operator with the part of effects between zones that is known: plans count on no heat that may not come.
 
-    All of an effect whose relative standard deviation is at most `_KNOWN_SD`, or not said; none at twice that.
+    All of an effect whose relative standard deviation is at most `UNTOLD_SD`, or not said; none at twice that.
     """
 
     def known(z: int, a: int, pair: OperatorParameters) -> OperatorParameters:
         sd = model.relative_sd(z, a)
-        if operator.home[a] == z or not sd > _KNOWN_SD:
+        if operator.home[a] == z or not sd > UNTOLD_SD:
             return pair
-        return replace(pair, gains=pair.gains * max(2.0 - sd / _KNOWN_SD, 0.0))
+        return replace(pair, gains=pair.gains * max(2.0 - sd / UNTOLD_SD, 0.0))
 
     return operator.map_pairs(known)
 

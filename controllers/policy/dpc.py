@@ -28,6 +28,7 @@ from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, SolverAnswer, checked, failed
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.model.free_response.backbones.base import one_thread
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR, feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext
@@ -97,15 +98,10 @@ class DPC(ThermoForceMPC):
         operator, solver = self.planning_operator, self.solver
         assert isinstance(solver, PolicySolver)
         problems = self.drawn(config.instances, np.random.default_rng([config.seed, 0]))
-        threads = torch.get_num_threads()
-        torch.set_num_threads(1)  # networks this small are slower on several
-        try:
-            with torch.random.fork_rng():
-                torch.manual_seed(config.seed)
-                policy = Policy(operator, config.hidden)
-                solver.train(policy, problems, config)
-        finally:
-            torch.set_num_threads(threads)
+        with one_thread(), torch.random.fork_rng():  # networks this small are slower on several
+            torch.manual_seed(config.seed)
+            policy = Policy(operator, config.hidden)
+            solver.train(policy, problems, config)
         return policy
 
     def _drawn(self, rng: np.random.Generator) -> MPCProblem:

@@ -226,7 +226,8 @@ class Houses:
         self.shares = tuple(model.power_change(m, record) for m in range(len(model.machines)))
         self._effects = [np.ones_like(self.spread), *(_drawn(rng, self.spread) for _ in range(draws))]
         mean, sd = _LESS_PER_K
-        self._less_per_K = np.outer([mean, *np.maximum(rng.normal(mean, sd, draws), 0.0)], _of_water(model))
+        self._of_water = _of_water(model)
+        self._less_per_K = np.outer([mean, *np.maximum(rng.normal(mean, sd, draws), 0.0)], self._of_water)
         # Standard errors of the change of power; how much of the energy goes by what the rooms ask for, where the
         # record does not tell; and standard errors of what other valves open together cost.
         of_law = np.column_stack([rng.standard_normal(draws), rng.random(draws), rng.standard_normal(draws)])
@@ -267,8 +268,8 @@ class Houses:
         house.reset(period.start_s, 0.0)
         began_Kh = house.warmth_Kh
         result = run_closed_loop(house, self._controller, period, state=state)
-        counted = _counted(model, house, was, conditions, self.shares, self._unknown[k], period, began_Kh)
-        lived = house.lived(period.start_s)
+        lived, price = house.lived(period.start_s), conditions.price_per_kWh[:, first : first + n]
+        counted = self._counted(k, lived, was, price, house.warmth_Kh - began_Kh)
         return Lived(
             lived,
             was,
@@ -279,6 +280,37 @@ class Houses:
             house.state,
             result.state,
         )
+
+    def _counted(
+        self, k: int, record: Record, was: Record, price: Array, warmer_Kh: Array
+    ) -> tuple[float, float, float]:
+        """What house `k` saved under plans, what it cost and its energy; `warmer_Kh` (Z,): of its rooms at the end.
+
+        Heat that is stored then need not be given later: it fades with each mode's time constant, and a kelvin for an
+        hour costs what it did in the record.
+        """
+        hours, layout = record.step_s / HOUR_S, self._model.layout
+        of_law, of_demand, of_valves = self._unknown[k]
+        saved = cost = energy = 0.0
+        for m, share in enumerate(self.shares):
+            fed = [layout.home[a] for a in layout.fed_by(m)]
+            before, after = (one.power_W[m] * hours / 1000.0 for one in (was, record))
+            cost_was, cost_law = float(before @ price[m]), float(after @ price[m])
+            lost_K = [max(float(np.nanmean(one.T_zone_C[fed, 1:] - one.T_out_C[1:])), 0.0) for one in (was, record)]
+            over_K = max(lost_K[0], 1.0)
+            asked_kWh = float(before.sum()) * lost_K[1] / over_K
+            by_demand = of_demand * weight_of_demand(share.spread)
+            factor = 1.0 + by_demand * (asked_kWh / max(float(after.sum()), 1e-9) - 1.0)
+            planned = cost_law * factor
+            planned += (cost_law - cost_was) * share.spread * of_law
+            valves = [a for a in layout.fed_by(m) if self._of_water[a]]
+            planned += cost_law * _VALVES_SD * _other(was.u[valves], record.u[valves]) * of_valves
+            mean_price = cost_was / max(float(before.sum()), 1e-9)
+            an_hour_kWh = float(before.sum()) / max(record.n_steps * hours, 1e-9)
+            stored_kWh = float(warmer_Kh[fed].mean()) * an_hour_kWh / over_K
+            saved += cost_was - planned + stored_kWh * mean_price
+            cost, energy = cost + planned, energy + float(after.sum()) * factor
+        return saved, cost, energy
 
 
 def effect_spreads(model: ThermalModel) -> Array:
@@ -309,60 +341,9 @@ def _drawn(rng: np.random.Generator, spread: Array) -> Array:
     return np.asarray(np.exp(np.clip(spread * rng.standard_normal(spread.shape), -_MOST_LOG, _MOST_LOG)))
 
 
-def _counted(
-    model: ThermalModel,
-    house: IdentifiedHouse,
-    was: Record,
-    conditions: Boundary,
-    shares: Sequence[Share],
-    unknown: Array,
-    period: Period,
-    began_Kh: Array,
-) -> tuple[float, float, float]:
-    """What a house saved under plans, what it cost and its energy; `unknown`: see `Houses`. `began_Kh` (Z,): see
-    `IdentifiedHouse.warmth_Kh`, at the begin.
-    """
-    record = house.lived(period.start_s)
-    first = round((period.start_s - conditions.time_s[0]) / record.step_s)
-    price = conditions.price_per_kWh[:, first : first + record.n_steps]
-    hours, layout = record.step_s / HOUR_S, model.layout
-    saved = cost = energy = 0.0
-    water = _of_water(model)
-    for m, share in enumerate(shares):
-        fed = [layout.home[a] for a in layout.fed_by(m)]
-        before, after = (one.power_W[m] * hours / 1000.0 for one in (was, record))
-        cost_was, cost_law = float(before @ price[m]), float(after @ price[m])
-        lost = [float(np.nanmean(one.T_zone_C[fed, 1:] - one.T_out_C[1:])) for one in (was, record)]
-        asked_kWh = float(before.sum()) * max(lost[1], 0.0) / max(lost[0], 1.0)
-        by_demand = unknown[1] * weight_of_demand(share.spread)
-        factor = 1.0 + by_demand * (asked_kWh / max(float(after.sum()), 1e-9) - 1.0)
-        planned = cost_law * factor
-        planned += (cost_law - cost_was) * share.spread * unknown[0]
-        valves = [a for a in layout.fed_by(m) if water[a]]
-        planned += cost_law * _VALVES_SD * _other(was.u[valves], record.u[valves]) * unknown[2]
-        mean_price = cost_was / max(float(before.sum()), 1e-9)
-        a_day_kWh = float(before.sum()) / max(period.scored_s / DAY_S, 1e-9)
-        stored = _stored_kWh(model, house.warmth_Kh - began_Kh, was, m, a_day_kWh)
-        saved += cost_was - planned + stored * mean_price
-        cost, energy = cost + planned, energy + float(after.sum()) * factor
-    return saved, cost, energy
-
-
 def _other(was: Array, planned: Array) -> float:
     """How far levels (A, n) are others than they were, 0 to 1; 0 of none."""
     return float(min(np.abs(planned - was).sum() / max(was.sum(), 1e-9), 1.0))
-
-
-def _stored_kWh(model: ThermalModel, warmer_Kh: Array, was: Record, m: int, kWh_a_day: float) -> float:
-    """Energy that machine `m` need not give later since rooms are warmer at the end than they were, kWh.
-
-    What levels brought fades with each mode's time constant; a kelvin for an hour costs what it did in the record.
-    """
-    layout = model.layout
-    fed = [layout.home[a] for a in layout.fed_by(m)]
-    over_K = max(float(np.nanmean(was.T_zone_C[fed, 1:] - was.T_out_C[1:])), 1.0)
-    warm_Kh = float(warmer_Kh[fed].mean())
-    return warm_Kh * kWh_a_day / (DAY_S / HOUR_S) / over_K
 
 
 def outside_Kh(record: Record, conditions: Boundary, first: int) -> float:

@@ -27,6 +27,7 @@ from thermoforce_mpc.data import CONDITIONS, J_PER_KWH, Boundary, Period, Record
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
 from thermoforce_mpc.experiment.worth import Houses, Lived, band_of, outside_Kh
 from thermoforce_mpc.files import read_bounded
+from thermoforce_mpc.live.saving import MOST_BYTES, SHADOW
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.records.journal import NAME, making_sense, read_run
@@ -43,7 +44,7 @@ from thermoforce_mpc.whatif.identified_house import HouseState
 from thermoforce_mpc.whatif.saving import LEAST_AFTER
 
 _LOG = logging.getLogger(__name__)
-_FILE, _STATE, _MOST_BYTES = "shadow.json", "shadow.npz", 10_000_000
+_STATE = "shadow.npz"
 # Houses drawn beside the likeliest: each costs a plan a step, and a day is judged while control waits.
 _DRAWS = 4
 # Least share of a day's steps with a decision; without, there is nothing to say what the controller would have done.
@@ -105,12 +106,12 @@ class ShadowBook:
         self.days: list[ShadowDay] = []
         self._today: date | None = None
         self._over: pd.Timestamp | None = None
-        if (folder / _FILE).exists():
+        if (folder / SHADOW).exists():
             try:
-                told = json.loads(read_bounded(folder / _FILE, _MOST_BYTES, InputError))
+                told = json.loads(read_bounded(folder / SHADOW, MOST_BYTES, InputError))
                 self.days = [ShadowDay(**{**day, "saved": tuple(day["saved"])}) for day in told["days"]]
             except (InputError, ValueError, KeyError, TypeError) as error:
-                _LOG.warning("%s: begun anew (%s)", folder / _FILE, error)
+                _LOG.warning("%s: begun anew (%s)", folder / SHADOW, error)
 
     def day_over(self, instant: pd.Timestamp) -> str:
         """What the days so far say, at the second decision of a day, when the journal has the last; else ''.
@@ -122,7 +123,7 @@ class ShadowBook:
             self._today = instant.date()
             if f"{begin:%Y-%m-%d}" not in [known.day for known in self.days]:
                 self.days.append(self._judged(begin))
-                write_json(self._folder / _FILE, {"said": in_words(self.days), "days": [asdict(d) for d in self.days]})
+                write_json(self._folder / SHADOW, {"said": in_words(self.days), "days": [asdict(d) for d in self.days]})
             return in_words(self.days)
         if self._today is not None and instant.date() != self._today:
             self._over = pd.Timestamp(self._today, tz=instant.tz)

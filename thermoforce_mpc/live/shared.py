@@ -15,6 +15,8 @@ from thermoforce_mpc.live.saving import saving_so_far
 from thermoforce_mpc.protocols import Connection
 
 _LOG = logging.getLogger(__name__)
+ACTING = ("control", "probe")
+"""Modes of `tf-mpc control` in which the building is set."""
 
 
 def shared_with(
@@ -29,7 +31,7 @@ def shared_with(
 
     `in_words`: a decision in one line; `folder`: of the run; `mode`: one that sets nothing is not asked for another.
     """
-    acts = mode in ("control", "probe")
+    acts = mode in ACTING
     tell, listen = getattr(connection, "tell", None), getattr(connection, "listen", None)
 
     def show(said: dict[str, Any]) -> None:

@@ -65,10 +65,9 @@ def read_forecast(
     sources = _Sources.of(measured, prices)
     notes = [] if left_out is None else left_out
     rows, name = _rows(file, sources, now, notes)
-    grid_s, back = _grid(rows, name, measured, least_steps)
-    reader = SignalReader(
-        rows, _since(rows, name, measured), grid_s, measured.record.step_s, sources.ours, refuse=now is None
-    )
+    time_s = seconds_since(measured.record.origin, rows.index, name)
+    grid_s, back = _grid(rows, time_s, name, measured, least_steps)
+    reader = SignalReader(rows, time_s, grid_s, measured.record.step_s, sources.ours, refuse=now is None)
     outdoor = reader.sampled("outdoor", sources.ours.outdoor, OUTDOOR)
     solar, _ = sunlight(sources.ours, reader, grid_s, measured.record.origin)
     lower, upper = _bounds(sources, reader, grid_s, measured)
@@ -165,16 +164,14 @@ def _rows(
     return rows, tables[0].name
 
 
-def _since(rows: Timed, name: str, measured: Measurements) -> Array:
-    return seconds_since(measured.record.origin, rows.index, name)
-
-
-def _grid(rows: Timed, name: str, measured: Measurements, least_steps: int) -> tuple[Array, int]:
+def _grid(rows: Timed, time_s: Array, name: str, measured: Measurements, least_steps: int) -> tuple[Array, int]:
     """Instants from a week before the end of the record to that of the forecast, s, and the place of that end.
+
+    `time_s` (n,): of the rows, s.
 
     Raises `DataError` for a forecast that does not go on from there.
     """
-    record, time_s = measured.record, _since(rows, name, measured)
+    record = measured.record
     now_s, step_s = float(record.time_s[-1]), record.step_s
     if time_s[0] > now_s + BRIDGED_GAP_H * HOUR_S or time_s[-1] < now_s + step_s:
         raise DataError(

@@ -117,6 +117,7 @@ def control(
     from thermoforce_mpc.connections.watchdog import Watchdog
     from thermoforce_mpc.files import storage_errors
     from thermoforce_mpc.live.probing import ProbingPlan
+    from thermoforce_mpc.live.shared import ACTING
     from thermoforce_mpc.measurements.map.mapping import load_map
     from thermoforce_mpc.model.thermal_model import load_model
     from thermoforce_mpc.records.run_folder import sole_use
@@ -126,7 +127,7 @@ def control(
     from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 
     chosen: Mapping[str, Any] = parse_overrides(assignments)
-    if probe and mode not in ("control", "probe"):
+    if probe and mode not in ACTING:
         raise ConfigError(f"--probe: is --mode probe, and --mode is {mode}; leave one of them out")
     mode = "probe" if probe else mode
     _check_words(mode, model, chosen, dry_run)
@@ -149,7 +150,7 @@ def control(
         building = held.enter_context(closing(build_connection(connection, settings)))
         held.enter_context(logging_to(out, say))
         sets, watchdog = set_by(building, connection, settings), None
-        if mode in ("control", "probe") and not dry_run:
+        if mode in ACTING and not dry_run:
             watchdog = Watchdog(connection, settings, sets, grace_s, out / "watchdog.jsonl")
             held.enter_context(closing(watchdog))
         common = {"steps": steps, "delay_s": 0.0 if dry_run else delay_s, "sets": sets, "watchdog": watchdog}
@@ -233,9 +234,9 @@ class _Run:
         from controllers.state_classes import controller_key
         from thermoforce_mpc.live import KeptState, People, control
         from thermoforce_mpc.live.shadow import ShadowBook
-        from thermoforce_mpc.live.shared import shared_with
+        from thermoforce_mpc.live.shared import ACTING, shared_with
 
-        acts = mode in ("control", "probe")
+        acts = mode in ACTING
         commands = commands_of(self.building, self.rules, self.options.step_s or thermal.operator.step_s)
         mpc = ThermoForceMPC(thermal, self.options, commands=commands)
         key = controller_key(thermal, mpc.config, {name: learned.command for name, learned in commands.items()})

@@ -10,6 +10,7 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H, Effect, in_steps
+from thermoforce_mpc.model.card import UNTOLD_SD
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -18,8 +19,6 @@ from thermoforce_mpc.model.thermal_model import ThermalModel, ZoneModel
 
 # A neighbour's effect below this after a day at full level, K, is none.
 _LEAST_EFFECT_K = 0.02
-# Relative standard deviation of the effect of a day from which a record does not tell it.
-_UNKNOWN = 0.5
 # Share of the most from which a step is one of those with the most; share of what levels stand for that is all of it,
 # which is 0.89 in the cold week of `house:5rooms`, whose machine is at its limit, and 1.09 in mild weather; and the
 # weather in which a machine that was never at a limit feeds all circuits, °C (of 12 kW, the one of
@@ -65,7 +64,7 @@ def assembled(
             means_K, certainty = effect.step_K, effect.uncertainty(heat_sd[b], of_logarithm=heat_sd[b] > 0.0)
             for key, value in certainty.items():
                 uncertainty[f"{key}[{name}]"] = value if "_sd_" in key else layout.signs[b] * value
-            if certainty["step_response_24h_sd_K"] > _UNKNOWN * means_K[of_day]:
+            if certainty["step_response_24h_sd_K"] > UNTOLD_SD * means_K[of_day]:
                 unknown.append(name)
             if means_K[of_day] >= _LEAST_EFFECT_K:
                 pairs[home][b] = _pair(effect, zones[b].operator, layout.signs[b])
@@ -91,7 +90,7 @@ def assembled(
 def _not_apart(names: Sequence[str], zone: str, together_sd: float) -> str:
     """A note on actuators whose effect on a zone the record does not tell."""
     told = f"the record does not tell what {' and '.join(names)} does to {zone}"
-    if not together_sd < _UNKNOWN:
+    if not together_sd < UNTOLD_SD:
         return told
     return f"{told}: with all others together known to ± {100 * together_sd:.0f} %, apart not"
 

@@ -33,15 +33,8 @@ _LEAST_ROWS = 96
 # load where they hold so much of the energy, come on so many of the days, and mostly at the same hours; and warm no
 # room. House of three rooms with 14 % of hot water: 6 % in bursts, in any two weeks 4 % and more, nothing without it;
 # nothing in 18 clean records of `bench records` (seed 41; 2026-11-28).
-_TIMES_USUAL, _OF_RANGE, _BURST_ENERGY, _BURST_DAYS, _SAME_HOURS, _HOURS, _NO_WARMTH = (
-    3.0,
-    0.15,
-    0.03,
-    0.6,
-    0.75,
-    5,
-    1.0,
-)
+_TIMES_USUAL, _OF_RANGE = 3.0, 0.15
+_BURST_ENERGY, _BURST_DAYS, _SAME_HOURS, _HOURS = 0.03, 0.6, 0.75, 5
 
 
 def level_remarks(record: Record, layout: Layout) -> list[Remark]:

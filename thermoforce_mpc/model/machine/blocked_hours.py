@@ -284,6 +284,8 @@ class HourEffects:
     def dips_K(self, time_s: Array, step_s: float) -> Array:
         """What the hours do to the zone besides, at the end of each step from `time_s` (n,), s, on, (n,), K."""
         out, left, kept = np.zeros(time_s.size), 0.0, math.exp(-step_s / _FORGETS_S)
+        if not self.laws:
+            return out
         for k, start_s in enumerate(time_s.tolist()):
             law = self.laws.get(_hour(start_s))
             left = kept * left + (law.dip_K * step_s / HOUR_S if law else 0.0)

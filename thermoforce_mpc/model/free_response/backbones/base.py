@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -74,8 +74,8 @@ def padded_series(contexts: Sequence[Context], multiple: int = 1) -> NDArray[np.
 
 
 @contextmanager
-def frozen_pass() -> Iterator[None]:
-    """One thread of torch, which makes results bitwise reproducible, and no gradients, where torch is loaded."""
+def one_thread() -> Iterator[None]:
+    """One thread of torch, which makes results bitwise reproducible, where torch is loaded."""
     torch = sys.modules.get("torch")
     if torch is None:
         yield
@@ -83,10 +83,17 @@ def frozen_pass() -> Iterator[None]:
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        with torch.inference_mode():
-            yield
+        yield
     finally:
         torch.set_num_threads(before)
+
+
+@contextmanager
+def frozen_pass() -> Iterator[None]:
+    """As `one_thread`, and no gradients."""
+    torch = sys.modules.get("torch")
+    with one_thread(), nullcontext() if torch is None else torch.inference_mode():
+        yield
 
 
 class ByLength:
