@@ -105,7 +105,8 @@ def outcome(building: str, probing: Path) -> dict[str, float]:
     (model,), (kpis,) = result.models.values(), result.kpis.values()
     found = {"cost": kpis["cost_tot"], "discomfort": kpis["tdis_tot"]}
     for index, card in enumerate(model.cards):
-        numbers = {**card.uncertainty, **card.scores, "competent": float(card.competence.competent)}
+        competent = card.competence is not None and card.competence.competent
+        numbers = {**card.uncertainty, **card.scores, "competent": float(competent)}
         found |= {f"model {index} {name}": float(value) for name, value in numbers.items()}
     levels = result.to_dataframe().filter(regex="^u")
     return found | {f"level {name} {row}": float(v) for name in levels for row, v in enumerate(levels[name])}

@@ -201,7 +201,7 @@ def _of_loss(record: Record, layout: Layout, fed: list[int], heat: Array, where:
 
 
 def _of_outdoors(record: Record, layout: Layout) -> list[Remark]:
-    heats = [a for a, sign in enumerate(layout.signs) if sign > 0 and layout.lowest[a] >= 0.0]
+    heats = [a for a, sign in enumerate(layout.signs) if sign > 0 and layout.u_min[a] >= 0.0]
     if not heats:
         return []
     u, T_zone = record.u[heats].mean(axis=0), record.T_zone_C[:, :-1].mean(axis=0)
