@@ -91,9 +91,9 @@ def live_app(
         else:
             rate.admit(peer)
             own.check(request.headers)
-        guarded = access.token is not None and request.endpoint in ("now", "ask")
-        if guarded and not is_signed(request.cookies.get(_COOKIE, ""), access.token, time.time()):
-            check_authorization(request.headers.get("Authorization"), access.token)
+        token = access.token if request.endpoint in ("now", "ask") else None
+        if token is not None and not is_signed(request.cookies.get(_COOKIE, ""), token, time.time()):
+            check_authorization(request.headers.get("Authorization"), token)
 
     @app.errorhandler(Refusal)
     def refused(error: Refusal) -> Response:
