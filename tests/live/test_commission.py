@@ -182,8 +182,8 @@ def test_without_a_terminal_it_stops_with_what_to_do(tmp_path):
 
 @pytest.mark.slow
 def test_trials_are_kept_shown_and_not_repeated(tmp_path, monkeypatch):
-    monkeypatch.setattr("thermoforce_mpc.live.trial._LEAST_S", 0.3)
-    monkeypatch.setattr("thermoforce_mpc.live.trial._LOOK_S", 0.1)
+    monkeypatch.setattr("thermoforce_mpc.live.trial.LEAST_S", 0.3)
+    monkeypatch.setattr("thermoforce_mpc.live.trial.LOOK_S", 0.1)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     written(tmp_path, table())
     result, said = told(tmp_path, "--yes")
@@ -254,7 +254,10 @@ def by_setpoint():
     [
         (by_setpoint, "its set-point from 19 °C to 22 °C for 30 min"),
         (lambda: (HomeByCurve(5, 3), RULES), "the offset of the heating curve from +2 K to +3 K for 30 min"),
-        (lambda: (HomeByCurve(5, 3, contacts=True), SG_RULES), "SG-Ready from 2 (normal) to 3 (recommended) for 10 min"),
+        (
+            lambda: (HomeByCurve(5, 3, contacts=True), SG_RULES),
+            "SG-Ready from 2 (normal) to 3 (recommended) for 10 min",
+        ),
     ],
 )
 def test_a_command_is_moved_answered_and_put_back(made, words, tmp_path, monkeypatch):
@@ -355,7 +358,7 @@ _TRIES = """
 import sys
 sys.argv = ["tf-mpc", "commission", "connection.yaml", "--yes", "--out", "out", "--watchdog", "1"]
 import thermoforce_mpc.live.trial as trial
-trial._LEAST_S, trial._BEYOND_S = float({seconds}), 0.5
+trial.LEAST_S, trial.BEYOND_S = float({seconds}), 0.5
 from thermoforce_mpc.cli import main
 main()
 """
@@ -379,7 +382,7 @@ def test_killed_in_a_trial_the_command_is_given_back_and_the_next_start_says_so(
     assert bool(under_way) == (sent is signal.SIGKILL)
     if under_way:
         levels.unlink()
-        result, said = told(tmp_path)
+        result, _ = told(tmp_path)
         assert "was not ended: given back to its own control" in result.output
         assert json.loads(levels.read_text())["levels"] == {"living": None}
         assert json.loads((tmp_path / "out" / "commission.json").read_text())["under_way"] == {}

@@ -23,7 +23,6 @@ from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.files import read_bounded, write_whole
 from thermoforce_mpc.identification.probing.operation import findings, telling_part
 from thermoforce_mpc.live.building import LiveBuilding
-from thermoforce_mpc.live.saving import MOST_BYTES, SHADOW
 from thermoforce_mpc.live.trial import Answered, TrialOutcome, TrialPlan
 from thermoforce_mpc.measurements.checks import command_remarks, remarks
 from thermoforce_mpc.measurements.load import Measurements, learned_commands, read_measurements
@@ -31,6 +30,7 @@ from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.points import LivePoint, read_points
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.records.run_folder import plain_json
+from thermoforce_mpc.records.saving import MOST_BYTES, SHADOW
 
 _LOG = logging.getLogger(__name__)
 _FORMAT = 1

@@ -34,11 +34,11 @@ _AWAY = {"setpoint": (1.0, -1.0, 2.0, -2.0), "curve_offset": (1.0, -1.0), "flow_
 # A set-point is moved across the temperature of its room by so much, K, where that is no farther away.
 _CLEARLY_K, _NEAR_K = 0.5, 4.0
 # Shortest trial, s, and that of a level, for which most machines have a least time on or off.
-_LEAST_S, _LEVEL_S = 300.0, 900.0
+LEAST_S, _LEVEL_S = 300.0, 900.0
 # Beyond the trial's end a command holds for so long, s: what puts it back takes its time.
-_BEYOND_S = 120.0
+BEYOND_S = 120.0
 # The points are read again so often in a trial, and at least so far apart, s.
-_LOOKS, _LOOK_S = 12, 5.0
+_LOOKS, LOOK_S = 12, 5.0
 # Attempts to put a command back, and between two, s (as those of `live.control`).
 _RELEASES, _PAUSE_S = 5, 2.0
 # What counts as an answer: of level and flow and room at once, of power as a share of the larger and W.
@@ -172,7 +172,7 @@ def _planned(
         found = _tried_value(command, before, T_C, [bounds for _, bounds in rooms], is_warm)
         if found is None:
             return replace(plan, refused=f"no other value near {command.in_words(before)} is allowed by the map")
-        value, least_s, most_s = found, max(60.0 * command.hold_min, _LEAST_S), command.longest_s(found)
+        value, least_s, most_s = found, max(60.0 * command.hold_min, LEAST_S), command.longest_s(found)
     seconds = min(max(least_s, hold_s or 0.0), most_s)
 
     def say(value: float) -> str:
@@ -303,7 +303,7 @@ class _Trial:
 
     def _set(self) -> str:
         """Set the command; why it was not taken, '' where it was."""
-        plan, seconds = self._plan, self._plan.seconds + _BEYOND_S
+        plan, seconds = self._plan, self._plan.seconds + BEYOND_S
         ours = {plan.key: (plan.value, plan.near)}
         if self._watchdog is not None:
             self._watchdog.about_to_set([plan.key], seconds, ours)
@@ -318,7 +318,7 @@ class _Trial:
     def _watched(self, begin: pd.Timestamp) -> Sequence[LivePoint]:
         """The points at the end of the trial; notes when the column of the command showed what was set."""
         plan, until = self._plan, begin + pd.Timedelta(seconds=self._plan.seconds)
-        look = pd.Timedelta(seconds=max(plan.seconds / _LOOKS, _LOOK_S))
+        look = pd.Timedelta(seconds=max(plan.seconds / _LOOKS, LOOK_S))
         points: Sequence[LivePoint] = ()
         while (now := self._clock.now()) < until:
             self._clock.wait_until(min(now + look, until))
