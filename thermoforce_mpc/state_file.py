@@ -128,7 +128,7 @@ def _declared(kind: type[Any]) -> dict[str, Any]:
 
 
 def _fits(value: Any, declared: Any) -> bool:
-    """Whether a value is of a declared type: a class, a union, a tuple, list or mapping of such; all else may be any."""
+    """Whether a value is of a declared type: a class, a union, a tuple, list or mapping of these; else any."""
     of, inside = typing.get_origin(declared), typing.get_args(declared)
     if of in (typing.Union, types.UnionType):
         return any(_fits(value, one) for one in inside)

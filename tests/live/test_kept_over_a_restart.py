@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from simple_house import simple_model
 from simulated_building import RULES, START, SimulatedBuilding, mpc
 
 from thermoforce_mpc.data import Block
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.live import KeptState, LiveBuilding, People, control
+from thermoforce_mpc.live.shadow import ShadowBook
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 
 HOUR = pd.Timedelta("1h")
@@ -77,7 +79,7 @@ CONTACT = {"kind": "sg_ready", "column": "set", "usual": 2}
 
 def test_what_somebody_set_while_a_killed_controller_was_away_is_left_alone(tmp_path):
     house = Thermostat()
-    controlled(house, tmp_path, 21.0, SETPOINT, steps=9, kill_at_h=2.6)
+    controlled(house, tmp_path, 21.0, SETPOINT, steps=9, kill_at_h=1.6)
     assert house.held == 21.0
     house.held, before = 24.0, len(house.written)
     told = controlled(house, tmp_path, 21.0, SETPOINT, steps=3)
@@ -90,7 +92,7 @@ def test_what_somebody_set_while_a_killed_controller_was_away_is_left_alone(tmp_
 def test_what_is_held_yet_when_it_is_started_again_is_nobody_at_the_wall(tmp_path, later_h):
     """Also where the device went back by itself, once the time was over for which it was set."""
     house = Thermostat()
-    controlled(house, tmp_path, 21.0, SETPOINT, steps=9, kill_at_h=2.6)
+    controlled(house, tmp_path, 21.0, SETPOINT, steps=9, kill_at_h=1.6)
     house.held = 21.0 if later_h == 0.0 else None
     house.wait_until(house.at + later_h * HOUR)
     told = controlled(house, tmp_path, 21.0, SETPOINT, steps=2)
@@ -125,38 +127,40 @@ def kept_with(path: Path, **changes):
     path.write_bytes(content.getvalue())
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"failures": None},
-        {"peak_W": "high"},
-        {"last_s": 1e12},
-        {"sensors": {"tuple": []}},
-        {"watch": {"tuple": [None]}},
-        {"margins": None},
-        {"kept_instant": "yesterday"},
-        {"kept_instant": "2025-01-12T01:00:00"},
-        {"kept_origin": ""},
-        {"kept_applied": {"tuple": [None]}},
-        {
-            "kept_commands": {
-                "tuple": [{"is": "SetCommand", "of": {"name": "a", "value": 1.0, "since": "", "until": ""}}]
-            }
-        },
-    ],
-)
-def test_a_state_that_makes_no_sense_keeps_no_building_from_being_controlled(tmp_path, changes, caplog):
-    house = Thermostat()
-    controlled(house, tmp_path, 21.0, SETPOINT, steps=2)
-    kept_with(tmp_path / "state.npz", **changes)
-    told = controlled(house, tmp_path, 21.0, SETPOINT, steps=2)
-    assert [one.plan.status for one in told] == ["solved"] * 2
-    assert "begun anew" in caplog.text
+WRONG = [
+    {"failures": None},
+    {"peak_W": "high"},
+    {"sensors": {"tuple": [None]}},
+    {"watch": {"tuple": [None]}},
+    {"margins": None},
+    {"kept_instant": "yesterday"},
+    {"kept_instant": "2025-01-12T01:00:00"},
+    {"kept_origin": ""},
+    {"kept_applied": {"tuple": [None]}},
+    {"kept_commands": {"tuple": [{"is": "SetCommand", "of": dict.fromkeys(("name", "value", "since", "until"), "")}]}},
+]
+
+
+def test_a_state_that_makes_no_sense_keeps_no_building_from_being_controlled(tmp_path, caplog):
+    """It is not taken up; and where what is wrong shows in the first decision alone, that is made once more without."""
+    house, path = Thermostat(), tmp_path / "state.npz"
+    controlled(house, tmp_path, 21.0, SETPOINT)
+    written = path.read_bytes()
+    for changes in WRONG:
+        path.write_bytes(written)
+        kept_with(path, **changes)
+        assert KeptState(path, "k").load(house.at) is None, changes
+    path.write_bytes(written)
+    kept_with(path, last_s=1e12)
+    assert KeptState(path, "k").load(house.at) is not None
+    told = controlled(house, tmp_path, 21.0, SETPOINT)
+    assert [one.plan.status for one in told] == ["solved"]
+    assert "no decision with the state that was kept" in caplog.text
 
 
 def test_readings_that_are_missing_at_the_start_are_no_fault_of_what_was_kept(tmp_path):
     house = Thermostat()
-    controlled(house, tmp_path, 21.0, SETPOINT, steps=2)
+    controlled(house, tmp_path, 21.0, SETPOINT)
 
     def down(what, now):
         raise OSError("gateway is down")
@@ -164,3 +168,30 @@ def test_readings_that_are_missing_at_the_start_are_no_fault_of_what_was_kept(tm
     house.failing = down
     with pytest.raises(PlantError, match="gateway is down"):
         controlled(house, tmp_path, 21.0, SETPOINT)
+
+
+SHADOW_DAY = {
+    "day": "2025-01-11", "energy_was_kWh": 9.0, "energy_kWh": 8.0, "cost_was": 2.0, "cost": 1.8, "saved": [0.2] * 5,
+    "outside_was_Kh": 0.0, "outside_Kh": 0.1, "warmer_K": 0.0, "planned": 1.0, "goes_on": False,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"cost": float("nan")},
+        {"cost_was": "2"},
+        {"saved": []},
+        {"saved": [0.2, None]},
+        {"day": "yesterday"},
+        {"day": 3},
+    ],
+)
+def test_an_account_of_a_shadow_that_makes_no_sense_is_begun_anew(tmp_path, change, caplog):
+    """Else every day that comes could not be added up with it."""
+    days = [SHADOW_DAY, SHADOW_DAY | {"day": "2025-01-12"} | change]
+    (tmp_path / "shadow.json").write_text(json.dumps({"said": "", "days": days[:1]}))
+    assert len(ShadowBook(tmp_path, simple_model(), mpc()).days) == 1
+    (tmp_path / "shadow.json").write_text(json.dumps({"said": "", "days": days}))
+    assert ShadowBook(tmp_path, simple_model(), mpc()).days == []
+    assert f"{tmp_path}/shadow.json: begun anew" in caplog.text
