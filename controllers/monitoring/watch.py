@@ -447,7 +447,7 @@ class Watch:
         actuators too: how warm its water is goes by them, and so the heat of a level; `machine_factor` counts twice.
         """
         self.config, self._model, self._power = config, model, power
-        self._signed, self._shared = model.operator.heat_input.lowest < 0.0, shared
+        self._signed, self._shared = model.operator.heat_input.u_min < 0.0, shared
         self._machine_factor = config.machine_factor ** (2 if shared else 1)
         self.step_s = model.operator.step_s
         leads = [max(1, round(lead * HOUR_S / self.step_s)) for lead in LEADS_H]
@@ -579,7 +579,7 @@ class Watch:
         u, T_zone = levels[start : start + n], float(history.T_zone_C[0, start + n])
         if not (np.isfinite(u).all() and math.isfinite(T_zone)):
             return None
-        runs = np.stack([np.clip(u, self._model.operator.heat_input.lowest, 1.0), np.zeros(n)])
+        runs = np.stack([np.clip(u, self._model.operator.heat_input.u_min, 1.0), np.zeros(n)])
         forced, idle = forced_rollout(item.operator, item.forced_K, runs, item.features[:n])[:, -1].sum(axis=-1)
         error = T_zone - item.median_C[lead] - float(forced)
         band = float(item.above_K[lead] if error > 0 else item.below_K[lead])
