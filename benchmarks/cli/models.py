@@ -316,9 +316,7 @@ def backbones_command(
 
 
 @click.command("forecasters")
-@click.option(
-    "--models", help="Comma-separated, as tf-mpc free-responses lists them.  [default: those installed]"
-)
+@click.option("--models", help="Comma-separated, as tf-mpc free-responses lists them.  [default: those installed]")
 @JSON
 def forecasters_command(models: str | None, json_file: Path | None) -> None:
     """What each foundation model does with constant, gapped, moved or mirrored series; its time and memory.
