@@ -23,7 +23,8 @@ machines = pd.read_csv(folder / "hplib_database.csv")
 air = machines[machines["Type"] == "Outdoor Air/Water"]
 power, heat = (air.groupby("Subtype")[f"MAPE_P_{of}"].median() for of in ("el", "th"))
 missed = air.groupby("Subtype")["MAPE_P_el"].apply(lambda errors: (errors > 10.0).mean())
-print(pd.DataFrame({"median error of power, %": power, "of heat, %": heat, "share with more than 10 % of power": missed}).round(2))
+table = {"power, %": power, "heat, %": heat, "power missed by more than 10 %": missed}
+print(pd.DataFrame(table).round(2).to_string())
 assert power["On-Off"] < 5.0 < 10.0 < power["Regulated"]
 assert heat["On-Off"] < 10.0 < heat["Regulated"]
 assert missed["On-Off"] < 0.1 < 0.6 < missed["Regulated"]
