@@ -157,8 +157,6 @@ def verdicts_command(
 @click.option(
     "--seed", type=click.IntRange(0), default=7, show_default=True, help="Seed of houses, start days and set-points."
 )
-    "--seed", type=click.IntRange(0), default=7, show_default=True, help="Seed of houses, start days and set-points."
-)
 @execution_options()
 @QUICK
 @JSON
