@@ -417,6 +417,9 @@ _USUAL_DAYS, _KEPT_H = 7, 72.0
 # room, and a heating curve of 25 K over 20 K.
 _PER_K = {"T_zone_C": 0.04, "T_out_C": 0.05}
 _MOST_UNKNOWN = 0.6
+# How fast what a prediction missed may leave a zone again, s, as air and furniture do (chosen like `_FORGETS_S` of
+# `blocked_hours`).
+_FORGOTTEN_S = 3 * HOUR_S
 # What full level does in so many hours, on a model's card.
 _STEP_RESPONSE = re.compile(r"step_response_(\d{1,4})h_K")
 # Hourly comparisons of meters before a change can be seen.
@@ -590,7 +593,9 @@ class Watch:
         effect = float(forced - idle)
         unknown = self._beyond_identified(history.slice(start, start + n))
         gain = _NORMAL_90 * math.hypot(self._gain_sd[lead], unknown) * effect
-        promise = math.hypot(min(band, self.config.widest * usual), gain, self._least_K[lead])
+        promise = math.hypot(
+            min(band, self.config.widest * usual), gain, self._least_K[lead], _rebound_K(track, item.time_s, error)
+        )
         return Judged(float(history.time_s[start + n]), lead, error, promise, effect)
 
     def _beyond_identified(self, record: Record) -> float:
@@ -806,6 +811,13 @@ def e_value(z: float) -> float:
     t = _T2_90 * z
     p = 0.5 - 0.5 * t / math.sqrt(2.0 + t * t)
     return 0.5 / math.sqrt(max(p, _LEAST_P))
+
+
+def _rebound_K(track: Track, issued_s: float, error_K: float) -> float:
+    """What of the errors an hour ahead before a prediction an error to the other side may give back, K."""
+    rows = Judged.of(track.judged[(track.judged[:, 1] == 0) & (track.judged[:, 0] <= issued_s + 1.0)])
+    opposite_K = np.maximum(-math.copysign(1.0, error_K) * rows.error_K, 0.0)
+    return float(np.max(opposite_K * np.exp((rows.time_s - issued_s) / _FORGOTTEN_S), initial=0.0))
 
 
 def _without_force(state: PredictorState | None) -> PredictorState:

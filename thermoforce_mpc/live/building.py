@@ -31,7 +31,6 @@ from thermoforce_mpc.experiment.run_models import origin
 from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.identification.probing.excitation import RoomsState
 from thermoforce_mpc.identification.probing.probe import LevelsState, ProbingState
-from thermoforce_mpc.live.people import People
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import Measurements, learned_commands, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
@@ -39,6 +38,7 @@ from thermoforce_mpc.model.saved import JSON_NAME
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.protocols import Connection
 from thermoforce_mpc.records.live_journal import RealRun
+from thermoforce_mpc.records.people import People
 from thermoforce_mpc.records.run_folder import plain_json
 from thermoforce_mpc.scenario.scenario import ControllerSpec, Scenario
 from thermoforce_mpc.state_file import StateFormat
@@ -64,7 +64,7 @@ class Applied:
 
 
 @dataclass(frozen=True)
-class Told:
+class LastTold:
     """A command that an actuator was told, to hold `until` a time, ISO 8601.
 
     `before`: what was set before (NaN: unknown); `seen`: it was read since.
@@ -94,7 +94,7 @@ class LiveBuilding:
     ) -> None:
         """`prices`: a file of them, read anew in each step, in the place of those of the map; `people`: who ask."""
         self._prices, self._people = prices, people
-        self._told: dict[str, Told] = {}
+        self._told: dict[str, LastTold] = {}
         self.connection, self._rules, self._step_s = connection, rules, step_s
         if (reads := getattr(connection, "reads", None)) is not None:
             reads([column for _, signal in rules.signals() for column in signal.columns])
@@ -264,11 +264,11 @@ class LiveBuilding:
         return of if kind == "machines" else name
 
     @property
-    def told(self) -> tuple[Told, ...]:
+    def told(self) -> tuple[LastTold, ...]:
         """What commands were told last and may be held yet: what differs from it somebody set by hand."""
         return tuple(self._told.values())
 
-    def remember(self, told: Sequence[Told]) -> None:
+    def remember(self, told: Sequence[LastTold]) -> None:
         """Go on from what an earlier controller of the building was `told`."""
         self._told = {one.name: one for one in told if one.name in self.names and self.command_of(one.name)}
 
@@ -278,7 +278,7 @@ class LiveBuilding:
             if value is None or self.command_of(name) is None:
                 self._told.pop(name, None)
             elif (told := self._told.get(name)) is None or told.value != value:
-                self._told[name] = Told(name, value, self._commanded(name), until)
+                self._told[name] = LastTold(name, value, self._commanded(name), until)
             else:
                 self._told[name] = replace(told, until=until)
 
@@ -433,7 +433,7 @@ class Kept:
     applied: tuple[Applied, ...]
     of: str = ""
     commands: tuple[SetCommand, ...] = ()
-    told: tuple[Told, ...] = ()
+    told: tuple[LastTold, ...] = ()
 
     def __post_init__(self) -> None:
         """Raise `ValueError` for a time that is none, or a number that is not finite."""
@@ -442,7 +442,8 @@ class Kept:
             if pd.Timestamp(at).tzinfo is None:
                 raise ValueError(f"{at!r} is no time with a zone")
         levels = [u for one in self.applied for u in (one.start_s, one.duration_s, *one.u) if u is not None]
-        if not all(map(math.isfinite, [*levels, *(one.value for one in (*self.commands, *self.told))])):
+        values = [one.value for one in self.commands] + [one.value for one in self.told]
+        if not all(map(math.isfinite, [*levels, *values])):
             raise ValueError("what was set is not finite")
 
     def state_at(self, instant: pd.Timestamp) -> object:
@@ -450,7 +451,7 @@ class Kept:
         return self.before if instant == pd.Timestamp(self.instant) else self.after
 
 
-_FORMAT = StateFormat((*STATE_CLASSES, ProbingState, LevelsState, RoomsState, Kept, Applied, SetCommand, Told))
+_FORMAT = StateFormat((*STATE_CLASSES, ProbingState, LevelsState, RoomsState, Kept, Applied, SetCommand, LastTold))
 
 
 class KeptState:
