@@ -239,6 +239,32 @@ def commands_command(seed: int, houses: int, days: int, engine: Opening, quick: 
     show(found, json_file)
 
 
+@click.command("mqtt")
+@click.option("--seed", type=click.IntRange(0), default=100, show_default=True, help="Seed of the house.")
+@click.option("--days", type=click.IntRange(2, 21), default=14, show_default=True, help="Days, one of them in shadow.")
+@click.option(
+    "--by", "kinds", multiple=True, type=click.Choice(["set-points", "curve offset", "SG-Ready"]),
+    help="How the house is set; repeatable.  [default: all three]",
+)  # fmt: skip
+@JSON
+def mqtt_command(seed: int, days: int, kinds: tuple[str, ...], json_file: Path | None) -> None:
+    """Put houses behind a real MQTT broker (mosquitto, on loopback), at speed, and let things fail around them.
+
+    A house behind its heat pump's own controller is commissioned, shadowed for a day and controlled: in process, behind
+    the broker, and behind it while the broker is restarted, the network cut for an hour, readings unavailable for an
+    hour, the record torn, the clock stepped by a minute and the controller killed. Costs and discomfort are compared,
+    and what the device was told is judged: nothing out of range, twice, late or kept by the broker at the end.
+
+    \b
+    Example:
+      tf-mpc bench mqtt --days 14 --by SG-Ready
+    """
+    from benchmarks.chaos.over_mqtt import run_over_mqtt
+
+    named = {"kinds": kinds} if kinds else {}
+    show(run_over_mqtt(seed=seed, days=days, progress=say, **named), json_file)
+
+
 @click.command("contest")
 @click.argument("contest", type=click.Choice(["feedback", "modulation", "policies"]))
 @click.option("--houses", type=click.IntRange(0), default=30, show_default=True, help="Number of generated houses.")

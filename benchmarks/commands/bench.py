@@ -276,11 +276,15 @@ def _days(
 
 
 def priced(ahead: Boundary) -> Boundary:
-    """A forecast with a day-ahead price of two peaks, 0.12 to 0.36 per kWh."""
-    hour = ahead.time_s / HOUR_S % 24.0
+    """A forecast with the prices of `price_per_kWh`."""
+    return ahead.at_prices(np.atleast_2d(price_per_kWh(ahead.time_s)))
+
+
+def price_per_kWh(time_s: Array) -> Array:
+    """A day-ahead price of two peaks, 0.12 to 0.36 per kWh."""
+    hour = time_s / HOUR_S % 24.0
     peaks = 0.14 * np.exp(-(((hour - 8.0) / 2.0) ** 2)) + 0.18 * np.exp(-(((hour - 18.5) / 2.2) ** 2))
-    price = 0.18 + peaks - 0.06 * np.exp(-(((hour - 13.0) / 2.0) ** 2))
-    return ahead.at_prices(np.atleast_2d(price))
+    return np.asarray(0.18 + peaks - 0.06 * np.exp(-(((hour - 13.0) / 2.0) ** 2)))
 
 
 def targets(rows: list[Row]) -> list[Target]:

@@ -9,9 +9,9 @@ import time
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from mosquitto import Broker, Listener, missing, wire
 from waiting import wait_for
 
+from benchmarks.chaos.mosquitto import Broker, Listener, missing, wire
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.connections.discovery import device_message
 from thermoforce_mpc.connections.registry import build_connection

@@ -21,9 +21,9 @@ from connected_home import (
     same_as,
 )
 from home_by_setpoint import own_setpoint_C
-from mosquitto import Broker, Listener, missing, wire
 from waiting import wait_for
 
+from benchmarks.chaos.mosquitto import Broker, Listener, missing, wire
 from thermoforce_mpc.connections.registry import build_connection
 from thermoforce_mpc.errors import PlantError
 

@@ -26,9 +26,9 @@ import requests  # noqa: E402
 import websockets.sync.client as client  # noqa: E402
 from core import VERSION, running_core  # noqa: E402
 from home_assistant_cases import CASES, HALL, live_act  # noqa: E402
-from mosquitto import PASSWORD, USER, Broker  # noqa: E402
 from recorded_core import Recorder  # noqa: E402
 
+from benchmarks.chaos.mosquitto import PASSWORD, USER, Broker  # noqa: E402
 from thermoforce_mpc.connections.registry import build_connection  # noqa: E402
 from thermoforce_mpc.errors import PlantError  # noqa: E402
 

@@ -7,8 +7,10 @@ import socket
 import subprocess
 import threading
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 USER, PASSWORD = "house", "not-a-secret"
 
@@ -24,7 +26,8 @@ class Broker:
     """A broker that keeps nothing but its retained messages; `stop`, `start` again on the same ports."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self._process = folder, None
+        self.folder = folder
+        self._process: subprocess.Popen[bytes] | None = None
         self.port, self.tls_port = _free_port(), _free_port()
         _certificates(folder)
         passwords = folder / "passwords"
@@ -43,7 +46,8 @@ class Broker:
         )
 
     def start(self) -> None:
-        mosquitto = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin")
+        """Start it, on the same ports as before."""
+        mosquitto = str(shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin"))
         self._process = subprocess.Popen(
             [mosquitto, "-c", str(self.folder / "mosquitto.conf")], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
@@ -54,16 +58,17 @@ class Broker:
         raise RuntimeError("mosquitto did not start")
 
     def stop(self) -> None:
+        """End it; what it keeps stays kept."""
         if self._process is not None:
             self._process.terminate()
             self._process.wait(10)
             self._process = None
 
-    def options(self, **more) -> dict:
+    def options(self, **more: Any) -> dict[str, Any]:
         """Options of a connection to it."""
         return {"host": "127.0.0.1", "port": self.port, "user": USER, "password_file": str(self.password_file), **more}
 
-    def client(self, **callbacks):
+    def client(self, **callbacks: Any) -> Any:
         """A connected client of somebody else."""
         import paho.mqtt.client as paho
 
@@ -88,32 +93,36 @@ class Listener:
         self._client = broker.client(on_message=self._on_message)
         self._client.subscribe(topics, 1)
 
-    def _on_message(self, client, userdata, message) -> None:
+    def _on_message(self, client: Any, userdata: Any, message: Any) -> None:
         self.heard.append((message.topic, message.payload.decode(), bool(message.retain)))
 
     def texts(self, topic: str) -> list[str]:
+        """What came on a topic."""
         return [text for where, text, _ in self.heard if where == topic]
 
     def wait(self, topic: str, count: int = 1, seconds: float = 10.0) -> list[str]:
+        """`texts`, when there are so many, or after so long."""
         until = time.monotonic() + seconds
         while len(self.texts(topic)) < count and time.monotonic() < until:
             time.sleep(0.01)
         return self.texts(topic)
 
     def close(self) -> None:
+        """End the connection."""
         self._client.disconnect()
         self._client.loop_stop()
 
 
 @contextmanager
-def wire(port: int):
+def wire(port: int) -> Iterator[tuple[int, threading.Event, Callable[[], None]]]:
     """A port that leads to `port` until `.set()`: then nothing passes, and nothing says so, as in a cut network.
 
     Its third value ends what is open, as when a process is killed.
     """
-    server, cut, open_ones = socket.create_server(("127.0.0.1", 0)), threading.Event(), []
+    server, cut = socket.create_server(("127.0.0.1", 0)), threading.Event()
+    open_ones: list[socket.socket] = []
 
-    def pump(source, target):
+    def pump(source: socket.socket, target: socket.socket) -> None:
         with suppress(OSError):
             while data := source.recv(65536):
                 while cut.is_set():
@@ -123,7 +132,7 @@ def wire(port: int):
             with suppress(OSError):
                 one.close()
 
-    def accept():
+    def accept() -> None:
         with suppress(OSError):
             while True:
                 here, _ = server.accept()
@@ -136,7 +145,7 @@ def wire(port: int):
                 for pair in ((here, there), (there, here)):
                     threading.Thread(target=pump, args=pair, daemon=True).start()
 
-    def snap():
+    def snap() -> None:
         for one in open_ones:
             with suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)
@@ -169,4 +178,4 @@ def _certificates(folder: Path) -> None:
 def _free_port() -> int:
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
+        return int(one.getsockname()[1])

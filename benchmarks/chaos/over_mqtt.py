@@ -1,0 +1,564 @@
+"""Houses behind a real MQTT broker for days, at speed: commissioned, shadowed, controlled, with what fails around them.
+
+A drawn house whose heat pump stands behind its own controller (`benchmarks.commands`) is a device on a mosquitto of its
+own: it publishes its readings, takes its command (set-points, curve offset, SG-Ready) with the time until which that
+holds, says what it took, and is left to itself after. The same days are lived three times from the same instant: in
+process, behind the broker, and behind the broker while things fail. Time is the house's; the broker's is the machine's.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from benchmarks.chaos.mosquitto import Broker, Listener, missing, wire
+from benchmarks.commands.bench import KINDS, ROOMS, Home, price_per_kWh
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
+from thermoforce_mpc.comparison.outcome import Target, results_json
+from thermoforce_mpc.connections import mqtt
+from thermoforce_mpc.connections.registry import build_connection
+from thermoforce_mpc.data import HOUR_S, J_PER_KWH
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.live import Decision, KeptState, LiveBuilding, control
+from thermoforce_mpc.live.commissioning import read_house
+from thermoforce_mpc.live.trial import planned_trials, tried
+from thermoforce_mpc.measurements.load import learned_commands, read_measurements
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.measurements.points import read_points
+from thermoforce_mpc.model.thermal_model import ThermalModel
+
+Row = dict[str, Any]
+
+_ORIGIN = pd.Timestamp("2026-01-01", tz="UTC")
+_ROW_S, _STEP_S = 900.0, HOUR_S
+_HORIZON_H, _SHADOW_H = 24.0, 24
+# The client's patience at speed, s: of the house's time an hour passes in less.
+_PATIENCE_S, _TAKEN_S, _RECORDED_S = 1.0, 5.0, 3.0
+# Hours of control at which what fails, as a share of all of it: an hour each.
+_FAULTS = {
+    "broker restarted": 0.12, "network cut": 0.25, "unavailable": 0.4, "torn": 0.52, "clock stepped back": 0.64,
+    "killed": 0.78,
+}  # fmt: skip
+# Costs within, and K·h outside the bounds in all rooms within.
+_DEARER, _MORE_KH = 0.02, 0.2
+_COMMANDS: Mapping[str, Mapping[str, Any]] = {
+    "set-points": {"kind": "setpoint", "resolution": 0.5, "minimum": 16, "maximum": 26},
+    "curve offset": {"kind": "curve_offset", "usual": 0},
+    "SG-Ready": {"kind": "sg_ready", "usual": 2},
+}
+
+
+class Killed(BaseException):
+    """Nothing after it runs, as after SIGKILL."""
+
+
+class EmulatedHouse:
+    """A house as `Connection` and `Clock`: a row a quarter of an hour; what was set holds until its time is over."""
+
+    def __init__(self, seed: int, kind: str) -> None:
+        self.kind, self.home = kind, Home(seed, kind)
+        self.zones = self.home.plant.zones
+        self.keys = self.home.plant.actuators if kind == "set-points" else ("heat_pump",)
+        lived = self.home.live(seed)
+        self._now_s = self._begin_s = float(self.home.plant.forecast(_STEP_S, _STEP_S).time_s[0])
+        self.rows = self._last_rows(np.repeat(lived, round(HOUR_S / _ROW_S), axis=1))
+        self.written: list[tuple[pd.Timestamp, str, float | None]] = []
+        self.on_row: Callable[[Row], None] = _ignored
+        self.events: dict[float, Callable[[], None]] = {}
+        self.is_dead = False
+        self._told: dict[str, float] = {}
+        self._ends_s, self.behind_s = math.inf, 0.0
+
+    @property
+    def hour(self) -> float:
+        """Hours since it was handed over."""
+        return (self._now_s - self._begin_s) / HOUR_S
+
+    @property
+    def true_now(self) -> pd.Timestamp:
+        """The house's time, whatever the controller's clock says."""
+        return _ORIGIN + pd.Timedelta(seconds=self._now_s)
+
+    @property
+    def told(self) -> Mapping[str, float]:
+        """What is set now; what is missing is the house's own."""
+        return dict(self._told)
+
+    def now(self) -> pd.Timestamp:
+        """See `Clock.now`."""
+        return self.true_now - pd.Timedelta(seconds=self.behind_s)
+
+    def step_clock_back(self) -> None:
+        """The controller's clock is a minute behind from now on."""
+        self.behind_s = 60.0
+
+    def wait_until(self, at: pd.Timestamp) -> None:
+        """See `Clock.wait_until`: the house lives."""
+        until_s = (at - _ORIGIN).total_seconds() + self.behind_s
+        while self._now_s < until_s - 1e-6:
+            if self.is_dead:
+                raise Killed
+            row_s = (math.floor(self._now_s / _ROW_S + 1e-9) + 1.0) * _ROW_S
+            if self._ends_s <= self._now_s + 1e-6:
+                self._told, self._ends_s = {}, math.inf
+            part_s = min(row_s, until_s, self._ends_s) - self._now_s
+            told = self._commands()
+            self.home.advance(told, part_s)
+            self._now_s += part_s
+            if abs(self._now_s - row_s) < 1e-6:
+                own = self.home.usual(np.array([self._now_s - _ROW_S]))[:, 0]
+                set_to = [usual if one is None else one for one, usual in zip(told, own, strict=True)]
+                self.rows += self._last_rows(np.array(set_to)[:, None])
+                while self.events and next(iter(self.events)) <= self.hour:
+                    self.events.pop(next(iter(self.events)))()
+                self.on_row(self.rows[-1])
+
+    def _commands(self) -> tuple[float | None, ...]:
+        if self.kind == "set-points":
+            return tuple(self._told.get(name) for name in self.keys)
+        return (self._told.get("heat_pump"),) * ROOMS
+
+    def _last_rows(self, set_to: Any) -> list[Row]:
+        """The last steps of the record, of which `set_to` (Z, n) was set, as rows that are stamped at their ends."""
+        record = self.home.record(_ROW_S).last(set_to.shape[1])
+        bounds = self.home.plant.forecast(_STEP_S, _STEP_S)
+        table: dict[str, Any] = {
+            "time": _ORIGIN + pd.to_timedelta(record.time_s[1:], unit="s"),
+            "out": record.T_out_C[1:], "sun": record.solar_W_m2[1:], "P": record.power_W[0],
+        }  # fmt: skip
+        for z, zone in enumerate(self.zones):
+            table |= {f"T_{zone}": record.T_zone_C[z, 1:], f"u_{zone}": record.u[z]}
+            table |= {f"low_{zone}": bounds.lower_C[z, 0], f"high_{zone}": bounds.upper_C[z, 0]}
+            if self.kind == "set-points":
+                table[f"set_{zone}"] = set_to[z]
+        if self.kind != "set-points":
+            table["set"] = set_to[0]
+        frame = pd.DataFrame(table)
+        return [dict(zip(table, row, strict=True)) for row in frame.itertuples(index=False)]
+
+    def map_of(self, prefix: str = "", **more: Any) -> dict[str, Any]:
+        """The map of its table, whose columns are named with `prefix`."""
+        plant, shared = self.home.plant, self.kind != "set-points"
+        rooms = {room.name: room for room in plant.house.rooms}
+        zones, actuators = {}, dict[str, Any]()
+        for zone, name in zip(self.zones, plant.actuators, strict=True):
+            room = rooms[zone]
+            zones[zone] = {
+                "temperature": f"{prefix}T_{zone}", "lower": f"{prefix}low_{zone}", "upper": f"{prefix}high_{zone}",
+                "floor_area_m2": float(room.area_m2),
+            }  # fmt: skip
+            share = min(room.emitter_W / plant.house.heat_pump.capacity_W, 1.0)
+            actuators[name] = {"zone": zone, "level": f"{prefix}u_{zone}", "share": float(share)}
+            if not shared:
+                actuators[name]["command"] = {**_COMMANDS[self.kind], "column": f"{prefix}set_{zone}"}
+        machine: dict[str, Any] = {"power": f"{prefix}P", "price": 0.25}
+        if shared:
+            machine["command"] = {**_COMMANDS[self.kind], "column": f"{prefix}set"}
+        ahead = {"outdoor": "out", "sun": "sun", "price": "price", "time": {"zone": "UTC"}}
+        return {
+            "time": {"zone": "UTC", "marks": "end"}, "step": "1h", "outdoor": f"{prefix}out", "sun": f"{prefix}sun",
+            "zones": zones, "actuators": actuators, "machines": {"heat_pump": machine}, "forecast": ahead,
+        } | more  # fmt: skip
+
+    def measurements(self) -> pd.DataFrame:
+        """See `Connection.measurements`."""
+        return pd.DataFrame(self.rows)
+
+    def forecast(self) -> pd.DataFrame:
+        """See `Connection.forecast`."""
+        ahead = self.home.plant.forecast((_HORIZON_H + 2.0) * HOUR_S, _STEP_S)
+        index = pd.DatetimeIndex(_ORIGIN + pd.to_timedelta(ahead.time_s, unit="s"), name="time")
+        columns: dict[str, Any] = {"out": ahead.T_out_C, "sun": ahead.solar_W_m2, "price": price_per_kWh(ahead.time_s)}
+        for z, zone in enumerate(self.zones):
+            columns |= {f"low_{zone}": ahead.lower_C[z], f"high_{zone}": ahead.upper_C[z]}
+        return pd.DataFrame(columns, index=index)
+
+    def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
+        """See `Connection.write`."""
+        for key, value in levels.items():
+            self.take(key, value, self.true_now + pd.Timedelta(seconds=seconds))
+
+    def take(self, key: str, value: float | None, until: pd.Timestamp) -> None:
+        """Be told a command, which holds until then."""
+        self.written.append((self.true_now, key, value))
+        if value is None:
+            self._told.pop(key, None)
+        else:
+            self._told[key], self._ends_s = value, (until - _ORIGIN).total_seconds()
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def scores(self, begin_h: float) -> tuple[float, float]:
+        """Cost, and K·h outside the bounds of all rooms, from an hour on."""
+        since = _ORIGIN + pd.Timedelta(seconds=self._begin_s + begin_h * HOUR_S)
+        rows = pd.DataFrame([row for row in self.rows if row["time"] > since])
+        at_s = np.asarray((rows["time"] - _ORIGIN).dt.total_seconds(), dtype=np.float64) - _ROW_S
+        cost = float((rows["P"].to_numpy() * price_per_kWh(at_s // HOUR_S * HOUR_S)).sum()) * _ROW_S / J_PER_KWH
+        outside = sum(
+            float(np.maximum(rows[f"low_{zone}"] - rows[f"T_{zone}"], 0.0).sum())
+            + float(np.maximum(rows[f"T_{zone}"] - rows[f"high_{zone}"], 0.0).sum())
+            for zone in self.zones
+        )
+        return cost, outside * _ROW_S / HOUR_S
+
+
+def _ignored(row: Row) -> None:
+    """Nobody looks at a row."""
+
+
+class MqttHouse:
+    """The house as a device on a broker, and the connection to it; a wire between the two can be cut."""
+
+    def __init__(self, house: EmulatedHouse, broker: Broker, port: int, folder: Path) -> None:
+        self.house, self._broker, self._port, self._folder = house, broker, port, folder
+        self.is_unavailable, self._stamp = False, None
+        self.record = folder / "mqtt.csv"
+        self.columns = [key for key in house.rows[0] if key != "time"]
+        lines = ["time,topic,value"]
+        for row in house.rows:
+            lines += [f"{row['time'].isoformat()},home/{name},{row[name]:.6f}" for name in self.columns]
+        self.record.write_text("\n".join(lines) + "\n")
+        self.device = broker.client(on_message=self._told, on_connect=self._subscribed)
+        self.device.subscribe("home/+/set", 1)
+        self.messages: list[tuple[str, str]] = []
+        self.late = 0
+        house.on_row = self.publish
+        self.connection: Any = None
+        self.connect()
+
+    def connect(self) -> None:
+        """A connection, as a process that is started makes one."""
+        payload = '{"v": "$value", "until": "$until"}'
+        actuators = {
+            key: {"topic": f"home/{key}/set", "release": "own", "payload": payload, "state": f"home/{key}/state"}
+            for key in self.house.keys
+        }
+        options = self._broker.options(actuators=actuators, record=str(self.record), prefix="mpc", port=self._port)
+        self.connection = connection = build_connection("mqtt", options)
+        recorded, write = connection.measurements, connection.write
+        connection.forecast = self.house.forecast  # type: ignore[method-assign]
+
+        def measurements() -> Any:
+            self._alive()
+            return recorded()
+
+        def written(levels: Mapping[str, float | None], seconds: float) -> None:
+            self._alive()
+            write(levels, seconds)
+
+        connection.measurements, connection.write = measurements, written  # type: ignore[method-assign]
+        connection.begin()  # type: ignore[attr-defined]
+        self.wait_for(lambda: bool(connection.connected))  # type: ignore[attr-defined]
+
+    def _alive(self) -> None:
+        if self.house.is_dead:
+            raise Killed
+
+    def wait_for(self, holds: Callable[[], bool], seconds: float = 30.0) -> None:
+        """Wait until something holds, or as long."""
+        until = time.monotonic() + seconds
+        while not holds() and time.monotonic() < until:
+            time.sleep(0.005)
+
+    def now(self) -> Any:
+        """The clock of the connection: that of a reading while it is published."""
+        return (self.house.now() if self._stamp is None else self._stamp).to_pydatetime()
+
+    def _subscribed(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any = None) -> None:
+        client.subscribe("home/+/set", 1)
+
+    def _told(self, client: Any, userdata: Any, message: Any) -> None:
+        key, text = message.topic.split("/")[1], message.payload.decode()
+        self.messages.append((key, text))
+        said = json.loads(text)
+        until = pd.Timestamp(said["until"]) + pd.Timedelta(seconds=self.house.behind_s)
+        if said["v"] != "own" and until <= self.house.true_now:
+            self.late += 1
+            return
+        self.house.take(key, None if said["v"] == "own" else float(said["v"]), until)
+        client.publish(f"home/{key}/state", said["v"], qos=1, retain=True)
+
+    def publish(self, row: Row) -> None:
+        """Readings of a time, until they stand in the record."""
+        if not self.device.is_connected():
+            return
+        for key in self.house.keys:  # what ended by itself
+            if key not in self.house.told:
+                self.device.publish(f"home/{key}/state", "own", qos=1, retain=True)
+        if not self.connection.connected:
+            return
+        stamp = row["time"] - pd.Timedelta(seconds=self.house.behind_s)
+        self._stamp, size, lines = stamp, self.record.stat().st_size, 0
+        for name in self.columns:
+            if not (self.is_unavailable and name.startswith(("T_", "u_", "set"))):
+                text = f"{row[name]:.6f}"
+                self.device.publish(f"home/{name}", text, qos=1)
+                lines += len(f"{self.now().isoformat(timespec='milliseconds')},home/{name},{text}\n")
+        until = time.monotonic() + _RECORDED_S
+        while self.record.stat().st_size < size + lines and self.connection.connected and time.monotonic() < until:
+            time.sleep(0.0005)
+        self._stamp = None
+
+    def tear(self) -> None:
+        """A power failure leaves half a line and NUL."""
+        with self.record.open("ab") as file:
+            file.write(b"2026-02-0\x00\x00\x00,home")
+
+    def close(self) -> None:
+        """End the device."""
+        self.device.disconnect()
+        self.device.loop_stop()
+
+
+@dataclass
+class Lived:
+    """What a run came to: decisions of control, what was tried and shadowed, and scores of the days under control."""
+
+    house: EmulatedHouse
+    trials: list[str] = field(default_factory=list)
+    shadowed: int = 0
+    decisions: list[Decision] = field(default_factory=list)
+    cost: float = math.nan
+    outside_Kh: float = math.nan
+
+
+class _Course:
+    """Commissioning, a day's shadow, then control, by a connection."""
+
+    def __init__(
+        self, house: EmulatedHouse, connection: Any, rules: Mapping[str, Any], model: ThermalModel, folder: Path
+    ):
+        self.house, self.folder, self.model = house, folder, model
+        self.connection, self.rules = connection, MeasurementMap.model_validate(rules)
+        self.lived = Lived(house)
+
+    def building(self) -> LiveBuilding:
+        """The building, by the connection that there is."""
+        return LiveBuilding(self.connection, self.rules, _STEP_S)
+
+    def controller(self) -> ThermoForceMPC:
+        """The controller, with commands learned of what was measured until now."""
+        measured = read_measurements(self.building().table(), self.rules, step_s=_STEP_S, now=self.house.now()).served()
+        config = MPCConfig.model_validate({"step_s": _STEP_S, "horizon_h": _HORIZON_H, "gate": {"enabled": False}})
+        return ThermoForceMPC(self.model, config, commands=learned_commands(measured))
+
+    def commission(self) -> None:
+        """Points read, and one trial of each command."""
+        building = self.building()
+        found = read_house(building, self.rules, self.house.now())
+        if found.problems:
+            raise ConfigError(f"commissioning: {'; '.join(found.problems)}")
+        for plan in planned_trials(building, found.points, found.bounds_C, {}):
+            outcome = tried(
+                building, plan, read=lambda now: read_points(building.table(), self.rules, now), clock=self.house,
+                sets=str(self.folder),
+            )  # fmt: skip
+            self.lived.trials.append(outcome.status)
+        self.house.wait_until(self.house.now().ceil("1h"))
+
+    def control(self, steps: int, acts: bool = True) -> None:
+        """So many hours of control, or of its shadow."""
+        told: list[Decision] = []
+        kept = KeptState(self.folder / "state.npz", "over mqtt") if acts else None
+        try:
+            control(
+                self.building(), self.controller(), clock=self.house, steps=steps, delay_s=0.0, told=told.append,
+                kept=kept, acts=acts, sets=str(self.folder),
+            )  # fmt: skip
+        finally:
+            if acts:
+                self.lived.decisions += told
+            else:
+                self.lived.shadowed = len(told)
+
+
+def run_over_mqtt(
+    *,
+    kinds: Sequence[str] = KINDS,
+    seed: int = 100,
+    days: int = 14,
+    progress: Callable[[str], None] = lambda line: None,
+) -> dict[str, Any]:
+    """`days` of a house of each kind, of which one in shadow; raises `ConfigError` where no broker is installed."""
+    if why := missing():
+        raise ConfigError(f"{why}: the house stands behind a real broker")
+    rows: list[Row] = []
+    for kind in kinds:
+        rows += _run_kind(kind, seed, days, progress)
+    return results_json("mqtt", rows, _targets(rows))
+
+
+def _run_kind(kind: str, seed: int, days: int, progress: Callable[[str], None]) -> list[Row]:
+    begun = EmulatedHouse(seed, kind)
+    measured = read_measurements(pd.DataFrame(begun.rows), begun.map_of(step="15min"), now=begun.now()).served()
+    model = identify(measured.record, config=IdentificationConfig(), layout=measured.layout)
+    progress(f"{kind}: {begun.home.plant.house.name} identified")
+    hours, rows = days * 24 - _SHADOW_H, list[Row]()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        usual = _in_process(copy.deepcopy(begun), model, folder, hours)
+        rows.append(_row(kind, "in process", usual, usual))
+        progress(f"{kind} in process: {rows[-1]}")
+        for name in ("broker", "broker, faults"):
+            run = folder / name.replace(", ", "-")
+            run.mkdir()
+            rows.append(_behind(kind, name, copy.deepcopy(begun), model, run, hours, usual))
+            progress(f"{kind} by {name}: {rows[-1]}")
+    return rows
+
+
+def _in_process(house: EmulatedHouse, model: ThermalModel, folder: Path, hours: int) -> Lived:
+    course = _Course(house, house, house.map_of(), model, folder)
+    course.commission()
+    course.control(_SHADOW_H, acts=False)
+    return _controlled(course, hours)
+
+
+def _controlled(course: _Course, hours: int) -> Lived:
+    begin_h = course.house.hour
+    course.control(hours)
+    course.lived.cost, course.lived.outside_Kh = course.house.scores(begin_h)
+    return course.lived
+
+
+@contextmanager
+def _patience(of: MqttHouse | None) -> Iterator[list[MqttHouse]]:
+    """The connection's clock is that of the house, and its patience that of loopback."""
+    kept = mqtt.utc_now, mqtt.TIMEOUT_S, mqtt.TAKEN_S
+    held: list[MqttHouse] = []
+    mqtt.utc_now = lambda: held[0].now()
+    mqtt.TIMEOUT_S, mqtt.TAKEN_S = _PATIENCE_S, _TAKEN_S
+    try:
+        yield held
+    finally:
+        mqtt.utc_now, mqtt.TIMEOUT_S, mqtt.TAKEN_S = kept
+
+
+def _behind(
+    kind: str, name: str, house: EmulatedHouse, model: ThermalModel, folder: Path, hours: int, usual: Lived
+) -> Row:
+    """The days behind a broker; with faults where the name says so."""
+    broker = Broker(folder)
+    broker.start()
+    with _patience(None) as held, wire(broker.port) as (port, cut, snap):
+        home = MqttHouse.__new__(MqttHouse)
+        held.append(home)
+        home.__init__(house, broker, port, folder)  # type: ignore[misc]
+        rules = house.map_of("home/", table={"point": "topic", "value": "value"})
+        home.connection.reads(list({f"home/{one}" for one in home.columns}))
+        course = _Course(house, home.connection, rules, model, folder)
+        course.commission()
+        course.control(_SHADOW_H, acts=False)
+        begin_h, begun = house.hour, len(house.written)
+        if "faults" in name:
+            house.events = _events(home, broker, cut, snap, begin_h, hours)
+        with suppress(Killed):
+            course.control(hours)
+        if house.is_dead:  # somebody starts it again half an hour later
+            snap()
+            home.connection.close()
+            house.is_dead = False
+            house.wait_until(house.now() + pd.Timedelta("40min"))
+            home.connect()
+            course.connection = home.connection
+            course.control(max(1, hours - round(house.hour - begin_h)))
+        home.connection.close()
+        course.lived.cost, course.lived.outside_Kh = house.scores(begin_h)
+        row = _row(kind, name, course.lived, usual)
+        row |= _judged(home, broker, course.lived, begun)
+        home.close()
+    broker.stop()
+    return row
+
+
+def _events(
+    home: MqttHouse, broker: Broker, cut: Any, snap: Callable[[], None], begin_h: float, hours: int
+) -> dict[float, Callable[[], None]]:
+    """What fails at which hour of the house."""
+
+    def restart() -> None:
+        broker.stop()
+        broker.start()
+        home.wait_for(lambda: home.device.is_connected() and home.connection.connected)
+
+    def back() -> None:
+        cut.clear()
+        snap()
+        home.wait_for(lambda: bool(home.connection.connected))
+
+    def kill() -> None:
+        home.house.is_dead = True
+
+    at = {name: begin_h + share * hours + 0.3 for name, share in _FAULTS.items()}
+    events = {
+        at["broker restarted"]: restart,
+        at["network cut"]: cut.set,
+        at["network cut"] + 1.0: back,
+        at["unavailable"]: lambda: setattr(home, "is_unavailable", True),
+        at["unavailable"] + 1.0: lambda: setattr(home, "is_unavailable", False),
+        at["torn"]: home.tear,
+        at["clock stepped back"]: home.house.step_clock_back,
+        at["killed"]: kill,
+    }
+    return dict(sorted(events.items()))
+
+
+def _row(kind: str, name: str, lived: Lived, usual: Lived) -> Row:
+    planned = sum(one.plan.status in ("solved", "bridged") for one in lived.decisions)
+    return {
+        "by": kind, "way": name, "trials": ", ".join(lived.trials), "shadowed": lived.shadowed,
+        "decisions": len(lived.decisions), "planned": planned, "cost": round(lived.cost, 3),
+        "outside_Kh": round(lived.outside_Kh, 2), "dearer": round(lived.cost / usual.cost - 1.0, 5),
+        "more_Kh": round(lived.outside_Kh - usual.outside_Kh, 3), "wrong": "",
+    }  # fmt: skip
+
+
+def _judged(home: MqttHouse, broker: Broker, lived: Lived, begun: int) -> Row:
+    """What must not be of what the device was told, and of what the broker keeps at the end."""
+    wrong = []
+    lowest, highest = {"set-points": (16.0, 26.0), "curve offset": (-3.0, 3.0), "SG-Ready": (1.0, 3.0)}[home.house.kind]
+    values = [value for _, _, value in home.house.written[begun:] if value is not None]
+    if not values or not all(math.isfinite(one) and lowest <= one <= highest for one in values):
+        wrong.append("a command out of range, or none")
+    told = [text for text in home.messages if json.loads(text[1])["v"] != "own"]
+    if len(set(told)) < len(told):
+        wrong.append("a command twice")
+    if home.late:
+        wrong.append("a command too late")
+    if home.house.told:
+        wrong.append("not given back")
+    if any(one.plan.status not in ("solved", "bridged") for one in lived.decisions[-3:]):
+        wrong.append("not planned at the end")
+    late = Listener(broker, "#")
+    for key in home.house.keys:
+        if late.wait(f"home/{key}/state")[-1:] != ["own"]:
+            wrong.append(f"the broker keeps {late.texts(f'home/{key}/state')} of {key}")
+    if late.wait("mpc/availability")[-1:] != ["offline"]:
+        wrong.append("the broker says that the controller is there")
+    if any(topic.endswith("/set") for topic, _, kept in late.heard if kept):
+        wrong.append("the broker keeps a command")
+    late.close()
+    return {"wrong": "; ".join(wrong)}
+
+
+def _targets(rows: Sequence[Row]) -> list[Target]:
+    calm = [row for row in rows if row["way"] == "broker"]
+    return [
+        Target("dearer behind a broker, share", max(abs(row["dearer"]) for row in calm), _DEARER),
+        Target("more K·h outside behind a broker", max(abs(row["more_Kh"]) for row in calm), _MORE_KH),
+        Target("runs in which something was wrong", float(sum(bool(row["wrong"]) for row in rows)), 0.0),
+    ]
