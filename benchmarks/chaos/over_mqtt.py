@@ -250,7 +250,12 @@ class MqttHouse:
         options = self._broker.options(actuators=actuators, record=str(self.record), prefix="mpc", port=self._port)
         self.connection = connection = build_connection("mqtt", options)
         recorded, write = connection.measurements, connection.write
-        connection.forecast = self.house.forecast  # type: ignore[method-assign]
+
+        def forecast() -> pd.DataFrame:
+            ahead = self.house.forecast()
+            return ahead.rename(columns={name: f"home/{name}" for name in self.columns if name not in ("out", "sun")})
+
+        connection.forecast = forecast  # type: ignore[method-assign]
 
         def measurements() -> Any:
             self._alive()
