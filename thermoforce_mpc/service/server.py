@@ -164,9 +164,7 @@ def effective_port(server: Server) -> int:
     return int(server.effective_port)
 
 
-def plants(
-    weather: Weather, highly_dynamic: Tariff | None = None, testcase: str = _TESTCASE
-) -> Callable[[], Emulator]:
+def plants(weather: Weather, highly_dynamic: Tariff | None = None, testcase: str = _TESTCASE) -> Callable[[], Emulator]:
     """Builder of plants that share constant data, such as the irradiance on each surface."""
     from thermoforce_mpc.plants.registry import emulator_of
     from thermoforce_mpc.service.points import WEATHER_SIGNALS
