@@ -65,13 +65,16 @@ class Applied:
 
 
 @dataclass(frozen=True)
-class _Told:
-    """A command set at `at` for `seconds` s; what was set `before` (NaN: unknown); `seen`: it was read since."""
+class LastTold:
+    """A command that an actuator was told, to hold `until` a time, ISO 8601.
 
+    `before`: what was set before (NaN: unknown); `seen`: it was read since.
+    """
+
+    name: str
     value: float
     before: float
-    at: pd.Timestamp
-    seconds: float
+    until: str
     seen: bool = False
 
 
@@ -92,7 +95,7 @@ class LiveBuilding:
     ) -> None:
         """`prices`: a file of them, read anew in each step, in the place of those of the map; `people`: who ask."""
         self._prices, self._people = prices, people
-        self._told: dict[str, _Told] = {}
+        self._told: dict[str, LastTold] = {}
         self.connection, self._rules, self._step_s = connection, rules, step_s
         if (reads := getattr(connection, "reads", None)) is not None:
             reads([column for _, signal in rules.signals() for column in signal.columns])
@@ -267,14 +270,24 @@ class LiveBuilding:
         kind, _, of = found[0].partition(".") if found else ("", "", "")
         return of if kind == "machines" else name
 
+    @property
+    def told(self) -> tuple[LastTold, ...]:
+        """What commands were told last and may be held yet: what differs from it somebody set by hand."""
+        return tuple(self._told.values())
+
+    def remember(self, told: Sequence[LastTold]) -> None:
+        """Go on from what an earlier controller of the building was `told`."""
+        self._told = {one.name: one for one in told if one.name in self.names and self.command_of(one.name)}
+
     def _note(self, levels: Mapping[str, float | None], seconds: float, now: pd.Timestamp) -> None:
+        until = (now + pd.Timedelta(seconds=seconds)).isoformat()
         for name, value in levels.items():
             if value is None or self.command_of(name) is None:
                 self._told.pop(name, None)
             elif (told := self._told.get(name)) is None or told.value != value:
-                self._told[name] = _Told(value, self._commanded(name), now, seconds)
+                self._told[name] = LastTold(name, value, self._commanded(name), until)
             else:
-                self._told[name] = replace(told, at=now, seconds=seconds)
+                self._told[name] = replace(told, until=until)
 
     def _commanded(self, name: str) -> float:
         """The command as it was read last; NaN where it was not."""
@@ -324,7 +337,7 @@ class LiveBuilding:
         told, near = self._told[name], self.nearness(name)
         if near is None or not math.isfinite(value) or self._people is None:
             return
-        if (now - told.at).total_seconds() > told.seconds:  # it ended by itself
+        if now > pd.Timestamp(told.until):  # it ended by itself
             del self._told[name]
         elif abs(value - told.value) <= near:
             self._told[name] = replace(told, seen=True)
@@ -414,18 +427,20 @@ _OLDEST = pd.Timedelta(days=1)
 
 @dataclass(frozen=True)
 class SetCommand:
-    """The command `value` of an actuator that has been set `since` a time, ISO 8601."""
+    """The command `value` of an actuator that has been set `since` a time, to hold `until` another, ISO 8601."""
 
     name: str
     value: float
     since: str
+    until: str
 
 
 @dataclass(frozen=True)
 class Kept:
     """The controller's state `before` and `after` the decision at `instant`, and levels `applied` so far.
 
-    Seconds count from `origin`; both times in ISO 8601. `of` tells controllers apart. `commands`: what is set now.
+    Seconds count from `origin`; both times in ISO 8601. `of` tells controllers apart. `commands`: what is set now;
+    `told`: see `LiveBuilding.told`.
     """
 
     origin: str
@@ -435,13 +450,25 @@ class Kept:
     applied: tuple[Applied, ...]
     of: str = ""
     commands: tuple[SetCommand, ...] = ()
+    told: tuple[LastTold, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` for a time that is none, or a number that is not finite."""
+        ends = [at for one in self.commands for at in (one.since, one.until)] + [one.until for one in self.told]
+        for at in (self.origin, self.instant, *ends):
+            if pd.Timestamp(at).tzinfo is None:
+                raise ValueError(f"{at!r} is no time with a zone")
+        levels = [u for one in self.applied for u in (one.start_s, one.duration_s, *one.u) if u is not None]
+        values = [one.value for one in self.commands] + [one.value for one in self.told]
+        if not all(map(math.isfinite, [*levels, *values])):
+            raise ValueError("what was set is not finite")
 
     def state_at(self, instant: pd.Timestamp) -> object:
         """The state to decide with at `instant`; the step that was decided already is decided once more."""
         return self.before if instant == pd.Timestamp(self.instant) else self.after
 
 
-_FORMAT = StateFormat((*STATE_CLASSES, ProbingState, LevelsState, RoomsState, Kept, Applied, SetCommand))
+_FORMAT = StateFormat((*STATE_CLASSES, ProbingState, LevelsState, RoomsState, Kept, Applied, SetCommand, LastTold))
 
 
 class KeptState:
