@@ -76,8 +76,10 @@ def open_windows(record: Record, layout: Layout, contacts: Mapping[str, Array] |
     found, now_s = {}, float(record.time_s[-1])
     for z, name in enumerate(record.names.zones):
         contact = (contacts or {}).get(name)
-        known = contact is not None and np.isfinite(contact[-1])
-        window = _by_contact(record.time_s, contact) if known else _by_fall(record, layout, z, now_s)
+        if contact is not None and np.isfinite(contact[-1]):
+            window = _by_contact(record.time_s, contact)
+        else:
+            window = _by_fall(record, layout, z, now_s)
         if window is not None and now_s < window.until_s:
             found[z] = window
     return found
