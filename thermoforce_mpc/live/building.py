@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -112,6 +112,16 @@ class LiveBuilding:
     def names(self) -> tuple[str, ...]:
         """Names of the actuators that are set."""
         return self._rules.names.actuators if self._measured is None else self._measured.record.names.actuators
+
+    @property
+    def step_s(self) -> float:
+        """Step of its record, s."""
+        return self._step_s
+
+    def table(self) -> pd.DataFrame | str | Path:
+        """What the connection gives as measurements; raises `PlantError`."""
+        table: pd.DataFrame | str | Path = self._call("measurements")
+        return table
 
     def command_of(self, name: str) -> Command | None:
         """What is set in the place of the level of an actuator, by the map; None where its level is."""
@@ -244,10 +254,7 @@ class LiveBuilding:
             elif (leave := getattr(self.connection, "leave", None)) is not None:
                 leave()
 
-        try:
-            self._calls(self._writer, write, self._answer_s)
-        except Crashed as crashed:  # such as an interrupt
-            raise (crashed.__cause__ or crashed) from None
+        self._answered(write)
 
     def to_set(self, levels: Mapping[str, float | None]) -> dict[str, float | None]:
         """What the connection is told of levels, see `Connection.write`, by its own names.
@@ -263,6 +270,48 @@ class LiveBuilding:
             for name in self._people.by_hand(self.now):
                 told.pop(self.key(name), None)
         return told
+
+    @property
+    def puts_back(self) -> bool:
+        """Whether the connection can set again what devices held (`put_back`), and not only give them back."""
+        return hasattr(self.connection, "put_back")
+
+    def put_back(self, held: Mapping[str, float]) -> None:
+        """Set again what devices held, by the connection's names; raises as `write`."""
+        self._answered(lambda: self.connection.put_back(held))  # type: ignore[attr-defined]
+
+    def leave(self) -> None:
+        """Tell the connection that nothing is held, since people set it; raises as `write`."""
+        if (leave := getattr(self.connection, "leave", None)) is not None:
+            self._answered(leave)
+
+    def held(self, keys: Sequence[str]) -> dict[str, float]:
+        """What devices say that they hold of `keys`, the connection's names; none where they do not say it."""
+        says = getattr(self.connection, "present", None)
+        if says is None:
+            return {}
+        try:
+            return dict(self._answered(lambda: says(list(keys))))
+        except Exception as error:  # somebody's connection may raise anything
+            _LOG.info("what the devices hold is not known (%s: %s)", type(error).__name__, error)
+            return {}
+
+    def _answered(self, call: Callable[[], Any]) -> Any:
+        """What a call of the connection answers, in time; raises what it raises."""
+        try:
+            return self._calls(self._writer, call, self._answer_s)
+        except Crashed as crashed:  # such as an interrupt
+            raise (crashed.__cause__ or crashed) from None
+
+    def zone_of(self, name: str) -> str:
+        """The room that an actuator serves."""
+        own = self._rules.actuators.get(name)
+        return next(iter(self._rules.zones)) if own is None or own.zone is None else own.zone
+
+    def machines_of(self, names: Sequence[str]) -> tuple[str, ...]:
+        """The machines that feed actuators."""
+        own, first = self._rules.actuators, next(iter(self._rules.machines), "")
+        return tuple(dict.fromkeys((own[name].machine if name in own else None) or first for name in names))
 
     def key(self, name: str) -> str:
         """What the connection calls the command of an actuator: that of a machine for several rooms is the machine."""
@@ -314,16 +363,10 @@ class LiveBuilding:
 
     def notice(self) -> None:
         """Note what was set by hand since the last reading, of devices that say what they hold (`present`)."""
-        says, now = getattr(self.connection, "present", None), self.now
-        if says is None or self._people is None or now is None or not self._told:
+        now = self.now
+        if self._people is None or now is None or not self._told:
             return
-        try:
-            held = self._calls(self._writer, lambda: says([self.key(name) for name in self._told]), self._answer_s)
-        except Crashed as crashed:  # such as an interrupt
-            raise (crashed.__cause__ or crashed) from None
-        except Exception as error:  # somebody's connection may raise anything
-            _LOG.info("what the devices hold is not known (%s: %s)", type(error).__name__, error)
-            return
+        held = self.held([self.key(name) for name in self._told])
         for name in dict(self._told):
             self._compare(name, float(held.get(self.key(name), float("nan"))), now)
 
@@ -363,7 +406,7 @@ class LiveBuilding:
 
 
 def _doubt_of_outdoors(record: Record, ahead: Boundary) -> tuple[str, ...]:
-    """A note where outdoor temperature and its forecast for now differ as °F and °C do."""
+    """A note where the outdoor temperature is far from its forecast for now: another unit, place or column."""
     measured = record.T_out_C[-max(1, round(_LATELY_S / record.step_s)) :]
     known, given = measured[np.isfinite(measured)], float(ahead.T_out_C[0])
     if not known.size or not math.isfinite(given):
@@ -371,12 +414,11 @@ def _doubt_of_outdoors(record: Record, ahead: Boundary) -> tuple[str, ...]:
     now_C = float(np.median(known))
     if abs(now_C - given) <= _FAR_K:
         return ()
+    found = f"outdoors it is {now_C:.1f} °C as measured and {given:.1f} °C by the forecast"
     for what, one, other in (("measured", now_C, given), ("in the forecast", given, now_C)):
         if abs((one - 32.0) / 1.8 - other) < _NEAR_K:
-            return (
-                f"outdoors it is {now_C:.1f} °C as measured and {given:.1f} °C by the forecast: °F {what}? set unit",
-            )
-    return ()
+            return (f"{found}: °F {what}? set unit",)
+    return (f"{found}: is the sensor in the sun, at a warm wall, or another one, or the forecast of another place?",)
 
 
 def _duration(seconds: float) -> str:
