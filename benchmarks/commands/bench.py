@@ -96,7 +96,8 @@ def run_house(case: tuple[int, str, int]) -> Row:
     set_to = home.live(seed)
     try:
         model = identify(home.record(900.0), config=IdentificationConfig(), layout=home.plant.layout)
-        commands = learned(home.record(_STEP_S), kind, np.append(set_to, set_to[:, -1:], axis=1))
+        over_K = None if kind == "set-points" else home.water_over_rooms_K(_STEP_S)
+        commands = learned(home.record(_STEP_S), kind, np.append(set_to, set_to[:, -1:], axis=1), over_K)
     except DataError as error:
         return row | {"note": f"refused: {str(error)[:200]}"}
     fit = [card.competence is not None and card.competence.competent for card in model.cards]
@@ -187,7 +188,7 @@ class Home:
             self.advance(tuple(told.tolist()), HOUR_S)
             out[:, k] = told
         if self.kind != "set-points":
-            over = self._water_over_rooms_K(HOUR_S)
+            over = self.water_over_rooms_K(HOUR_S)
             self._over_K = np.maximum(np.nanpercentile(over, 99.0, axis=1), 1.0)
         return out
 
@@ -196,10 +197,11 @@ class Home:
         record = self.plant.past(step_s)
         u = record.u
         if self.kind != "set-points":
-            u = np.clip(u * self._water_over_rooms_K(step_s) / self._over_K[:, None], 0.0, 1.0)
+            u = np.clip(u * self.water_over_rooms_K(step_s) / self._over_K[:, None], 0.0, 1.0)
         return replace(record, u=u, heat_W=np.full_like(record.heat_W, np.nan))
 
-    def _water_over_rooms_K(self, step_s: float) -> Array:
+    def water_over_rooms_K(self, step_s: float) -> Array:
+        """What the water is above each room (Z, n), K."""
         record = self.plant.past(step_s)
         T_C = 0.5 * (record.T_zone_C[:, 1:] + record.T_zone_C[:, :-1])
         return np.maximum(self.plant.supply_C(record.time_s) - T_C, 0.0)
@@ -220,12 +222,17 @@ class Home:
         return self._curve_K
 
 
-def learned(record: Record, kind: str, set_to: Array) -> dict[str, LearnedCommand]:
-    """The commands of a house, by name of the valve, from a record and what was set at its last boundaries (Z, m)."""
+def learned(record: Record, kind: str, set_to: Array, over_K: Array | None) -> dict[str, LearnedCommand]:
+    """The commands of a house, by name of the valve, from a record and what was set at its last boundaries (Z, m).
+
+    `over_K` (Z, n): what the water is above the rooms; None where levels are not made of it.
+    """
     out: dict[str, LearnedCommand] = {}
     record, shared = record.last(set_to.shape[1] - 1), kind != "set-points"
     for a, name in enumerate(record.names.actuators):
         was = CommandRecord(set_to[a], set_to[a, :-1])
+        if over_K is not None:
+            was = replace(was, over_K=over_K[a, -record.n_steps :])
         signals = record.T_zone_C[a], record.T_out_C, record.u[a], record.time_s
         out[name] = learn_command(_command(kind, name), was, *signals, f"{kind} of {name}", may_be_untold=True)
         if shared:

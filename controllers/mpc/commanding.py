@@ -28,7 +28,7 @@ from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving, PlanStatus
 from thermoforce_mpc.data.dataframes import compose
-from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.card import MOST_ERROR_K, ModelCard
 from thermoforce_mpc.model.machine.change import weight_of_demand
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR, ZONE
@@ -40,6 +40,8 @@ NOT_BETTER = "commands that were found are not better than leaving the building 
 # Rounds in which level and temperature of a step are made to agree.
 _ROUNDS, _CLOSE = 8, 2e-3
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
+# Lead time whose error counts of rooms that are not known, h.
+_ERROR_H = 6.0
 # What a change of a command must save, as a share of what the building costs when it is left alone.
 _PER_CHANGE = 0.002
 # What the scatter of a level costs, as a share of that level's cost: a search takes what is judged too well (see
@@ -78,9 +80,10 @@ class Commanded:
 class BuildingCommands:
     """The commands of a building's actuators."""
 
-    def __init__(self, layout: Layout, learned: Mapping[int, LearnedCommand], spread: Sequence[float]) -> None:
-        """`learned`: by number of the actuator; `spread` (A,): standard error of each one's effect, as a share."""
-        self._layout, self._learned, self._spread = layout, dict(learned), np.array(spread)
+    def __init__(self, layout: Layout, learned: Mapping[int, LearnedCommand], cards: Sequence[ModelCard]) -> None:
+        """`learned`: by number of the actuator; `cards` (A,): of each actuator's model."""
+        self._layout, self._learned, self._cards = layout, dict(learned), tuple(cards)
+        self._spread = np.array([_effect_spread(card) for card in cards])
 
     def begin(
         self,
@@ -89,10 +92,12 @@ class BuildingCommands:
         boundary: Boundary,
         left_alone: Collection[int],
         origin: Any,
+        unknown: Collection[int] = (),
     ) -> CommandedPlan | None:
         """What is needed for one plan, None without commands.
 
-        `left_alone`: actuators that will not follow it; `origin`: what the boundary's seconds count from, if known.
+        `left_alone`: actuators that will not follow it; `origin`: what the boundary's seconds count from, if known;
+        `unknown`: actuators that follow it though what they do to their rooms is not known.
         """
         if not self._learned:
             return None
@@ -108,14 +113,31 @@ class BuildingCommands:
         # What sets several is left alone as a whole.
         alone = {a for group in groups.values() if set(group) & set(left_alone) for a in group} | set(left_alone)
         together = tuple(tuple(group) for group in groups.values())
-        return CommandedPlan(operator, problem, boundary, loops, together, frozenset(alone), self._spread)
+        held = {self._layout.home[a]: _HeldRoom.of(self._cards[a]) for a in unknown if a not in alone}
+        return CommandedPlan(operator, problem, boundary, loops, together, frozenset(alone), self._spread, held)
+
+
+@dataclass(frozen=True)
+class _HeldRoom:
+    """A room that is not known: how far off predictions are, K, and what a plan changes there, as a share."""
+
+    error_K: float
+    relative_sd: float
+
+    @classmethod
+    def of(cls, card: ModelCard) -> _HeldRoom:
+        """By the errors 6 h ahead, and what all actuators do there together, as `card` has it."""
+        scores = () if card.competence is None else card.competence.horizons
+        errors_K = [score.model_K for score in scores if score.hours == _ERROR_H and np.isfinite(score.model_K)]
+        return cls(max(errors_K, default=MOST_ERROR_K[_ERROR_H]), min(card.together_sd, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
 class CommandedPlan:
     """One plan in commands: `loops` by number of the actuator, of which those `left_alone` keep their usual commands.
 
-    `together`: the actuators of each command; `spread` (A,): see `BuildingCommands`.
+    `together`: the actuators of each command; `spread` (A,): standard error of each one's effect, as a share; `held`:
+    the rooms that are not known, by number of the zone.
     """
 
     operator: BuildingOperator
@@ -125,6 +147,7 @@ class CommandedPlan:
     together: tuple[tuple[int, ...], ...]
     left_alone: frozenset[int]
     spread: Array
+    held: Mapping[int, _HeldRoom]
 
     def within_reach(self, guess: Array | None) -> MPCProblem:
         """The problem with the levels that commands bring at the temperatures of a plan `guess` (A, N).
@@ -184,7 +207,8 @@ class CommandedPlan:
                 more_K = found.forced_K - self._alone.forced_K
                 worth = np.minimum(_worth(self.operator, self.problem, more_K, dearest), 0.0)
                 unsure = _SCATTER * dearest.per_used * found.scatter
-                return np.asarray(each - worth + unsure + _PER_CHANGE * dearest.cost * changes)
+                held_out = self._held_cost(found.T_C)
+                return np.asarray(each - worth + unsure + held_out + _PER_CHANGE * dearest.cost * changes)
 
             rows, _ = better_commands([knob for _, knob in knobs], self._starts(u, knobs), cost)
             values = {a: rows[i] for i, (members, _) in enumerate(knobs) for a in members}
@@ -321,8 +345,24 @@ class CommandedPlan:
             energy_alone_kWh=float(energy_alone[0]),
             outside_Kh=float(outside[0].sum()),
             outside_alone_Kh=float(outside[1].sum()),
-            gain=float(saved[0]) + comfort,
+            gain=float(saved[0]) + comfort - float(self._held_cost(with_plan.T_C)[0]),
         )
+
+    def _held_cost(self, T_C: Array) -> Array:
+        """What rooms that are not known are expected to cost beyond what is said of them, (S,), in houses with zones
+        at (S, Z, N + 1), °C.
+
+        Predictions err there, and what a plan changes may be more or less than is said: discomfort is what it is on
+        average over both. It counts where it is more than left alone; where it is less, nothing is earned.
+        """
+        cost, problem, alone_C = np.zeros(len(T_C)), self.problem, self._alone.T_bounds_C
+        for z, room in self.held.items():
+            both_C = np.stack([*T_C[:, z, 1:], alone_C[z, 1:]])
+            sd_K = np.hypot(room.error_K, room.relative_sd * (both_C - alone_C[z, 1:]))
+            out_K = _beyond(problem.lower_C[z] - both_C, sd_K) + _beyond(both_C - problem.upper_C[z], sd_K)
+            worse_K = np.maximum(out_K[:-1] - out_K[-1], 0.0)
+            cost += problem.comfort_price[z] * np.nansum(worse_K, axis=1)
+        return cost
 
     @cached_property
     def _alone(self) -> _Followed:
@@ -361,7 +401,7 @@ def with_commands(config: MPCConfig, commands: Collection[str]) -> MPCConfig:
     return config.model_copy(update={"actuations": {**config.actuations, **dict.fromkeys(commands, any_level)}})
 
 
-def effect_spread(card: ModelCard) -> float:
+def _effect_spread(card: ModelCard) -> float:
     """Standard error of an actuator's effect of a day on its home zone, as a share; 0 where its card has none."""
     effect, sd = (card.uncertainty.get(f"step_response_24h{what}_K", 0.0) for what in ("", "_sd"))
     return min(sd / abs(effect), 1.0) if effect else 0.0
@@ -386,15 +426,19 @@ def with_command_states(plan: Plan, commanded: Commanded) -> Plan:
 class _Followed:
     """S houses under commands: levels (S, A, N), and forced states at the end (S, Z, A, r), K.
 
-    `scatter` (S,): of the levels, summed like `CommandedPlan._used`.
-
-    `T_bounds_C` (Z, N + 1): temperatures of the zones of the first house, now and at the end of each step.
+    `T_C` (S, Z, N + 1): temperatures of the zones, now and at the end of each step; `scatter` (S,): of the levels,
+    summed like `CommandedPlan._used`.
     """
 
     levels: Array
-    T_bounds_C: Array
+    T_C: Array
     forced_K: Array
     scatter: Array
+
+    @property
+    def T_bounds_C(self) -> Array:
+        """`T_C` of the first house, (Z, N + 1)."""
+        return np.asarray(self.T_C[0])
 
 
 def _followed(
@@ -419,7 +463,7 @@ def _followed(
     old, new = problem.forced_state_K, np.zeros((S, *problem.forced_state_K.shape))
     T = np.repeat((problem.features[:, 0, ZONE] + old.sum(axis=(1, 2)))[None], S, axis=0)
     last = np.zeros(A) if problem.last_u is None else problem.last_u
-    before, levels, course = np.repeat(last[None], S, axis=0), np.empty((S, A, n)), [T[0]]
+    before, levels, course = np.repeat(last[None], S, axis=0), np.empty((S, A, n)), [T]
     nothing, scatter, per_u = np.zeros(A), np.zeros(S), _per_u(problem)
     for k in range(n):
         values = {a: values_of(a, k, T, before) for a in loops}
@@ -450,8 +494,8 @@ def _followed(
             z_a = operator.home[a]
             scatter += per_u[a] * loop.scatter(values[a], k, T_begin[:, z_a], T[:, z_a])
         levels[:, :, k], before = level, level
-        course.append(T[0])
-    return _Followed(levels, np.stack(course, axis=1), old + new, scatter)
+        course.append(T)
+    return _Followed(levels, np.stack(course, axis=2), old + new, scatter)
 
 
 def _heat(operator: BuildingOperator, problem: MPCProblem, level: Array, k: int) -> Array:
@@ -483,6 +527,15 @@ class _MeanCost:
     def per_used(self) -> Array:
         """Mean cost of a level, (S,)."""
         return np.where(self.used > 1e-6, self.cost / np.maximum(self.used, 1e-6), 0.0)
+
+
+def _beyond(out_K: Array, sd_K: Array) -> Array:
+    """How far beyond a bound a room is on average, K, more than by `out_K` (negative inside) itself; error `sd_K`."""
+    from scipy.special import ndtr
+
+    sd_K = np.maximum(sd_K, 1e-6)
+    density = np.exp(-0.5 * (out_K / sd_K) ** 2) / np.sqrt(2.0 * np.pi)
+    return np.asarray(out_K * ndtr(out_K / sd_K) + sd_K * density - np.maximum(out_K, 0.0))
 
 
 def _per_u(problem: MPCProblem) -> Array:
