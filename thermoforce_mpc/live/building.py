@@ -31,7 +31,6 @@ from thermoforce_mpc.experiment.run_models import origin
 from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.identification.probing.excitation import RoomsState
 from thermoforce_mpc.identification.probing.probe import LevelsState, ProbingState
-from thermoforce_mpc.live.people import People
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import Measurements, learned_commands, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
@@ -39,6 +38,7 @@ from thermoforce_mpc.model.saved import JSON_NAME
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.protocols import Connection
 from thermoforce_mpc.records.live_journal import RealRun
+from thermoforce_mpc.records.people import People
 from thermoforce_mpc.records.run_folder import plain_json
 from thermoforce_mpc.scenario.scenario import ControllerSpec, Scenario
 from thermoforce_mpc.state_file import StateFormat

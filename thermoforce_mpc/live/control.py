@@ -214,7 +214,7 @@ class _Building:
         model = getattr(controller, "model", None)
         if model is not None:
             check_same_building("the model", model.names, "the map", record.names)
-        return Believed(record, as_read, doubts, controller.step_s, building.layout.lowest)
+        return Believed(record, as_read, doubts, controller.step_s, building.layout.u_min)
 
     def units(self) -> UnitDoubts | None:
         """See `LoopDriver.units`."""

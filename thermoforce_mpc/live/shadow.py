@@ -27,11 +27,11 @@ from thermoforce_mpc.data import CONDITIONS, J_PER_KWH, Boundary, Period, Record
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
 from thermoforce_mpc.experiment.worth import Houses, Lived, band_of, outside_Kh
 from thermoforce_mpc.files import read_bounded
-from thermoforce_mpc.live.saving import MOST_BYTES, SHADOW
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.records.journal import NAME, making_sense, read_run
 from thermoforce_mpc.records.run_folder import write_json
+from thermoforce_mpc.records.saving import MOST_BYTES, SHADOW
 from thermoforce_mpc.records.told_steps import (
     forecast_of,
     history_before,

@@ -15,6 +15,7 @@ from thermoforce_mpc.model.card import Competence, HorizonScore, ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import forced_rollout
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.saved import ARRAYS_NAME, JSON_NAME, content_sha256, read_model_file, write_model_file
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
@@ -86,6 +87,13 @@ def test_floor_areas_come_back(tmp_path, model):
     assert np.isnan(unknown.floor_area_m2).tolist() == [True]
     with pytest.raises(DataError, match="floor_area_m2 has 2 entries, expected 1"):
         replace(model, floor_area_m2=(10.0, 20.0))
+
+
+def test_files_call_the_lowest_level_as_those_of_before_do(tmp_path):
+    cools = linear_operator([0.9], [2.0], step_s=3600.0, heat_input=HeatInput(u_min=-0.6))
+    folder = ThermalModel.single(cools).save(tmp_path / "model")
+    assert json.loads((folder / JSON_NAME).read_text())["pairs"][0]["heat_input"]["lowest"] == -0.6
+    assert load_model(folder).layout.u_min == (-0.6,)
 
 
 def test_a_bare_operator_can_be_saved(tmp_path):

@@ -38,6 +38,9 @@ KEYS = ("lower", "upper", "away", "boost", "comfort", "mode")
 """What may be asked: `lower`, `upper` in °C, `away` until a time, `boost` in min; each, and `comfort`, also `off`;
 `mode`: one of `MODES`."""
 
+SHOWN = "now.json"
+"""Beside the file of wishes: what was decided last, in which mode, and what may be asked."""
+
 
 @dataclass(frozen=True)
 class Wishes:
