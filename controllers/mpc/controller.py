@@ -52,6 +52,7 @@ from controllers.optimisation.statement.terms import Terms, load_terms, of_contr
 from controllers.safety.deadline import BoundedCalls, Overdue
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
 from controllers.safety.overrides import (
+    ActsTogether,
     ComfortGuard,
     CompetenceGate,
     LostZone,
@@ -260,14 +261,14 @@ class ThermoForceMPC(ActuatedController):
         readings, state = yield from self._clean(observation, state)
         state = yield from self._watch(readings, state)
         situation = Situation(readings.observation, readings.zones, state.watch)
-        overrides, unknown = self._shared.open(decide(self._overrides, situation))
+        overrides, joined_in = self._shared.open(decide(self._overrides, situation))
         state = self._learn(readings, state)
         if len(overrides) == len(self._fallbacks):
             plan = self._realisation.stand_back(overrides, state)
         else:
             forecast = yield from self._prediction.predict(readings, state)
             instance = self._formulate(forecast, readings, state, overrides)
-            result = yield from self._solve(instance, forecast, readings, overrides, unknown)
+            result = yield from self._solve(instance, forecast, readings, overrides, joined_in)
             plan = self._realise(result, readings, overrides, situation)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
 
@@ -322,7 +323,7 @@ class ThermoForceMPC(ActuatedController):
         forecast: Forecast | Failure,
         readings: Readings,
         overrides: Mapping[int, Override],
-        unknown: Mapping[int, str],
+        joined_in: Mapping[int, ActsTogether],
     ) -> Computation[Solved | Failure]:
         if isinstance(forecast, Failure):
             return forecast
@@ -332,7 +333,12 @@ class ThermoForceMPC(ActuatedController):
         planner, seconds = forecast.planner, forecast.context.seconds
         guess = self._guess(forecast.state.good, readings.time_s)
         own = self._commands.begin(
-            planner.operator, instance.problem, forecast.context.boundary, overrides, readings.history.origin, unknown
+            planner.operator,
+            instance.problem,
+            forecast.context.boundary,
+            overrides,
+            readings.history.origin,
+            [a for a, one in joined_in.items() if one.held],
         )
         try:
             for again in range(MOST_SOLVES if own else 1):
@@ -378,7 +384,7 @@ class ThermoForceMPC(ActuatedController):
             plan = replace(plan, settings=own.settings(commanded, plan.time_s), saving=saving)
             if saving is not None and not saving.gain > 0.0:
                 plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
-            told = [self._layout.names.of_actuator(a, why) for a, why in unknown.items()]
+            told = [self._layout.names.of_actuator(a, one.in_words) for a, one in joined_in.items()]
             plan = replace(plan, why=joined([*told, plan.why]))
         return Solved(plan, instance.problem, limit, commanded)
 

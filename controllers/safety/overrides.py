@@ -90,6 +90,23 @@ class WatchAlarm:
         return {a: backup_override(self._fallbacks[a], situation, PlanStatus.WATCH, why) for a, why in alarms.items()}
 
 
+@dataclass(frozen=True)
+class ActsTogether:
+    """An actuator that acts with others by one command, of which all together `relative_sd` is known.
+
+    `held`: what is done to its room is not known, so that the room is kept away from its bounds.
+    """
+
+    relative_sd: float
+    held: bool
+
+    @property
+    def in_words(self) -> str:
+        """Why it acts."""
+        known = f"acts with the others, since their one command is known to ± {100 * self.relative_sd:.0f} % together"
+        return known + (", and its room is held away from its bounds" if self.held else "")
+
+
 class SharedCommands:
     """One command of several actuators acts where what it does to their rooms together is known.
 
@@ -120,8 +137,8 @@ class SharedCommands:
                 out |= {a: sd for a in group if a in closed}
         return out
 
-    def open(self, overrides: Mapping[int, Override]) -> tuple[dict[int, Override], dict[int, str]]:
-        """`overrides` without those of actuators that act together, and these, by number with the reason.
+    def open(self, overrides: Mapping[int, Override]) -> tuple[dict[int, Override], dict[int, ActsTogether]]:
+        """`overrides` without those of actuators that act together, and these, by number.
 
         Models that may not act, or whose predictions did not come true, are no hindrance; whatever else is.
         """
@@ -131,14 +148,10 @@ class SharedCommands:
         for group in self._groups:
             if lost.intersection(group):
                 acting = {a: sd for a, sd in acting.items() if a not in group}
-        why = {
-            a: f"acts with the others, since together their command is known to ± {100 * sd:.0f} %"
-            + ("" if self.told(a, closed) else ", and its room is held away from its bounds")
-            for a, sd in acting.items()
-        }
-        return {a: one for a, one in overrides.items() if a not in acting}, why
+        left = {a: one for a, one in overrides.items() if a not in acting}
+        return left, {a: ActsTogether(sd, not self._told(a, closed)) for a, sd in acting.items()}
 
-    def told(self, a: int, closed: Collection[int]) -> bool:
+    def _told(self, a: int, closed: Collection[int]) -> bool:
         """Whether what all actuators do to the room of `a` is known."""
         return a not in closed or (self._cards[a].only_not_apart and self._own_sd(a) <= MOST_RELATIVE_SD)
 
@@ -150,7 +163,7 @@ class SharedCommands:
     def _relative_sd(self, group: Sequence[int], closed: Collection[int]) -> float:
         """Relative standard deviation of the heat that one command moves: of rooms not known, all of it at once."""
         moves = np.array([self._moves[a] for a in group])
-        told = np.array([self.told(a, closed) for a in group])
+        told = np.array([self._told(a, closed) for a in group])
         sd = np.array([min(self._own_sd(a), 1.0) for a in group])
         spread = float(np.hypot(np.linalg.norm((moves * sd)[told]), moves[~told].sum()))
         return spread / float(moves.sum()) if moves.sum() > 0.0 else math.inf

@@ -98,7 +98,7 @@ def test_what_is_known_together_is_enough_for_one_command(home, measured, plan):
     apart = "the effect of 8 h at full level is known to ± 60 % only, need 40 %"
     found = judged_plan(home, measured, living=(apart,), bedroom=(apart,))
     assert [one.value for one in found.settings[0]] == [one.value for one in plan.settings[0]]
-    assert "known to ± 1" in found.why
+    assert "known to ± 15 % together" in found.why
 
 
 def test_a_room_that_is_not_known_is_not_brought_nearer_to_its_bounds(home, measured, plan):
