@@ -105,7 +105,7 @@ class LoopMap:
         """By how much the level of a usual hour differs between the least and the largest command seen."""
         half, usual = 0.5 * min(float(np.ptp(self.effects)), float(np.ptp(self.knots))), float(np.median(self.knots))
         ends = np.interp([usual - half, usual + half], self.knots, self.levels)
-        return float(ends[1] - ends[0]) / max(1.0 - self.carry, _LEAST_LEFT)
+        return min(float(ends[1] - ends[0]) / max(1.0 - self.carry, _LEAST_LEFT), 1.0)
 
     @property
     def in_words(self) -> str:
