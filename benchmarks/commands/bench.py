@@ -105,12 +105,14 @@ def run_house(case: tuple[int, str, int]) -> Row:
         "competent": f"{sum(fit)} of {len(fit)}",
         "map_r2": float(np.mean([one.loop.r2 for one in commands.values()])),
     }
-    config = MPCConfig(step_s=_STEP_S, horizon_h=_HORIZON_H, gate={"enabled": any(fit)})
+    config = MPCConfig(step_s=_STEP_S, horizon_h=_HORIZON_H)
     own, _ = _days(copy.deepcopy(home), None, days)
     direct = None
     if kind == "set-points":
         direct, _ = _days(copy.deepcopy(home), ThermoForceMPC(model, config), days, levels=True)
     planned, said = _days(home, ThermoForceMPC(model, config, commands=commands), days)
+    if said["not_acting"] == 24.0 * days:
+        row["note"] = "left alone: no model may act"
     return row | {
         "cost_own": own.cost,
         "cost_planned": planned.cost,
@@ -127,6 +129,7 @@ def run_house(case: tuple[int, str, int]) -> Row:
         "days": days,
         "changes_a_day": said["changes"] / days,
         "not_planned": said["not_planned"] / days / 24.0,
+        "not_acting": said["not_acting"] / days / 24.0,
         "said": said["saved"] / max(said["cost_alone"], 1e-9),
     }
 
@@ -254,7 +257,7 @@ def _days(
 ) -> tuple[Lived, dict[str, float]]:
     """Days under planned commands (or levels), or left alone without a `controller`; and what the plans said."""
     plant = home.plant
-    state, said = None, {"saved": 0.0, "cost_alone": 0.0, "changes": 0.0, "not_planned": 0.0}
+    state, said = None, dict.fromkeys(("saved", "cost_alone", "changes", "not_planned", "not_acting"), 0.0)
     cost = energy = below = above = 0.0
     before: tuple[Any, ...] = ()
     for k in range(round(days * DAY_S / _STEP_S)):
@@ -264,6 +267,7 @@ def _days(
             plan = controller.plan(Observation(home.record(_STEP_S), ahead), state)
             state, blocks = plan.state, plan.blocks
             said["not_planned"] += all(one is None for one in blocks[0].told)
+            said["not_acting"] += plan.saving is None
             if k % 24 == 0 and plan.saving is not None:
                 said["saved"] += plan.saving.saved
                 said["cost_alone"] += plan.saving.cost_alone

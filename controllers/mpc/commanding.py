@@ -27,6 +27,7 @@ from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving, PlanStatus
+from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.model.card import MOST_ERROR_K, ModelCard
 from thermoforce_mpc.model.machine.change import weight_of_demand
@@ -37,8 +38,8 @@ from thermoforce_mpc.model.operator.parameters import OUTDOOR, ZONE
 _BEYOND, MOST_SOLVES = 0.05, 3
 NOT_BETTER = "commands that were found are not better than leaving the building alone: its own control acts"
 """What a plan says that is not carried out."""
-# Rounds in which level and temperature of a step are made to agree.
-_ROUNDS, _CLOSE = 8, 2e-3
+# Rounds in which level and temperature of a step are made to agree, and levels of a table of their heat.
+_ROUNDS, _CLOSE, _TABLE = 20, 5e-4, 65
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
 # Lead time whose error counts of rooms that are not known, h.
 _ERROR_H = 6.0
@@ -464,38 +465,145 @@ def _followed(
     T = np.repeat((problem.features[:, 0, ZONE] + old.sum(axis=(1, 2)))[None], S, axis=0)
     last = np.zeros(A) if problem.last_u is None else problem.last_u
     before, levels, course = np.repeat(last[None], S, axis=0), np.empty((S, A, n)), [T]
-    nothing, scatter, per_u = np.zeros(A), np.zeros(S), _per_u(problem)
+    nothing, scatter = np.zeros(A), np.zeros(S)
+    tables = _LoopTables(operator, problem, loops) if loops else None
     for k in range(n):
         values = {a: values_of(a, k, T, before) for a in loops}
         faded = operator.advance(old, nothing)
         at_rest = T_free[:, k] + faded.sum(axis=(1, 2)) + (operator.poles * new).sum(axis=(2, 3))
-        per_drive = operator.gains.sum(axis=2)  # (Z, A), K in this step
         seen = old + new[0]
         modulation = operator.modulated(np.ones(A), problem.features[:, k], seen)
         level = np.repeat(u[None, :, k], S, axis=0)
-        for a in loops:
-            level[:, a] = before[:, a]
-        for _ in range(_ROUNDS if loops else 1):
-            heat = _heat(operator, problem, level, k)
-            drive = modulation * heat * gain
-            T_end = at_rest + drive @ per_drive.T
-            moved = level.copy()
-            for a, loop in loops.items():
-                home = operator.home[a]
-                answer = loop.answer(values[a], k, T[:, home], T_end[:, home], before[:, a], z)
-                moved[:, a] = 0.5 * (level[:, a] + answer)
-            if np.abs(moved - level).max(initial=0.0) < _CLOSE:
-                break
-            level = moved
+        if tables is not None:
+            tables.settle(k, values, level, before, z, T, at_rest, modulation * gain, scatter)
         drive = modulation * _heat(operator, problem, level, k) * gain
         old, new = faded, operator.poles * new + operator.gains * drive[:, None, :, None]
-        T_begin, T = T, T_free[:, k] + old.sum(axis=(1, 2)) + new.sum(axis=(2, 3))
-        for a, loop in loops.items():
-            z_a = operator.home[a]
-            scatter += per_u[a] * loop.scatter(values[a], k, T_begin[:, z_a], T[:, z_a])
+        T = T_free[:, k] + old.sum(axis=(1, 2)) + new.sum(axis=(2, 3))
         levels[:, :, k], before = level, level
         course.append(T)
     return _Followed(levels, np.stack(course, axis=2), old + new, scatter)
+
+
+class _LoopTables:
+    """Loops and heat by level as arrays, for `_settle`."""
+
+    def __init__(self, operator: BuildingOperator, problem: MPCProblem, loops: Mapping[int, CommandedLoop]) -> None:
+        maps = [loop.learned.loop for loop in loops.values()]
+        self._operator, self._problem, self._loops = operator, problem, loops
+        m = max(one.knots.size for one in maps)
+
+        def filled(of: Sequence[Array]) -> Array:
+            return np.array([np.append(one, np.full(m - one.size, one[-1])) for one in of])
+
+        self._of_loop = (
+            np.array(list(loops), dtype=np.int64),
+            np.array([operator.home[a] for a in loops], dtype=np.int64),
+            np.array([one.zone for one in maps]),
+            np.array([one.carry for one in maps]),
+            np.array([one.knots.size for one in maps], dtype=np.int64),
+            *(filled([getattr(one, of) for one in maps]) for of in ("knots", "levels", "uncertain", "spread")),
+        )
+        self._per_u, self._per_drive = _per_u(problem), np.ascontiguousarray(operator.gains.sum(axis=2))
+
+    def settle(
+        self,
+        k: int,
+        values: Mapping[int, Array],
+        level: Array,
+        before: Array,
+        z: Array,
+        T_C: Array,
+        at_rest_C: Array,
+        factor: Array,
+        scatter: Array,
+    ) -> None:
+        """Set what loops answer in step `k` in `level` (S, A), and add to `scatter` (S,), see `_Followed`.
+
+        `values`: commands of the parts of the step (S or 1, n) by actuator; `before` (S, A): the last levels; `z` (S,):
+        see `LoopMap.level`; `T_C`, `at_rest_C` (S, Z): zones now, and at the end without heat in this step; `factor`
+        (S, A): drive per unit of heat.
+        """
+        S = len(level)
+        asked = np.stack(
+            [
+                np.broadcast_to(loop.learned.loop.index(values[a], 0.0, loop.T_out_C[k]), (S, np.shape(values[a])[1]))
+                for a, loop in self._loops.items()
+            ]
+        )
+        table = np.linspace(0.0, 1.0, _TABLE)[:, None]
+        heat = _heat(self._operator, self._problem, np.repeat(table, level.shape[1], axis=1), k)
+        arrays = (before, z, T_C, at_rest_C, np.broadcast_to(factor, level.shape))
+        numbers = [np.ascontiguousarray(one, dtype=np.float64) for one in (asked, *arrays, heat)]
+        _settle(level, scatter, *numbers, self._per_drive, self._per_u, *self._of_loop)
+
+
+@njit(cache=True)
+def _between(x: float, count: int, knots: np.ndarray, values: np.ndarray) -> float:
+    """`np.interp` of one number, in the first `count` of `knots`."""
+    if x <= knots[0]:
+        return float(values[0])
+    if x >= knots[count - 1]:
+        return float(values[count - 1])
+    low, high = 0, count - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if knots[middle] <= x:
+            low = middle
+        else:
+            high = middle
+    return float(values[low] + (values[high] - values[low]) * (x - knots[low]) / (knots[high] - knots[low]))
+
+
+@njit(cache=True)
+def _settle(
+    level: np.ndarray, scatter: np.ndarray, asked: np.ndarray, before: np.ndarray, z: np.ndarray, T_C: np.ndarray,
+    at_rest_C: np.ndarray, factor: np.ndarray, heat: np.ndarray, per_drive: np.ndarray, per_u: np.ndarray,
+    acts: np.ndarray, homes: np.ndarray, zone: np.ndarray, carry: np.ndarray, count: np.ndarray, knots: np.ndarray,
+    levels: np.ndarray, uncertain: np.ndarray, spread: np.ndarray,
+) -> None:  # fmt: skip
+    """Levels and temperatures of a step that agree, house by house: half way to what the loops answer, again and again.
+
+    `asked` (L, S, n): s of the commands but for the room; `heat` (V, A): of levels from 0 to 1; the others as in
+    `_LoopTables`. Writes `level` (S, A) and adds to `scatter` (S,).
+    """
+    S, A = level.shape
+    Z, n, last = T_C.shape[1], asked.shape[2], heat.shape[0] - 1
+    T_end, moved = np.empty(Z), np.empty(A)
+    for s in range(S):
+        for i in range(acts.size):
+            level[s, acts[i]] = before[s, acts[i]]
+        for _ in range(_ROUNDS):
+            for j in range(Z):
+                T_end[j] = at_rest_C[s, j]
+            for a in range(A):
+                at = min(max(level[s, a], 0.0), 1.0) * last
+                low = min(int(at), last - 1)
+                drive = factor[s, a] * (heat[low, a] + (at - low) * (heat[low + 1, a] - heat[low, a]))
+                for j in range(Z):
+                    T_end[j] += per_drive[j, a] * drive
+            worst = 0.0
+            for i in range(acts.size):
+                a, home = acts[i], homes[i]
+                mean = 0.0
+                for part in range(n):
+                    room = T_C[s, home] + (part + 0.5) / n * (T_end[home] - T_C[s, home])
+                    x = asked[i, s, part] - zone[i] * room
+                    up = _between(x, count[i], knots[i], levels[i])
+                    if z[s] != 0.0:
+                        up += z[s] * _between(x, count[i], knots[i], uncertain[i])
+                    mean += min(max(carry[i] * before[s, a] + up, 0.0), 1.0) / n
+                moved[i] = 0.5 * (level[s, a] + mean)
+                worst = max(worst, abs(moved[i] - level[s, a]))
+            if worst < _CLOSE:
+                break
+            for i in range(acts.size):
+                level[s, acts[i]] = moved[i]
+        for i in range(acts.size):
+            home = homes[i]
+            for part in range(n):
+                room = T_C[s, home] + (part + 0.5) / n * (T_end[home] - T_C[s, home])
+                x = asked[i, s, part] - zone[i] * room
+                scatter[s] += per_u[acts[i]] * _between(x, count[i], knots[i], spread[i]) / n
 
 
 def _heat(operator: BuildingOperator, problem: MPCProblem, level: Array, k: int) -> Array:
