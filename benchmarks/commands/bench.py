@@ -6,7 +6,8 @@ three ways: by the rooms' set-points (thermostats), or, where the rooms follow t
 from becoming too warm, by the curve's offset or by SG-Ready. It lives for 30 days, the last three of them with polite
 trials: another value of the command for some hours. Heat is not metered. From this record a model and the maps are
 learned; then cold days are run twice, left alone and by planned commands, at a dynamic tariff, and the house of
-set-points once more with valves that take levels directly. What plans said that they would save is compared with what
+set-points once more with valves that take levels directly. No room is asked to be warmer than its own thermostat keeps
+it, so that comfort is equal where a machine is too small. What plans said that they would save is compared with what
 all of them saved.
 """
 
@@ -106,11 +107,12 @@ def run_house(case: tuple[int, str, int]) -> Row:
         "map_r2": float(np.mean([one.loop.r2 for one in commands.values()])),
     }
     config = MPCConfig(step_s=_STEP_S, horizon_h=_HORIZON_H)
-    own, _ = _days(copy.deepcopy(home), None, days)
+    kept_C = _kept_C(copy.deepcopy(home), days)
+    own, _ = _days(copy.deepcopy(home), None, days, kept_C)
     direct = None
     if kind == "set-points":
-        direct, _ = _days(copy.deepcopy(home), ThermoForceMPC(model, config), days, levels=True)
-    planned, said = _days(home, ThermoForceMPC(model, config, commands=commands), days)
+        direct, _ = _days(copy.deepcopy(home), ThermoForceMPC(model, config), days, kept_C, levels=True)
+    planned, said = _days(home, ThermoForceMPC(model, config, commands=commands), days, kept_C)
     if said["not_acting"] == 24.0 * days:
         row["note"] = "left alone: no model may act"
     return row | {
@@ -252,16 +254,27 @@ def _command(kind: str, name: str) -> Command:
     return SGReady(kind="sg_ready", column="contact")
 
 
+def _kept_C(home: Home, days: int) -> Array:
+    """Temperatures of the rooms at the ends of all hours of `days` and one horizon more, left alone, (Z, n), °C."""
+    hours = round(24 * days + _HORIZON_H) + 1
+    return np.stack([home.advance((None,) * ROOMS, HOUR_S).T_zone_C for _ in range(hours)], axis=1)
+
+
 def _days(
-    home: Home, controller: ThermoForceMPC | None, days: int, levels: bool = False
+    home: Home, controller: ThermoForceMPC | None, days: int, kept_C: Array, levels: bool = False
 ) -> tuple[Lived, dict[str, float]]:
-    """Days under planned commands (or levels), or left alone without a `controller`; and what the plans said."""
+    """Days under planned commands (or levels), or left alone without a `controller`; and what the plans said.
+
+    At equal comfort: no room is asked to be warmer than it is when the house is left alone (`kept_C`, see `_kept_C`).
+    """
     plant = home.plant
     state, said = None, dict.fromkeys(("saved", "cost_alone", "changes", "not_planned", "not_acting"), 0.0)
     cost = energy = below = above = 0.0
     before: tuple[Any, ...] = ()
     for k in range(round(days * DAY_S / _STEP_S)):
         ahead = priced(plant.forecast(_HORIZON_H * HOUR_S, _STEP_S))
+        kept = kept_C[:, k : k + ahead.time_s.size - 1]
+        ahead = replace(ahead, lower_C=np.minimum(ahead.lower_C, np.column_stack([kept[:, :1], kept])))
         blocks: tuple[Block, ...] = (Block.native(ROOMS, _STEP_S),)
         if controller is not None:
             plan = controller.plan(Observation(home.record(_STEP_S), ahead), state)
@@ -279,10 +292,10 @@ def _days(
                 said["changes"] += sum(a != b for a, b in zip(told, before, strict=True)) if before else 0.0
                 before = told
             used = float(done.power_W[0]) * seconds / J_PER_KWH
-            bounds = plant.forecast(_STEP_S, _STEP_S)
             energy, cost = energy + used, cost + used * float(ahead.price_per_kWh[0, 0])
-            below += float(np.maximum(bounds.lower_C[:, 0] - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S
-            above += float(np.maximum(done.T_zone_C - bounds.upper_C[:, 0], 0.0).sum()) * seconds / HOUR_S
+            # The bounds of the hour; of its end, a room that others set back may already be let cool.
+            below += float(np.maximum(ahead.lower_C[:, :2].min(axis=1) - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S
+            above += float(np.maximum(done.T_zone_C - ahead.upper_C[:, :2].max(axis=1), 0.0).sum()) * seconds / HOUR_S
     return Lived(cost, energy, below, above), said
 
 
