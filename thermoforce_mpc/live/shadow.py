@@ -72,6 +72,13 @@ class ShadowDay:
     planned: float
     goes_on: bool
 
+    def __post_init__(self) -> None:
+        """Raise `ValueError` for a day that is none, and numbers that are not finite."""
+        date.fromisoformat(self.day)
+        numbers = [value for key, value in vars(self).items() if key not in ("day", "saved", "goes_on")]
+        if len(self.saved) != _DRAWS + 1 or not all(map(math.isfinite, (*numbers, *self.saved))):
+            raise ValueError(f"{self.day}: a number is not finite, or there is not a saving of each house")
+
 
 @dataclass(frozen=True, eq=False)
 class ShadowHouses:

@@ -220,4 +220,7 @@ def _checked(bound: float | None) -> None:
 
 
 def _passed(until: str | None, now: pd.Timestamp) -> bool:
-    return until is None or pd.Timestamp(until) <= now
+    at = None if until is None else pd.Timestamp(until)
+    if at is pd.NaT:
+        raise ConfigError(f"{until!r} is no time")
+    return at is None or at <= now

@@ -294,8 +294,9 @@ def _advised(
             write_json(advice, _advice(decision), follow=True)
             if book is not None and (words := book.day_over(decision.instant)):
                 say(words)
-        except (ThermoForceError, ValueError) as error:
-            _LOG.warning("no account of what is not set: %s", error)
+        except Exception as error:  # what is not set ends no control, whatever is wrong with what it is compared with
+            expected = isinstance(error, ThermoForceError)
+            _LOG.warning("no account of what is not set: %s", error, exc_info=None if expected else error)
 
     return advised
 
