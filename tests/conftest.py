@@ -25,7 +25,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "compiled"))
 
 # A million objects are there when all tests are collected. Walking over them took 6 of the 19 s of a core of the first
-# collecting, and a twentieth of the time of tests (2026-11-28).
+# collecting, 2 s where they were compiled before (2026-11-28).
 gc.set_threshold(50_000, 20, 20)
 
 # Every run tries the same examples, and none fails for being slow on a busy machine. To look for new ones:
