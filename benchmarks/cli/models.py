@@ -313,3 +313,17 @@ def backbones_command(
 
     names = [name.strip() for name in (backbones or "").split(",") if name.strip()]
     show(run_backbone_bench(names, reference, quick=quick, out=out, progress=say), json_file)
+
+
+@click.command("forecasters")
+@click.option("--models", help="Comma-separated, as tf-mpc free-responses lists them.  [default: those installed]")
+@JSON
+def forecasters_command(models: str | None, json_file: Path | None) -> None:
+    """What each foundation model does with constant, gapped, moved or mirrored series; its time and memory.
+
+    Those whose weights do not ship are built with random ones of their real architecture (no download).
+    """
+    from benchmarks.free_response.forecasters import run_forecasters_bench
+
+    names = [name.strip() for name in (models or "").split(",") if name.strip()]
+    show(run_forecasters_bench(names, say), json_file)

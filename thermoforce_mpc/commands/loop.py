@@ -13,13 +13,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.commands.command import SAME, Command
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Plan
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables are read
@@ -387,3 +387,23 @@ def _usual(value: Array, time_s: Array) -> Array:
         # Of an even number the earlier of the two in the middle: a value that was set.
         out[of_week] = np.sort(same)[(same.size - 1) // 2] if same.size else np.nanmedian(value)
     return out
+
+
+def command_rows(plan: Plan, commands: Mapping[str, LearnedCommand]) -> list[dict[str, Any]]:
+    """The commands of a plan in the order of actuators and time, JSON types; `value` None: leave it to itself."""
+    from thermoforce_mpc.data.dataframes import stamps
+
+    rows, said = [], set()
+    for of_actuator, settings in zip(plan.names.actuators, plan.settings, strict=bool(plan.settings)):
+        machine = commands[of_actuator].machine if of_actuator in commands else ""
+        name = machine or of_actuator
+        if machine in said:  # one command for all that it feeds
+            continue
+        said |= {machine} - {""}
+        for one in settings:
+            begin, end = stamps(np.array([one.start_s, one.end_s]), plan.origin)
+            command = commands[of_actuator].command
+            text = "its own control" if one.value is None else command.in_words(one.value)
+            row = {"actuator": name, "kind": command.kind, "from": begin.isoformat(), "until": end.isoformat()}
+            rows.append(row | {"value": one.value, "unit": command.unit, "text": text})
+    return rows

@@ -124,8 +124,8 @@ def actuator_levels(rules: MeasurementMap, reader: SignalReader, heat: Array, po
             raise DataError(f"actuators.{name}: full_W of {full:g} W is not above off_W of {actuator.off_W:g} W")
         level = (used - actuator.off_W) / span * (np.sign(load) if actuator.mode == "both" else 1.0)
         cut = int((level > 1.0).sum())
-        lowest = -1.0 if actuator.mode == "both" else 0.0
-        rows.append(np.clip(level, lowest, 1.0))
+        u_min = -1.0 if actuator.mode == "both" else 0.0
+        rows.append(np.clip(level, u_min, 1.0))
         how = "as given" if actuator.full_W else "the 99th percentile of the steps in which it ran"
         less = f" above {actuator.off_W:g} W" if actuator.off_W else ""
         notes.append(
@@ -199,7 +199,7 @@ class Measurements:
             tuple(layout.signs[a] for a in acting),
             tuple(kept.index(layout.home[a]) if layout.home[a] in kept else 0 for a in acting),
             tuple(layout.machine_of[a] for a in acting),
-            tuple(layout.lowest[a] for a in acting),
+            tuple(layout.u_min[a] for a in acting),
             tuple(layout.shares[a] for a in acting),
             tuple(layout.floor_area_m2[z] for z in kept),
         )

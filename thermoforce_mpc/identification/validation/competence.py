@@ -234,7 +234,7 @@ def judge(
         log_odds=log_odds,
         held_out_h=last.held_out_h,
     )
-    most_error_K = dict.fromkeys(JUDGED_H, math.inf) if operator.heat_input.lowest < 0.0 else MOST_ERROR_K
+    most_error_K = dict.fromkeys(JUDGED_H, math.inf) if operator.heat_input.u_min < 0.0 else MOST_ERROR_K
     missed = [*missed_criteria(verdict, most_error_K, block_h), *_implausible(operator, heat_W_m2)]
     return replace(
         verdict,
@@ -319,7 +319,7 @@ def _implausible(operator: OperatorParameters, heat_W_m2: float) -> list[Missed]
 
     Signed levels are those of room set-points, whose full one is no machine's: nothing bounds its heat.
     """
-    if operator.heat_input.lowest < 0.0:
+    if operator.heat_input.u_min < 0.0:
         return []
     most = most_K(STEP_RESPONSE_H, heat_W_m2)
     steps = np.maximum(np.array(STEP_RESPONSE_H) * HOUR_S // operator.step_s, 1).astype(int)
