@@ -17,7 +17,7 @@ from here import Here  # noqa: E402
 from hypothesis import HealthCheck, settings  # noqa: E402
 from places import SHARED  # noqa: E402
 
-# One thread per process: the processes of pytest-xdist are as many as the cores. Read when torch is imported.
+# One thread per process: the processes of pytest-xdist use all cores. Read when torch is imported.
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -34,6 +34,12 @@ settings.register_profile(
     "same", derandomize=True, database=None, deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("same")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """One more than cores, unless the environment says how many: many tests wait, for deadlines and for services."""
+    return None if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ else len(os.sched_getaffinity(0)) + 1
 
 
 def pytest_collection_finish() -> None:
