@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from functools import partial
 from pathlib import Path
 
 # Bytecode is kept also where the environment says not to: without it every process of the run compiles all sources, and
@@ -57,6 +58,15 @@ def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
 def computed_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tasks of commands run in this process: a new one imports everything first, for seconds."""
     monkeypatch.setattr("thermoforce_mpc.execution.open_engine", lambda *_, **options: Here())
+
+
+@pytest.fixture
+def unhurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A service that is away is asked again at once: pauses are asked for and not slept."""
+    from boptest_client import TransportConfig
+
+    for place in ("boptest_client", "boptest_client.client"):
+        monkeypatch.setattr(f"{place}.TransportConfig", partial(TransportConfig, sleep=lambda seconds: None))
 
 
 @pytest.fixture(scope="session")

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from click.testing import CliRunner
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.plants import registry
 from thermoforce_mpc.plants.boptest.plant import allow_token, check_token
 
 URL = "http://service.invalid:8000"
@@ -20,15 +17,12 @@ SCENARIO = (
 
 
 @pytest.fixture(autouse=True)
-def owner_of_a_token(monkeypatch, tmp_path):
+def owner_of_a_token(monkeypatch, tmp_path, unhurried):
     """Who has named no service on this machine so far."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("BOPTEST_TOKEN", "kept-in-a-drawer-0123456789")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "theirs.yaml").write_text(SCENARIO)
-    # The pauses before a service is asked again are asked for and not slept.
-    unhurried = registry.patience
-    monkeypatch.setattr(registry, "patience", lambda spec: replace(unhurried(spec), sleep=lambda seconds: None))
 
 
 def call(*words: str) -> BaseException | None:
