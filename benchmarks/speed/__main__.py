@@ -139,8 +139,9 @@ def _row_of(
     found, targets = [], []
     for name, first in ours[0].items():
         if isinstance(first, list):
-            pairs = zip(first, theirs[0][name], strict=True)
-            apart = max(abs(b - a) / max(abs(a), 1e-9) for b, a in pairs)
+            before = theirs[0][name]
+            apart = max(abs(b - a) / max(abs(a), 1e-9) for b, a in zip(first, before, strict=False))
+            apart = apart if len(first) == len(before) else math.inf
             targets.append(Target(f"{row.name}: {name}, relative difference", apart, _SAME))
             continue
         here = statistics.median(one[name] for one in ours)
