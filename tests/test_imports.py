@@ -30,7 +30,6 @@ def _imported(file: Path, known: dict[str, Path]) -> set[str]:
     return found & known.keys()
 
 
-@pytest.mark.slow
 def test_no_imports_go_in_a_circle():
     known = _modules()
     assert len(known) > 100
