@@ -47,7 +47,7 @@ _START, _ORDINARY, _TRIALS = 36, 27, 3
 # Trials: a set-point or an offset that is higher or lower by so much, K, or another state, each for so long, h.
 _AWAY: dict[str, tuple[tuple[float, ...], int]] = {
     "set-points": ((-1.0, 0.0, 1.0), 4),
-    "curve offset": ((-2.0, 0.0, 2.0), 4),
+    "curve offset": ((-3.0, 0.0, 3.0), 4),
     "SG-Ready": ((1.0, 2.0, 3.0), 2),
 }
 # Where rooms follow the curve, thermostats stand above what they keep elsewhere, K, and the curve is moved by at most
