@@ -7,7 +7,7 @@ from becoming too warm, by the curve's offset or by SG-Ready. It lives for 30 da
 trials: another value of the command for some hours. Heat is not metered. From this record a model and the maps are
 learned; then cold days are run twice, left alone and by planned commands, at a dynamic tariff, and the house of
 set-points once more with valves that take levels directly. No room is asked to be warmer than its own thermostat keeps
-it, so that comfort is equal where a machine is too small. What plans said that they would save is compared with what
+it, so that comfort is equal where a machine is too small, and heat that is left in house and tank counts. What plans said that they would save is compared with what
 all of them saved.
 """
 
@@ -62,12 +62,22 @@ _MORE_KH = 0.5
 
 @dataclass(frozen=True)
 class Lived:
-    """What days cost, in currency, their energy, kWh, and K·h below and above the bounds of all rooms."""
+    """What days cost, in currency, their energy, kWh, K·h below and above the bounds of all rooms, and heat, kWh.
+
+    `heat_kWh`: of the rooms; `stored_kWh`: in house and tank at their end.
+    """
 
     cost: float
     energy_kWh: float
     below_Kh: float
     above_Kh: float
+    heat_kWh: float
+    stored_kWh: float
+
+    def saved_by(self, other: Lived) -> float:
+        """Share of the cost that `other` saves, with what it leaves stored at the mean cost of heat."""
+        worth = (other.stored_kWh - self.stored_kWh) * self.cost / self.heat_kWh
+        return 1.0 - (other.cost - worth) / self.cost
 
 
 def run_commands_bench(
@@ -119,8 +129,8 @@ def run_house(case: tuple[int, str, int]) -> Row:
         "cost_own": own.cost,
         "cost_planned": planned.cost,
         "cost_direct": direct and direct.cost,
-        "saved": 1.0 - planned.cost / own.cost,
-        "saved_direct": direct and 1.0 - direct.cost / own.cost,
+        "saved": own.saved_by(planned),
+        "saved_direct": direct and own.saved_by(direct),
         "energy_own_kWh": own.energy_kWh,
         "energy_planned_kWh": planned.energy_kWh,
         "below_own_Kh": own.below_Kh,
@@ -269,7 +279,7 @@ def _days(
     """
     plant = home.plant
     state, said = None, dict.fromkeys(("saved", "cost_alone", "changes", "not_planned", "not_acting"), 0.0)
-    cost = energy = below = above = 0.0
+    cost = energy = below = above = heat = 0.0
     before: tuple[Any, ...] = ()
     for k in range(round(days * DAY_S / _STEP_S)):
         ahead = priced(plant.forecast(_HORIZON_H * HOUR_S, _STEP_S))
@@ -292,11 +302,12 @@ def _days(
                 said["changes"] += sum(a != b for a, b in zip(told, before, strict=True)) if before else 0.0
                 before = told
             used = float(done.power_W[0]) * seconds / J_PER_KWH
+            heat += float(done.heat_W.sum()) * seconds / J_PER_KWH
             energy, cost = energy + used, cost + used * float(ahead.price_per_kWh[0, 0])
             # The bounds of the hour; of its end, a room that others set back may already be let cool.
             below += float(np.maximum(ahead.lower_C[:, :2].min(axis=1) - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S
             above += float(np.maximum(done.T_zone_C - ahead.upper_C[:, :2].max(axis=1), 0.0).sum()) * seconds / HOUR_S
-    return Lived(cost, energy, below, above), said
+    return Lived(cost, energy, below, above, heat, plant.stored_kWh()), said
 
 
 def priced(ahead: Boundary) -> Boundary:
