@@ -7,8 +7,8 @@ from becoming too warm, by the curve's offset or by SG-Ready. It lives for 30 da
 trials: another value of the command for some hours. Heat is not metered. From this record a model and the maps are
 learned; then cold days are run twice, left alone and by planned commands, at a dynamic tariff, and the house of
 set-points once more with valves that take levels directly. No room is asked to be warmer than its own thermostat keeps
-it, so that comfort is equal where a machine is too small, and heat that is left in house and tank counts. What plans said that they would save is compared with what
-all of them saved.
+it, so that comfort is equal where a machine is too small, and heat that is left in house and tank counts. What plans
+said that they would save is compared with what all of them saved.
 """
 
 from __future__ import annotations
