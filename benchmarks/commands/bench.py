@@ -7,7 +7,7 @@ from becoming too warm, by the curve's offset or by SG-Ready. It lives for 30 da
 trials: another value of the command for some hours. Heat is not metered. From this record a model and the maps are
 learned; then cold days are run twice, left alone and by planned commands, at a dynamic tariff, and the house of
 set-points once more with valves that take levels directly. No room is asked to be warmer than its own thermostat keeps
-it, so that comfort is equal where a machine is too small, and heat that is left in house and tank counts. What plans
+it, so that comfort is equal where a machine is too small, and heat that is missing in house and tank counts. What plans
 said that they would save is compared with what all of them saved.
 """
 
@@ -75,9 +75,9 @@ class Lived:
     stored_kWh: float
 
     def saved_by(self, other: Lived) -> float:
-        """Share of the cost that `other` saves, with what it leaves stored at the mean cost of heat."""
-        worth = (other.stored_kWh - self.stored_kWh) * self.cost / self.heat_kWh
-        return 1.0 - (other.cost - worth) / self.cost
+        """Share of the cost that `other` saves; heat that it leaves less counts at its mean cost, more earns nothing."""
+        missing_kWh = max(self.stored_kWh - other.stored_kWh, 0.0)
+        return 1.0 - (other.cost + missing_kWh * self.cost / self.heat_kWh) / self.cost
 
 
 def run_commands_bench(
