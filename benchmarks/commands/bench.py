@@ -14,7 +14,7 @@ said that they would save is compared with what all of them saved.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -75,7 +75,7 @@ class Lived:
     stored_kWh: float
 
     def saved_by(self, other: Lived) -> float:
-        """Share of the cost that `other` saves; heat that it leaves less counts at its mean cost, more earns nothing."""
+        """Share of the cost that `other` saves; heat that it leaves less counts at its mean cost, more earns nought."""
         missing_kWh = max(self.stored_kWh - other.stored_kWh, 0.0)
         return 1.0 - (other.cost + missing_kWh * self.cost / self.heat_kWh) / self.cost
 
@@ -126,6 +126,8 @@ def run_house(case: tuple[int, str, int]) -> Row:
     if said["not_acting"] == 24.0 * days:
         row["note"] = "left alone: no model may act"
     return row | {
+        # Per week, more than left alone.
+        "colder_Kh": (planned.below_Kh - own.below_Kh) * 7.0 / days,
         "cost_own": own.cost,
         "cost_planned": planned.cost,
         "cost_direct": direct and direct.cost,
@@ -325,7 +327,7 @@ def targets(rows: list[Row]) -> list[Target]:
         of_kind = [row for row in rows if row["by"] == kind]
         known = [row for row in of_kind if not row["note"]]
         dearer = np.mean([float(row["saved"] <= 0.0) for row in known] or [1.0])
-        colder = np.mean([float(_colder_Kh(row) > _MORE_KH) for row in known] or [1.0])
+        colder = np.mean([float(row["colder_Kh"] > _MORE_KH) for row in known] or [1.0])
         median = float(np.median([row["saved"] for row in known] or [np.nan]))
         out += [
             Target(
@@ -342,8 +344,3 @@ def targets(rows: list[Row]) -> list[Target]:
         *out,
         Target("median share saved by levels of the valves", float(np.median(direct or [np.nan])), 0.0, "at least"),
     ]
-
-
-def _colder_Kh(row: Mapping[str, Any]) -> float:
-    """How much more than left alone rooms were below their bounds, K·h a week."""
-    return float((row["below_planned_Kh"] - row["below_own_Kh"]) * 7.0 / row["days"])
