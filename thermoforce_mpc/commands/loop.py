@@ -156,7 +156,11 @@ class LearnedCommand:
         return np.asarray(time_s + (origin - self.origin).total_seconds())
 
     def usual_at(self, time_s: Array) -> Array:
-        """What the command is when it is left alone, at `time_s` (N,), s."""
+        """What the command is when it is left alone, at `time_s` (N,), s, by the clock of the zone of `origin`."""
+        if self.origin is not None:
+            from thermoforce_mpc.data.dataframes import clock_s
+
+            time_s = clock_s(time_s, self.origin)
         part_s = 7.0 * DAY_S / self.usual.size
         return np.asarray(self.usual[np.floor(time_s / part_s + 1e-6).astype(np.intp) % self.usual.size])
 
@@ -170,6 +174,7 @@ def learn_command(
     time_s: Array,
     where: str,
     *,
+    clock_s: Array | None = None,
     may_be_untold: bool = False,
 ) -> LearnedCommand:
     """Learn what the loop makes of `command` from a record of n steps.
@@ -181,6 +186,7 @@ def learn_command(
         u: mean level of each step (n,).
         time_s: boundaries (n + 1,), s.
         where: what it is the command of, for messages.
+        clock_s: what a clock on the wall showed at `time_s` (n + 1,), s, by which habits go; default: the same.
         may_be_untold: it is enough that the record tells of another one: of a room that was never cold it tells
             nothing (`untold`, see `check_told`).
 
@@ -203,7 +209,15 @@ def learn_command(
     usual = value if was.usual is None else was.usual
     if not np.isfinite(usual).any():
         raise DataError(f"{where}: usual: its column holds no value: check it, or give a number")
-    return LearnedCommand(command, loop, last, held_s, _usual(usual[:-1], time_s[:-1]), now_s, untold=untold)
+    return LearnedCommand(
+        command,
+        loop,
+        last,
+        held_s,
+        _usual(usual[:-1], (time_s if clock_s is None else clock_s)[:-1]),
+        now_s,
+        untold=untold,
+    )
 
 
 def check_told(learned: Collection[LearnedCommand]) -> None:
