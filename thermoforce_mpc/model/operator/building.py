@@ -20,8 +20,8 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.certificate import Certificate, certificate
 from thermoforce_mpc.model.operator.parameters import N_FEATURES, OperatorParameters
 
-# Values up to which the interpreter does, though it takes longer (144, a plan of a day by the hour: 40 µs): a process that
-# only controls a building then loads no compiler, which takes 80 MB and a third of a second.
+# Values up to which the interpreter does, though it takes longer (144, a plan of a day by the hour: 40 µs): a process
+# that only controls a building then loads no compiler, which takes 80 MB and a third of a second.
 _INTERPRETED = 3000
 # What all pairs of one actuator have in common.
 _OF_ACTUATOR = (
