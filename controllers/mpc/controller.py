@@ -22,6 +22,7 @@ from controllers.mpc.commanding import (
     with_commands,
 )
 from controllers.mpc.config import MPCConfig
+from controllers.mpc.courses import Courses
 from controllers.mpc.formulation import Formulation, Instance
 from controllers.mpc.margins import Margins
 from controllers.mpc.planner import (
@@ -64,13 +65,17 @@ from controllers.safety.overrides import (
     decide,
 )
 from thermoforce_mpc.commands.loop import LearnedCommand, left_alone
-from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.parameters import ZONE
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
+# The rule acts where it costs less by this share of what the plan costs, and by more than so many K·h: what solvers and
+# moves leave is well below (bestest_air, mix_day, 2026-11-28: the plan's cost was lower by 7 or more in all 96 hours).
+_CLEARLY, _LEAST_KH = 0.05, 0.1
 # Solvers that did not return and were replaced, before no more are started; besides a forecaster of each zone.
 _SOLVERS_ABANDONED = 3
 
@@ -209,6 +214,12 @@ class ThermoForceMPC(ActuatedController):
     def evaluator(self) -> Evaluator:
         """What any levels cost and bring, step by step, by `planning_operator`."""
         return self._planners.base.evaluator
+
+    def courses(self, operator: BuildingOperator, problem: MPCProblem, boundary: Boundary, T_zone_C: Array) -> Courses:
+        """Rules by the model of a plan, from temperatures (Z,), °C, that were read; NaN: what the model has."""
+        known_C = problem.features[:, 0, ZONE] + problem.forced_state_K.sum(axis=(1, 2))
+        T_now_C = np.where(np.isfinite(T_zone_C), T_zone_C, known_C)
+        return Courses(problem, operator, self._layout, self._fallbacks, boundary, T_now_C)
 
     def instance(
         self, context: PredictionContext, history: Record, margins: Margins | None = None, peak_W: float = 0.0
@@ -366,6 +377,9 @@ class ThermoForceMPC(ActuatedController):
         if beyond := beyond_rooms(instance.problem, brought, readings.observation.names.zones):
             return Failure(beyond, forecast.state, solution.status, seconds)
         solution = solution if commanded is None else replace(solution, u=commanded.u)
+        if commanded is None:
+            solution, brought, ruled = self._by_rule(instance.problem, solution, brought, forecast, readings)
+            forecast = replace(forecast, state=replace(forecast.state, ruled=bool(ruled)))
         if self.config.whole_runs and not overrides.keys() >= set(self._in_runs):
             solution, brought = self._with_runs(instance, solution, brought, forecast, list(overrides))
         limit = power_limit(instance, solution, brought, planner.evaluator)
@@ -376,6 +390,39 @@ class ThermoForceMPC(ActuatedController):
             if saving is not None and not saving.gain > 0.0:
                 plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
         return Solved(plan, instance.problem, limit, commanded)
+
+    def _by_rule(
+        self,
+        problem: MPCProblem,
+        solution: Solution,
+        brought: Evaluation,
+        forecast: Forecast,
+        readings: Readings,
+    ) -> tuple[Solution, Evaluation, str]:
+        """The solution and what it brings, or the on/off rule's where the same statement prices these clearly lower.
+
+        It is looked at each hour, and while the rule acts. The text says what was found, empty where nothing was.
+        """
+        if not forecast.state.ruled and round(readings.time_s) % round(HOUR_S):
+            return solution, brought, ""
+        planner, T_C = forecast.planner, readings.zones.T_C
+        courses = self.courses(planner.operator, problem, forecast.context.boundary, T_C)
+        u = planner.stated.shape.in_moves(courses.follow(courses.rule))
+        numbers = planner.stated.numbers(problem)
+        planned, by_rule = (planner.stated.evaluate(numbers, levels, solution.own_values) for levels in (solution.u, u))
+        dearer = planned.cost - by_rule.cost
+        clearly = max(_CLEARLY * abs(planned.cost), _LEAST_KH * float(np.max(problem.weights.comfort)))
+        if by_rule.broken or dearer <= clearly:
+            return solution, brought, ""
+        parts = {name: by_rule.parts[name] - cost for name, cost in planned.parts.items()}
+        told = ", ".join(f"{name} {more:+.2f}" for name, more in parts.items() if abs(more) > 0.1 * dearer)
+        why = (
+            f"the on/off rule's levels act: by the same model and prices they cost {dearer:.3g} less than the solver's "
+            f"({planned.cost:.3g} over the horizon; {told})"
+        )
+        evaluated = planner.evaluator.brings(problem, u, solution.own_values)
+        found = replace(solution, u=u, optimal=False, evaluation=by_rule, problem=joined([solution.problem, why]))
+        return found, evaluated, why
 
     @property
     def _in_runs(self) -> list[int]:

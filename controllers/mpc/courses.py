@@ -1,0 +1,101 @@
+"""Courses that a rule takes by the model of a plan: step by step, each level by what the model predicts until then.
+
+The same free response, weather, bounds and machines as the plan's; only the levels differ (paper eq:effect).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from controllers.optimisation.problem import MPCProblem
+from controllers.safety.fallback_policy import FallbackPolicy
+from thermoforce_mpc.data import Array, Boundary, Layout
+from thermoforce_mpc.data.dataframes import compose
+from thermoforce_mpc.model.operator.building import BuildingOperator
+
+# Levels that a loop at the comfort bound is tried with.
+_LEVELS = 21
+# A law gives the level of an actuator (its number) in a step (its number) from the temperatures at its start (Z,), °C,
+# the forced state (Z, A, r), K, and the levels so far (A, N).
+Law = Callable[[int, int, Array, Array, Array], float]
+
+
+class Courses:
+    """Rolls out rules in one instance; `rules` (A,): the on/off rule of each actuator.
+
+    `boundary`: of its N steps; `T_now_C` (Z,): temperatures now, where they are not known those of free and forced
+    response.
+    """
+
+    def __init__(
+        self,
+        problem: MPCProblem,
+        operator: BuildingOperator,
+        layout: Layout,
+        rules: Sequence[FallbackPolicy],
+        boundary: Boundary,
+        T_now_C: Array,
+    ) -> None:
+        self._problem, self._operator, self._layout = problem, operator, layout
+        self._rules, self._boundary, self._T_now_C = tuple(rules), boundary, T_now_C
+        self._machinery = problem.machinery
+
+    def limited(self, u: Array, first: int = 0) -> Array:
+        """Levels (A, n) within limits, of which no more act together than may, and no machine beyond its capacity.
+
+        `first`: number of the step that they begin with.
+        """
+        m, (lowest, highest) = self._machinery, self._problem.level_bounds
+        u = np.clip(u, lowest[:, first : first + u.shape[1]], highest[:, first : first + u.shape[1]])
+        for k in range(u.shape[1] if m.exclusive else 0):
+            u[list(self._layout.excluded([float(abs(level)) for level in u[:, k]])), k] = 0.0
+        load = m.fed_by @ (m.share[:, None] * np.maximum(u, 0.0))
+        if self._problem.capacity is not None:
+            load = load / self._problem.capacity[:, first : first + u.shape[1]]
+        return np.asarray(u / np.maximum(load, 1.0)[m.machine_of])
+
+    def follow(self, law: Law) -> Array:
+        """Levels (A, N) of a law that sees the predicted temperature at the start of each step."""
+        n = self._boundary.n_steps
+        u = np.zeros((self._machinery.u_max.size, n))
+        forced, T_C = self._problem.forced_state_K, self._T_now_C
+        for k in range(n):
+            for a in range(u.shape[0]):
+                u[a, k] = law(a, k, T_C, forced, u)
+            u[:, k : k + 1] = self.limited(u[:, k : k + 1], k)
+            forced = self._after(forced, u[:, k : k + 1], k)
+            T_C = compose(self._problem.T_free_C[:, k], forced.sum(axis=(1, 2)))
+        return u
+
+    def _after(self, forced: Array, u: Array, k: int) -> Array:
+        """Forced state (..., Z, A, r), K, after step `k` with levels (..., A, 1), of which what comes acts."""
+        features, comes = self._problem.features[:, k : k + 1], self._problem.available
+        if self._operator.of_actuator(0).feedback_active:
+            return self._operator.rollout(forced, u, features)[..., 0, :]
+        drive = self._operator.drive(u, features) * (1.0 if comes is None else comes[:, k : k + 1])
+        return self._operator.driven(forced, drive)[..., 0, :]
+
+    def rule(self, a: int, k: int, T_C: Array, forced: Array, u: Array) -> float:
+        """Level of the on/off rule of the fallback; where loops of the building act, theirs."""
+        zone = self._layout.home[a]
+        level, _ = self._rules[a].rule_at(float(T_C[zone]), self._boundary, float(self._boundary.time_s[k]))
+        return self.loop(a, k, T_C, forced, u) if level is None else level
+
+    def loop(self, a: int, k: int, T_C: Array, forced: Array, u: Array) -> float:
+        """The least level that keeps the zone inside its bounds at the end of the step, as a good loop finds it."""
+        z, m = self._layout.home[a], self._machinery
+        levels = np.linspace(m.u_min[a], m.u_max[a], _LEVELS if m.u_min[a] == 0.0 else 2 * _LEVELS - 1)
+        levels = levels[np.argsort(np.abs(levels), kind="stable")]
+        tried = np.repeat(u[None, :, k : k + 1], levels.size, axis=0)
+        tried[:, a, 0] = levels
+        end = self._after(forced, tried, k)[:, z].sum(axis=(1, 2))
+        T_end_C = compose(self._problem.T_free_C[z, k], end)
+        low, high = self._boundary.lower_C[z, k + 1], self._boundary.upper_C[z, k + 1]
+        # A heating loop does not act on the upper bound, nor a cooling loop on the lower.
+        mode = self._layout.mode(a)
+        below = np.maximum(low - T_end_C, 0.0) if mode != "cooling" else np.zeros(levels.size)
+        above = np.maximum(T_end_C - high, 0.0) if mode != "heating" else np.zeros(levels.size)
+        outside = np.round(below + above, 6)
+        return float(levels[int(np.argmin(outside))])
