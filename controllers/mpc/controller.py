@@ -25,6 +25,7 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.courses import Courses
 from controllers.mpc.formulation import Formulation, Instance
 from controllers.mpc.margins import Margins
+from controllers.mpc.mornings import Mornings
 from controllers.mpc.planner import (
     Planners,
     SolverBuilder,
@@ -62,13 +63,13 @@ from controllers.safety.overrides import (
     Situation,
     UntoldCommand,
     WatchAlarm,
+    WorseDays,
     decide,
 )
 from thermoforce_mpc.commands.loop import LearnedCommand, left_alone
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, Record
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.operator.parameters import ZONE
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
@@ -78,6 +79,10 @@ from thermoforce_mpc.protocols import FreeResponse
 _CLEARLY, _LEAST_KH = 0.05, 0.1
 # Solvers that did not return and were replaced, before no more are started; besides a forecaster of each zone.
 _SOLVERS_ABANDONED = 3
+
+
+# A plan acts, or guards do within it.
+_PLANNED = (PlanStatus.SOLVED, PlanStatus.BRIDGED, PlanStatus.ACCEPTABLE, PlanStatus.GUARD)
 
 
 class ThermoForceMPC(ActuatedController):
@@ -171,7 +176,10 @@ class ThermoForceMPC(ActuatedController):
         self._prediction = PlanPredictor(
             self._planners, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
         )
-        alarms = (WatchAlarm(self._fallbacks),) if self._watched.enabled else ()
+        self.mornings = Mornings(
+            model.operator, layout, self._formulation.machinery, self._fallbacks, self._formulation.power
+        )
+        alarms = (WatchAlarm(self._fallbacks), WorseDays(self._fallbacks)) if self._watched.enabled else ()
         untold = UntoldCommand(left_alone(by_number), self._fallbacks)
         self._overrides: tuple[OverrideRule, ...] = (*alarms, self._gate, untold, LostZone(self._fallbacks))
         guard = ComfortGuard(c.guard, layout, [actuation.highest for actuation in self._actuators.each])
@@ -216,10 +224,8 @@ class ThermoForceMPC(ActuatedController):
         return self._planners.base.evaluator
 
     def courses(self, operator: BuildingOperator, problem: MPCProblem, boundary: Boundary, T_zone_C: Array) -> Courses:
-        """Rules by the model of a plan, from temperatures (Z,), °C, that were read; NaN: what the model has."""
-        known_C = problem.features[:, 0, ZONE] + problem.forced_state_K.sum(axis=(1, 2))
-        T_now_C = np.where(np.isfinite(T_zone_C), T_zone_C, known_C)
-        return Courses(problem, operator, self._layout, self._fallbacks, boundary, T_now_C)
+        """Rules in the instance of a plan, see `Courses.of_plan`."""
+        return Courses.of_plan(problem, operator, self._layout, self._fallbacks, boundary, T_zone_C)
 
     def instance(
         self, context: PredictionContext, history: Record, margins: Margins | None = None, peak_W: float = 0.0
@@ -268,7 +274,10 @@ class ThermoForceMPC(ActuatedController):
         """One control step: each line a station, from what is believed to what is applied."""
         readings, state = yield from self._clean(observation, state)
         state = yield from self._watch(readings, state)
-        situation = Situation(readings.observation, readings.zones, state.watch)
+        state = self._compare_day(readings, state)
+        situation = Situation(
+            readings.observation, readings.zones, state.watch, days=state.mornings.stands_back(readings.time_s)
+        )
         overrides = decide(self._overrides, situation)
         state = self._learn(readings, state)
         if len(overrides) == len(self._fallbacks):
@@ -278,6 +287,7 @@ class ThermoForceMPC(ActuatedController):
             instance = self._formulate(forecast, readings, state, overrides)
             result = yield from self._solve(instance, forecast, readings, overrides)
             plan = self._realise(result, readings, overrides, situation)
+        plan = self._believe(plan, readings, state)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
 
     def _clean(self, observation: Observation, state: MPCState) -> Computation[tuple[Readings, MPCState]]:
@@ -296,6 +306,29 @@ class ThermoForceMPC(ActuatedController):
             return state
         ahead = self._prediction.ahead(readings.observation)
         return (yield from within(self.config.deadline.forecast_s, self._watched.predict_in_background(ahead, state)))
+
+    def _compare_day(self, readings: Readings, state: MPCState) -> MPCState:
+        """The state with the day that ended now beside what was believed of it and what the rule would have had."""
+        if not self._watched.enabled or not self.config.watch.mornings:
+            return state
+        try:
+            return replace(state, mornings=self.mornings.validate(state.mornings, readings.history, readings.forced_K))
+        except Exception as error:  # what compares must not stop what it compares
+            news = f"the last day could not be compared ({message_of(error)})"
+            return replace(state, mornings=replace(state.mornings, believed=None, news=news))
+
+    def _believe(self, plan: Plan, readings: Readings, state: MPCState) -> Plan:
+        """The plan, its state with what it believes of the day; of a day in which something else acts nothing is."""
+        assert isinstance(plan.state, MPCState)
+        if not self._watched.enabled or not self.config.watch.mornings:
+            return plan
+        mornings = state.mornings
+        if any(status not in _PLANNED for status in plan.acting):
+            mornings = replace(mornings, believed=None)
+        elif plan.u.size:
+            mornings = self.mornings.believing(mornings, plan, readings.observation.boundary)
+        news = [f"watch: {mornings.news}"] if mornings.news else []
+        return replace(plan.with_news(*news), state=replace(plan.state, mornings=replace(mornings, news="")))
 
     def _learn(self, readings: Readings, state: MPCState) -> MPCState:
         """The state with what the last step taught of bounds, predictions, capacities and peak power."""
