@@ -77,8 +77,8 @@ def _read(pages: Path, name: str) -> Table:
 def table_lines(table: Mapping[str, Any]) -> str:
     """A table in Markdown, then the date and revision of what it shows; its command stands in its file."""
     titles, keys = zip(*table["columns"].items(), strict=True)
-    lines = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
-    lines += [f"| {' | '.join(_cell(key, row) for key in keys)} |" for row in table["rows"]]
+    lines = [f"|{'|'.join(titles)}|", "|---" * len(titles) + "|"]
+    lines += [f"|{'|'.join(_cell(key, row) for key in keys)}|" for row in table["rows"]]
     took = "" if table["minutes"] is None else f", {table['minutes']:.0f} min"
     return "\n".join([*lines, "", f"{table['date']}, `{table['revision'][:8]}`{took}.", ""])
 

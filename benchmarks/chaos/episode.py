@@ -129,7 +129,7 @@ def _run(setting: Setting, troubles: tuple[Trouble, ...], seed: int, most_Kh: fl
                 closing(book.connect(lambda _: BoptestPlant(url, setting.testcase, config=config))) as plant,
             ):
                 allowed = limits_of(controller, setting.testcase.area_m2, 0.0)
-                lowest = setting.testcase.layout.lowest
+                u_min = setting.testcase.layout.u_min
                 plant.noted("loop", lambda: {"controller": controller.name})
                 run_closed_loop(
                     plant,
@@ -137,7 +137,7 @@ def _run(setting: Setting, troubles: tuple[Trouble, ...], seed: int, most_Kh: fl
                     period,
                     on_step=lambda step: log_step(controller.name, step),
                     allowed=allowed,
-                    lowest=lowest,
+                    u_min=u_min,
                     keeper=plant,
                     units=UnitDoubts(setting.testcase.layout, setting.model, setting.testcase.currency),
                 )

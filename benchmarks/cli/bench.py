@@ -33,6 +33,7 @@ for _command in (
     models.names_command,
     models.free_response_command,
     models.backbones_command,
+    models.forecasters_command,
     speed.plant_command,
     speed.controller_command,
     speed.gym_command,

@@ -154,7 +154,9 @@ def verdicts_command(
     help="What a changed operation saved, or what plans would have saved.",
 )
 @click.option("--cases", type=click.IntRange(1), help="Number of cases.  [default: 40; 20]")
-@click.option("--seed", type=int, default=7, show_default=True, help="Seed of houses, start days and set-points.")
+@click.option(
+    "--seed", type=click.IntRange(0), default=7, show_default=True, help="Seed of houses, start days and set-points."
+)
 @execution_options()
 @QUICK
 @JSON
@@ -313,3 +315,17 @@ def backbones_command(
 
     names = [name.strip() for name in (backbones or "").split(",") if name.strip()]
     show(run_backbone_bench(names, reference, quick=quick, out=out, progress=say), json_file)
+
+
+@click.command("forecasters")
+@click.option("--models", help="Comma-separated, as tf-mpc free-responses lists them.  [default: those installed]")
+@JSON
+def forecasters_command(models: str | None, json_file: Path | None) -> None:
+    """What each foundation model does with constant, gapped, moved or mirrored series; its time and memory.
+
+    Those whose weights do not ship are built with random ones of their real architecture (no download).
+    """
+    from benchmarks.free_response.forecasters import run_forecasters_bench
+
+    names = [name.strip() for name in (models or "").split(",") if name.strip()]
+    show(run_forecasters_bench(names, say), json_file)

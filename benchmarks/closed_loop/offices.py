@@ -169,8 +169,8 @@ def _follow(
     plant: HouseOfRooms, testcase: TestCase, week: str, name: str, options: Mapping[str, Any], model: Any = None
 ) -> RunResult:
     controller = build_controller(name, options, testcase, model)
-    allowed, lowest = limits_of(controller, testcase.area_m2), testcase.layout.lowest
-    return run_closed_loop(plant, controller, plant.period(week), allowed=allowed, lowest=lowest)
+    allowed, u_min = limits_of(controller, testcase.area_m2), testcase.layout.u_min
+    return run_closed_loop(plant, controller, plant.period(week), allowed=allowed, u_min=u_min)
 
 
 def _setback(plant: HouseOfRooms, lead_h: int) -> dict[str, Any]:

@@ -74,7 +74,7 @@ class LightOffice:
 
     def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
         """See `RoomSetpointPlant.advance`."""
-        block = check_levels(u, duration_s, command, lowest=-1.0)
+        block = check_levels(u, duration_s, command, u_min=-1.0)
         (level,), (told,) = block.u, block.command
         band = told if isinstance(told, tuple) else None
         heat = gas = chiller = 0.0

@@ -71,7 +71,7 @@ def mapped_homes(files: Sequence[str | Path], map: str | Path) -> list[Home]:
     source = {Path(file).name: file_sha256(Path(file)) for file in measured.understood.files}
     homes = []
     for z, zone in enumerate(layout.names.zones):
-        acting = [a for a in layout.actuators_of(z) or range(len(layout.home)) if layout.lowest[a] >= 0.0]
+        acting = [a for a in layout.actuators_of(z) or range(len(layout.home)) if layout.u_min[a] >= 0.0]
         meters = {layout.names.actuators[a]: record.u[a] for a in acting if layout.signs[a] == layout.signs[acting[0]]}
         if not any(np.isfinite(values).any() for values in meters.values()):
             raise DataError(

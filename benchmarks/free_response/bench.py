@@ -12,7 +12,7 @@ from benchmarks.free_response import energyplus
 from benchmarks.free_response.baselines.autoregressive import Autoregressive
 from benchmarks.free_response.baselines.exponential_smoothing import ExponentialSmoothing
 from benchmarks.free_response.baselines.seasonal_naive import SeasonalNaive
-from benchmarks.free_response.runs import cost_rows, interval_runs, look_rows
+from benchmarks.free_response.runs import cost_rows, gap_rows, interval_runs, look_rows
 from benchmarks.free_response.score import Score, forecast_origins, mae_K, score
 from benchmarks.free_response.shares import share_rows
 from benchmarks.free_response.sources import Source, boptest_sources, embedded_sources, house_sources, mons_sources
@@ -101,6 +101,11 @@ def run_free_response_bench(
         progress,
     )
     looks = look_rows(backbone, _ORIGINS_QUICK if quick else _ORIGINS_PER_SOURCE)
+    gaps = gap_rows(
+        [source for source in sources if source.history.step_s == HOUR_S],
+        {name: methods[name] for name in ("chronos", "linear_weather", "residual")},
+        _ORIGINS_QUICK if quick else _ORIGINS_SHARED,
+    )
     costs = cost_rows(sources[0], backbone)
     groups = {source.name: source.group for source in sources}
     if out is not None:
@@ -111,7 +116,7 @@ def run_free_response_bench(
         Target("chronos: median processor ms per 24-h forecast", costs[0]["processor_ms"], 5.0),
         *runs[1],
     ]
-    return results_json("free-response", [*rows, *runs[0], *shares, *looks, *costs], targets)
+    return results_json("free-response", [*rows, *runs[0], *shares, *looks, *gaps, *costs], targets)
 
 
 def _methods(backbone: str) -> dict[str, FreeResponse]:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from benchmarks.free_response.score import forecast_origins, score, window
+from benchmarks.free_response.score import Score, forecast_origins, mae_K, score, window
 from benchmarks.free_response.sources import Source, embedded_sources
 from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
 from thermoforce_mpc.comparison.outcome import Target
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.protocols import FreeResponse
 
 Row = dict[str, Any]
 
@@ -70,6 +72,40 @@ def look_rows(backbone: str, at_most: int) -> list[Row]:
             row[f"inside 80 %, {label}"] = float(np.mean([one.inside[:, part].mean() for one in found]))
         rows.append(row)
     return rows
+
+
+def gap_rows(sources: Sequence[Source], methods: Mapping[str, FreeResponse], at_most: int) -> list[Row]:
+    """Error over 6 h and 24 h, and coverage, where values were lost: a tenth here and there, and runs of four.
+
+    Means over the sources, beside those without gaps. The last value is always known.
+    """
+    rows: list[Row] = []
+    for name, method in methods.items():
+        found: dict[str, list[Score]] = {}
+        for source in sources:
+            origins = forecast_origins(source, at_most)
+            for lost, where in _lost(source.free_C.size).items():
+                seen = np.where(where & ~np.isin(np.arange(where.size), origins), np.nan, source.free_C)
+                found.setdefault(lost, []).append(score(method, source, origins, seen_C=seen))
+        rows += [
+            {
+                "method": name,
+                "values lost": lost,
+                **{f"mae_{hours}h_K": float(np.mean([mae_K(one, hours) for one in scores])) for hours in _LEADS_H},
+                "coverage_80": float(np.mean([one.inside.mean() for one in scores])),
+            }
+            for lost, scores in found.items()
+        ]
+    return rows
+
+
+def _lost(n: int) -> dict[str, NDArray[np.bool_]]:
+    """Which of `n` values are lost, by name."""
+    rng = np.random.default_rng(_ERROR_SEED)
+    runs = np.zeros(n, dtype=bool)
+    for first in np.cumsum(rng.integers(16, 52, size=n // 16)):
+        runs[first : first + 4] = True
+    return {"none": np.zeros(n, dtype=bool), "a tenth": rng.random(n) < 0.1, "runs of four": runs}
 
 
 def cost_rows(source: Source, backbone: str) -> list[Row]:

@@ -72,12 +72,20 @@ def window(source: Source, origin: int, error: ForecastError | None = None) -> t
     return source.free_C[past], history, boundary, source.free_C[origin + 1 : origin + n + 1]
 
 
-def score(method: FreeResponse, source: Source, origins: Sequence[int], error: ForecastError | None = None) -> Score:
-    """Forecast from every origin and compare with the measured values."""
+def score(
+    method: FreeResponse,
+    source: Source,
+    origins: Sequence[int],
+    error: ForecastError | None = None,
+    seen_C: Array | None = None,
+) -> Score:
+    """Forecast from every origin and compare with the measured values; `seen_C`: what the method sees of `free_C`."""
+    seen = source if seen_C is None else replace(source, free_C=seen_C)
     errors, inside, pinball, seconds = [], [], [], []
     state: object = None
     for origin in origins:
-        free, history, boundary, truth = window(source, origin, error)
+        _, _, boundary, truth = window(source, origin, error)
+        free, history, _, _ = window(seen, origin)
         began = time.perf_counter()
         forecast, state = follow(method, free, history, boundary, state)
         seconds.append(time.perf_counter() - began)

@@ -223,7 +223,7 @@ def _per_zone(case: Case, model: ThermalModel, settings: Mapping[str, Any]) -> M
     assert isinstance(config, MPCConfig)
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
         period = scored_period(plant, case.period, case.days)
-        return run_closed_loop(plant, OnePerZone(model, config), period, lowest=testcase.layout.lowest).kpis
+        return run_closed_loop(plant, OnePerZone(model, config), period, u_min=testcase.layout.u_min).kpis
 
 
 def targets(outcomes: Sequence[Outcome]) -> list[Target]:

@@ -29,7 +29,7 @@ def room_blocks(
     T_now_C: float,
     u_last: float,
     bounds_C: tuple[float, float],
-    lowest: float,
+    u_min: float,
     step_s: float,
     block_s: float,
 ) -> tuple[Block, ...]:
@@ -41,7 +41,7 @@ def room_blocks(
 
     `u`: below 0 for cooling; temperatures at the end of the step and now, °C (`T_now_C` NaN: not known, the loops act
     for the whole step); `u_last`: measured level of the last step, NaN: not known; `bounds_C`: in force during the
-    step, margins and learned reserve inside; `lowest`: level of full cooling, below 0; `block_s`: least time between
+    step, margins and learned reserve inside; `u_min`: level of full cooling, below 0; `block_s`: least time between
     two set-points, s.
     """
     lower, upper = bounds_C
@@ -55,7 +55,7 @@ def room_blocks(
     if not to_go > _MOVES_K:
         return (Block(u, step_s, band),)
     base_level = abs(hold) if hold * u > 0 else 0.0
-    full = 1.0 if u > 0 else -lowest
+    full = 1.0 if u > 0 else -u_min
     share = max(abs(u) - base_level, 0.0) / max(full - base_level, _OFF)
     moving_s = min(max(math.ceil(_SLOWS * share * step_s / block_s), 1) * block_s, step_s)
     level = (abs(u) - base_level) * step_s / moving_s + base_level

@@ -131,6 +131,6 @@ class SunOnSensors:
     def _prepared(self, latest: Record) -> list[Record]:
         """The latest days; nothing where too little was measured, or nothing acted."""
         try:
-            return list(prepared_runs([latest], ReadingLimits.of(None, None, min(self._model.layout.lowest)))[0])
+            return list(prepared_runs([latest], ReadingLimits.of(None, None, min(self._model.layout.u_min)))[0])
         except DataError:
             return []

@@ -35,6 +35,7 @@ Options of the watch over a model, its state during a run, and the scaled models
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -424,6 +425,8 @@ _MOST_UNKNOWN = 0.6
 # How fast what a prediction missed may leave a zone again, s, as air and furniture do (chosen like `_FORGETS_S` of
 # `blocked_hours`).
 _FORGOTTEN_S = 3 * HOUR_S
+# What full level does in so many hours, on a model's card.
+_STEP_RESPONSE = re.compile(r"step_response_(\d{1,4})h_K")
 # Hourly comparisons of meters before a change can be seen.
 _LEAST_RATIOS = 12
 # Share of predictions inside their band, and share of those expected that came due, to hand control back.
@@ -455,7 +458,7 @@ class Watch:
         actuators too: how warm its water is goes by them, and so the heat of a level; `machine_factor` counts twice.
         """
         self.config, self._model, self._power = config, model, power
-        self._signed, self._shared = model.operator.heat_input.lowest < 0.0, shared
+        self._signed, self._shared = model.operator.heat_input.u_min < 0.0, shared
         self._machine_factor = config.machine_factor ** (2 if shared else 1)
         self.step_s = model.operator.step_s
         leads = [max(1, round(lead * HOUR_S / self.step_s)) for lead in LEADS_H]
@@ -587,7 +590,7 @@ class Watch:
         u, T_zone = levels[start : start + n], float(history.T_zone_C[0, start + n])
         if not (np.isfinite(u).all() and math.isfinite(T_zone)):
             return None
-        runs = np.stack([np.clip(u, self._model.operator.heat_input.lowest, 1.0), np.zeros(n)])
+        runs = np.stack([np.clip(u, self._model.operator.heat_input.u_min, 1.0), np.zeros(n)])
         forced, idle = forced_rollout(item.operator, item.forced_K, runs, item.features[:n])[:, -1].sum(axis=-1)
         error = T_zone - item.median_C[lead] - float(forced)
         band = float(item.above_K[lead] if error > 0 else item.below_K[lead])
@@ -830,13 +833,7 @@ def _without_force(state: PredictorState | None) -> PredictorState:
 def _relative_gain_sd(model: ZoneModel, hours: float) -> float:
     """Relative standard deviation of the effect of `hours` at full level, from the card; 0 where it says nothing."""
     uncertainty = model.card.uncertainty
-    leads_h = [
-        int(key.split("_")[2][:-1]) for key in uncertainty if key.startswith("step_response_") and key.endswith("h_K")
-    ]
-    if not leads_h:
-        return 0.0
-    share = [
-        uncertainty[f"step_response_{h}h_sd_K"] / max(abs(uncertainty[f"step_response_{h}h_K"]), 1e-9)
-        for h in sorted(leads_h)
-    ]
-    return float(np.interp(hours, sorted(leads_h), np.minimum(share, 1.0)))
+    found = ((of[1], uncertainty[key]) for key in uncertainty if (of := _STEP_RESPONSE.fullmatch(key)))
+    known = {int(h): (effect_K, uncertainty.get(f"step_response_{h}h_sd_K", math.nan)) for h, effect_K in found}
+    share = {h: sd_K / max(abs(effect_K), 1e-9) for h, (effect_K, sd_K) in sorted(known.items()) if sd_K >= 0.0}
+    return float(np.interp(hours, list(share), np.minimum(list(share.values()), 1.0))) if share else 0.0

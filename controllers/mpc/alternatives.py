@@ -205,13 +205,13 @@ class _Model:
 
     def constant(self) -> dict[str, Array]:
         """All off, and all that heats or cools at full level, (A, N) by name."""
-        highest, lowest = self._machinery.u_max, self._machinery.u_min
-        heating = np.array([self._layout.mode(a) != "cooling" for a in range(highest.size)])
-        cooling = np.array([self._layout.mode(a) == "cooling" for a in range(highest.size)])
-        courses = {"off": np.zeros(highest.size)}
+        u_max, u_min = self._machinery.u_max, self._machinery.u_min
+        heating = np.array([self._layout.mode(a) != "cooling" for a in range(u_max.size)])
+        cooling = np.array([self._layout.mode(a) == "cooling" for a in range(u_max.size)])
+        courses = {"off": np.zeros(u_max.size)}
         if heating.any():
-            courses["full"] = np.where(heating, highest, 0.0)
-        if cooling.any() or (lowest < 0.0).any():
-            courses["full cooling" if heating.any() else "full"] = np.where(cooling, highest, lowest)
+            courses["full"] = np.where(heating, u_max, 0.0)
+        if cooling.any() or (u_min < 0.0).any():
+            courses["full cooling" if heating.any() else "full"] = np.where(cooling, u_max, u_min)
         n = self._boundary.n_steps
         return {name: self.courses.limited(np.repeat(levels[:, None], n, axis=1)) for name, levels in courses.items()}

@@ -65,7 +65,7 @@ class Formulation:
             layout.names.machines,
             np.array([actuation.highest for actuation in each]),
             np.array([actuation.lowest_level for actuation in each]),
-            np.array(layout.lowest),
+            np.array(layout.u_min),
             np.array(layout.machine_of),
             np.array(layout.shares),
             tuple(power.load.lowest_level if power.load.lowest_level < 1.0 else 0.0 for power in self.power),
@@ -247,7 +247,7 @@ class Formulation:
 
     def expected_power_W(self, a: int, record: Record) -> Array:
         """What the meter of its machine shows (n,), W, for the levels of actuator `a` in a record of its own."""
-        levels = np.clip(record.u[0], self._layout.lowest[a], 1.0)
+        levels = np.clip(record.u[0], self._layout.u_min[a], 1.0)
         power = self._expected[self._layout.machine_of[a]]
         return power.metered(levels, record.time_s[:-1], record.T_out_C[:-1], record.T_return_C[0])
 
@@ -281,17 +281,17 @@ class Formulation:
 
     def _last_u(self, history: Record) -> Array:
         """Levels of the last step of the record (A,), within their bounds; 0 where they are not known."""
-        last = history.u[:, -1] if history.u.shape[1] else np.zeros(len(self._layout.lowest))
+        last = history.u[:, -1] if history.u.shape[1] else np.zeros(len(self._layout.u_min))
         return np.clip(np.where(np.isfinite(last), last, 0.0), self.machinery.u_min, self.machinery.u_max)
 
     def _cooling(self, boundary: Boundary, price: Array) -> Cooling | None:
         """What levels below 0 cost at `price` (M, N), currency/kWh; None where there are none."""
-        if not any(lowest < 0.0 for lowest in self._layout.lowest):
+        if not any(u_min < 0.0 for u_min in self._layout.u_min):
             return None
         full = np.ones(boundary.n_steps)
         per_u_W = []
-        for lowest, m, weight in zip(self._layout.lowest, self._layout.machine_of, self._layout.weights, strict=True):
-            load = self.power[m].cooling if lowest < 0.0 else None
+        for u_min, m, weight in zip(self._layout.u_min, self._layout.machine_of, self._layout.weights, strict=True):
+            load = self.power[m].cooling if u_min < 0.0 else None
             per_u_W.append(0.0 * full if load is None else weight * load(full, boundary.T_out_C[:-1]))
         return Cooling(price[list(self._layout.machine_of)], np.stack(per_u_W))
 

@@ -601,8 +601,8 @@ class MarginRules:
             fed = self._layout.fed_by(self._layout.machine_of[a])
             load = float(self._shares[fed] @ used[fed]) if len(fed) > 1 else 0.0
             more[0 if sign > 0 else 1, z] |= max(used[a] / self._actuators.each[a].highest, load) < _FULLY_USED
-            if self._layout.lowest[a] < 0.0:
-                more[1, z] |= used[a] / self._layout.lowest[a] < _FULLY_USED
+            if self._layout.u_min[a] < 0.0:
+                more[1, z] |= used[a] / self._layout.u_min[a] < _FULLY_USED
         return more
 
     def capacity(self, operator: BuildingOperator, T_out_C: Array, unused: Array) -> Array | None:
@@ -706,7 +706,7 @@ class MarginRules:
         """Machines with one actuator whose heat is not metered and whose levels are held, and that actuator."""
         for m, power in enumerate(self._powers):
             fed = self._layout.fed_by(m)
-            if power is None or len(fed) != 1 or self._layout.lowest[fed[0]] < 0.0:
+            if power is None or len(fed) != 1 or self._layout.u_min[fed[0]] < 0.0:
                 continue
             if self._actuators.each[fed[0]].modulates and operator.of_actuator(fed[0]).heat_input.law is None:
                 yield m, fed[0]

@@ -135,11 +135,11 @@ def check_power(model: ThermalModel) -> None:
 def actuations_of(config: MPCConfig, model: ThermalModel, layout: Layout) -> list[ActuationChoice]:
     """How each actuator is run (A,)."""
     choices = []
-    for a, (actuator, lowest) in enumerate(zip(layout.names.actuators, layout.lowest, strict=True)):
+    for a, (actuator, u_min) in enumerate(zip(layout.names.actuators, layout.u_min, strict=True)):
         zone = model.actuator(a)
         assert zone.power is not None  # `check_power`
         actuation = config.actuation_of(actuator)
-        if actuation.mode == "auto" and lowest < 0.0:  # what heats and cools is asked for by a set-point
+        if actuation.mode == "auto" and u_min < 0.0:  # what heats and cools is asked for by a set-point
             actuation = actuation.model_copy(update={"mode": "room_setpoints"})
         choice = choose_actuation(
             actuation,
@@ -148,13 +148,13 @@ def actuations_of(config: MPCConfig, model: ThermalModel, layout: Layout) -> lis
             level_costs(zone.card.uncertainty),
             shared=len(layout.fed_by(layout.machine_of[a])) > 1,
         )
-        if choice.actuation.by_rooms != (lowest < 0.0):
+        if choice.actuation.by_rooms != (u_min < 0.0):
             raise ControllerConfigError(
                 f"controller.options.actuation.mode: {actuation.mode}: {actuator} "
                 + (
                     "heats and cools, which is done by set-points of the room: leave mode out, or set room_setpoints "
                     "(tf-mpc plan --set actuation.mode=room_setpoints)"
-                    if lowest < 0.0
+                    if u_min < 0.0
                     else "does not both heat and cool: leave mode out, or set duty or modulating"
                 )
             )

@@ -180,11 +180,11 @@ def first_demands(
         demands.append(
             room_blocks(
                 u,
-                end_of_move_C(plan.u[a], plan.T_zone_C[z], actuators.layout.lowest[a]),
+                end_of_move_C(plan.u[a], plan.T_zone_C[z], actuators.layout.u_min[a]),
                 T_now_C=float(readings.zones.T_C[z]),
                 u_last=float(last[0]) if last.size else float("nan"),
                 bounds_C=within_C(float(lower_C[0]), float(upper_C[0]), inside_K),
-                lowest=actuators.layout.lowest[a],
+                u_min=actuators.layout.u_min[a],
                 step_s=step_s,
                 block_s=actuation.config.block_s,
             )
@@ -192,14 +192,14 @@ def first_demands(
     return demands
 
 
-def end_of_move_C(u: Array, T_zone_C: Array, lowest: float) -> float:
+def end_of_move_C(u: Array, T_zone_C: Array, u_min: float) -> float:
     """Temperature to which loops are to bring a zone, °C, with levels `u` (N,) and temperatures (N,) of a plan.
 
     That at the end of the first step; where this heats or cools at half of full level or more, at the end of the steps
     from now on that do. A loop gives its most only if its set-point is well away, and a fan that stands at night starts
     only then.
     """
-    full = 1.0 if u[0] > 0 else -lowest
+    full = 1.0 if u[0] > 0 else -u_min
     works = u * np.sign(u[0]) >= _WORKS_FROM * full
     steps = int(np.argmin(works)) if not works.all() else works.size
     return float(T_zone_C[max(steps, 1) - 1])

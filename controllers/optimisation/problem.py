@@ -57,17 +57,18 @@ class EquipmentLayout:
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         for a, actuator in enumerate(self.actuators):
-            low, high, lowest, m = self.u_min[a], self.u_max[a], self.lowest_level[a], self.machine_of[a]
+            low, high, lowest_level, m = self.u_min[a], self.u_max[a], self.lowest_level[a], self.machine_of[a]
             problem, needed = "", f"its lowest level must be the highest, {high:g}"
-            if not (low <= 0.0 < high and lowest > 0.0 and self.share[a] >= 0.0):
+            if not (low <= 0.0 < high and lowest_level > 0.0 and self.share[a] >= 0.0):
+                levels = f"levels from {low:g} to {high:g}, lowest level {lowest_level:g}, share {self.share[a]:g}"
+                problem = f"{levels}: expected u_min ≤ 0 < u_max, lowest > 0 ≤ share"
+            elif low < 0.0 and lowest_level < high:
                 problem = (
-                    f"levels from {low:g} to {high:g}, lowest level {lowest:g}, share {self.share[a]:g}: expected "
+                    f"a level that heats and cools (from {low:g}) does not switch below {lowest_level:g}: {needed}"
                 )
-                problem += "u_min ≤ 0 < u_max, lowest > 0 ≤ share"
-            elif low < 0.0 and lowest < high:
-                problem = f"a level that heats and cools (from {low:g}) does not switch below {lowest:g}: {needed}"
             elif self.stepped[a] and self.shared[m]:
-                problem = f"it shares machine {self.machines[m]}, so it cannot hold levels above {lowest:g}: {needed}"
+                which = f"it shares machine {self.machines[m]}"
+                problem = f"{which}, so it cannot hold levels above {lowest_level:g}: {needed}"
             if problem:
                 raise ControllerConfigError(f"actuator {actuator}: {problem}")
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 from torch import Tensor, nn
 
 from controllers.checks import ControllerConfigError
@@ -53,9 +53,16 @@ class PolicyConfig(StrictModel):
 
 
 class DPCConfig(MPCConfig):
-    """Options of differentiable predictive control: those of the MPC, whose solver is not used, and the policy's."""
+    """Options of differentiable predictive control: those of the MPC but for its solver, and the policy's."""
 
     policy: PolicyConfig = PolicyConfig()
+
+    @field_validator("solver")
+    @classmethod
+    def _no_solver(cls, solver: str) -> str:
+        if solver != "auto":
+            raise ValueError("dpc plans by its policy, with no solver: leave it out, or use thermoforce_mpc")
+        return solver
 
 
 class DPC(ThermoForceMPC):
@@ -124,12 +131,12 @@ class DPC(ThermoForceMPC):
             price = np.repeat(0.05 + 0.4 * rng.uniform(size=n // 4 + 2), max(1, round(HOUR_S / step_s)))[: n + 1]
             price = np.resize(price, n + 1)
         # Levels that would do, from a day before until the end: by weather and sun, with a drift.
-        lowest = np.array(self._layout.lowest)
-        wanted = rng.uniform(lowest - 0.2, 0.9, size=A)[:, None] - rng.uniform(0.0, 0.3) * (
+        u_min = np.array(self._layout.u_min)
+        wanted = rng.uniform(u_min - 0.2, 0.9, size=A)[:, None] - rng.uniform(0.0, 0.3) * (
             day[:-1] + solar[:-1] / 500.0
         )
         wanted = wanted + np.cumsum(rng.normal(size=(A, n)), axis=1) * rng.uniform(0.0, 0.15) / np.sqrt(n)
-        levels = np.clip(wanted, lowest[:, None], 1.0)
+        levels = np.clip(wanted, u_min[:, None], 1.0)
         heat = np.stack([operator.of_actuator(a).heat_input(levels[a], T_out[:-1]) for a in range(A)])
         steady = operator.steady_gains_K * heat[:, :1]
         forced_K = operator.driven(steady, heat).sum(axis=(1, 3))

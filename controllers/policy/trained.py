@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from controllers.checks import ControllerConfigError
 from controllers.entries.entry import Entry
@@ -41,10 +41,13 @@ SIGNALS = ("hour", "T_zone_C", *_WEATHER, "u", *(f"forecast_{name}" for name in 
 class PolicySpec(StrictModel):
     """Settings of an environment by the levels of actuators, which a policy trained there needs in a run."""
 
+    model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
+
     zones: tuple[str, ...] = Field(description="names of the zones")
     actuators: tuple[str, ...] = Field(description="names of the actuators")
     machines: tuple[str, ...] = Field(description="names of the machines")
-    lowest: tuple[float, ...] = Field(description="lowest level of each actuator")
+    # Files of policies name it as those of models do.
+    u_min: tuple[float, ...] = Field(alias="lowest", description="lowest level of each actuator")
     step_s: float = Field(ge=1, description="length of a step, s")
     ahead_s: float = Field(ge=0, description="length of the forecast, s")
     every_s: float = Field(ge=1, description="distance of its instants, s, a whole number of steps")
@@ -142,7 +145,7 @@ class PolicySpec(StrictModel):
 
     def levels(self, action: Any) -> Array:
         """The levels (A,) that an action means."""
-        low, high = np.array(self.lowest), np.ones(len(self.lowest))
+        low, high = np.array(self.u_min), np.ones(len(self.u_min))
         ends = (-np.ones_like(low), high) if self.scaled_actions else (low, high)
         values = of_bins(int(action), self.bins, *ends) if self.bins else np.asarray(action, dtype=np.float64)
         return np.clip(unscaled(values, low, high) if self.scaled_actions else values, low, high)
@@ -152,7 +155,7 @@ class PolicySpec(StrictModel):
         """Signal, name and default bounds of all that can be observed, in order."""
         names = self.names
         zones = [("T_zone_C", names.label("T_zone_C", z), _BOUNDS["T_zone_C"]) for z in range(len(names.zones))]
-        acted = [("u", names.label("u", a), (low, 1.0)) for a, low in enumerate(self.lowest)]
+        acted = [("u", names.label("u", a), (low, 1.0)) for a, low in enumerate(self.u_min)]
         found = [("hour", name, _BOUNDS["hour"]) for name in ("hour_sin", "hour_cos")]
         found += [*zones, *((name, name, _BOUNDS[name]) for name in _WEATHER), *acted]
         for back in range(1, self.n_behind + 1):

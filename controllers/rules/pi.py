@@ -66,8 +66,8 @@ def pi_for(testcase: TestCase, comfort: Comfort | None, options: Mapping[str, An
 
 def check_layout(layout: Layout) -> None:
     """Raise `ControllerConfigError` where one actuator heats and cools: the law would only ever heat by it."""
-    for actuator, lowest in zip(layout.names.actuators, layout.lowest, strict=True):
-        if lowest < 0.0:
+    for actuator, u_min in zip(layout.names.actuators, layout.u_min, strict=True):
+        if u_min < 0.0:
             raise ControllerConfigError(
                 f"controller.name: pi does not heat and cool by the room set-points of {actuator}; use thermostat"
             )

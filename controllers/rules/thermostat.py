@@ -150,7 +150,7 @@ class Thermostat:
         bands: list[tuple[float, float] | None] = [None] * len(names.actuators)
         on, reasons = [], []
         for a, actuator in enumerate(names.actuators):
-            if self.layout.lowest[a] < 0.0:
+            if self.layout.u_min[a] < 0.0:
                 bands[a] = low, high = self._setpoint_C(a), self.config.cooling_setpoint_C
                 levels.append(0.0)
                 on.append(False)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.data import HOUR_S, Boundary, Record
-from thermoforce_mpc.data.series import bridged
+from thermoforce_mpc.data.series import bridged, short_gaps_bridged
 from thermoforce_mpc.errors import DataError
 
 NAN = np.nan
@@ -119,3 +119,12 @@ def test_other_gaps_stay():
     found, _ = bridged(holed)
     for name in ("T_zone_C", "heat_W", "power_W", "T_return_C"):
         np.testing.assert_array_equal(getattr(found, name), getattr(holed, name))
+
+
+def test_lines_between_values_that_are_near_and_nowhere_else():
+    values = np.array([NAN, 1.0, NAN, 3.0, NAN, NAN, 6.0, NAN, NAN, NAN, 10.0, NAN])
+    line = [NAN, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, NAN, NAN, NAN, 10.0, NAN]
+    np.testing.assert_allclose(short_gaps_bridged(values, 3), line)
+    np.testing.assert_allclose(short_gaps_bridged(values, 1), values)
+    np.testing.assert_allclose(short_gaps_bridged(values, 4), [NAN, *range(1, 11), NAN])
+    np.testing.assert_allclose(short_gaps_bridged(np.full(3, NAN), 4), np.full(3, NAN))

@@ -30,7 +30,7 @@ def pages(tmp_path):
 def test_a_table_is_written_from_its_file_and_an_edit_is_found(pages, capsys):
     assert evidence.main([], pages) == 0
     text = (pages / "page.md").read_text()
-    assert "| house | cost / discomfort |\n|---|---|\n| 1 | 0.500 / 2.00 |\n" in text
+    assert "|house|cost / discomfort|\n|---|---|\n|1|0.500 / 2.00|\n" in text
     assert "2026-11-28, `01234567`, 2 min." in text
     assert text.endswith("<!-- /evidence -->\n\nWords.\n")
     assert evidence.main(["--check"], pages) == 0
@@ -48,7 +48,7 @@ def test_the_rows_of_a_result_are_taken_with_its_command_and_today(pages):
     assert table["rows"] == [{"house": 2, "cost": 0.25, "tdis": 1.0}]
     assert table["command"] == "tf-mpc bench x --quick"
     assert table["revision"] != "0123456789"
-    assert "| 2 | 0.250 / 1.00 |" in (pages / "page.md").read_text()
+    assert "|2|0.250 / 1.00|" in (pages / "page.md").read_text()
     measured = {"command": "x", "rows": rows, "revision": "89abcdef0", "date": "2026-11-01"}
     result.write_text(json.dumps(measured))
     evidence.main(["--take", "houses", str(result)], pages)

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 import thermoforce_mpc.gym as tf_gym
-from controllers.policy.trained import PolicyController, policy_entry
+from controllers.policy.trained import PolicyController, PolicySpec, policy_entry
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, Observation, Period
 from thermoforce_mpc.errors import ConfigError, DataError
@@ -153,6 +153,14 @@ def test_a_policy_that_is_not_there_or_of_another_building_is_refused(tmp_path: 
         policy_entry(str(path))
     with pytest.raises(ConfigError, match="the policy"):
         PolicyController(spec, Rule(), load_testcase("house:2rooms").layout, name="rule")
+
+
+def test_files_of_policies_call_the_lowest_level_as_those_of_before_do() -> None:
+    spec = tf_gym.spec_of(made())
+    written = json.loads(spec.model_dump_json())
+    assert written["lowest"] == list(spec.u_min)
+    assert "u_min" not in written
+    assert PolicySpec.model_validate(written) == spec
 
 
 @pytest.mark.slow

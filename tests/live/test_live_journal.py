@@ -71,7 +71,7 @@ def test_what_the_controller_saw_is_told_again_though_readings_came_late(tmp_pat
     seen = recorded(tmp_path, house, 27)
     for hour in (0, 5, 6, 7, 23, 25, 26):
         told = decision_at(tmp_path, at(hour)).observation.history
-        expected = screened_history(seen[hour], ReadingLimits(lowest=-1.0))[0]
+        expected = screened_history(seen[hour], ReadingLimits(u_min=-1.0))[0]
         for name in ("time_s", "T_zone_C", "T_out_C", "u", "power_W"):
             known = getattr(expected, name)
             np.testing.assert_array_equal(getattr(told, name)[..., -known.shape[-1] :], known, err_msg=f"{name} {hour}")

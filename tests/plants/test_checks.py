@@ -53,7 +53,7 @@ def test_one_actuator_takes_a_number_and_a_pair(u, band):
 )
 def test_what_is_wrong_is_named_with_its_actuator(u, band, message):
     with pytest.raises(InputError, match=re.escape(message)):
-        check_levels(u, 900, band, names=NAMES, lowest=(-1.0, 0.0))
+        check_levels(u, 900, band, names=NAMES, u_min=(-1.0, 0.0))
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, math.nan, math.inf, 365 * 86400.0, "900"])

@@ -21,7 +21,7 @@ class Layout:
         signs: +1 for an actuator that heats (or heats and cools), −1 for one that cools (A,).
         home: zone that each actuator serves (A,).
         machine_of: machine that feeds each actuator (A,).
-        lowest: lowest level of each actuator, 0, or below where it heats and cools (A,).
+        u_min: lowest level of each actuator, 0, or below where it heats and cools (A,).
         shares: share of its machine's capacity that each actuator takes at full level (A,), 0 where it is the only one.
         floor_area_m2: of each zone, m² (Z,); NaN where it is not known.
         exclusive: groups of actuators (their numbers) of which at most one may act in a step.
@@ -33,7 +33,7 @@ class Layout:
     signs: tuple[int, ...] = (1,)
     home: tuple[int, ...] = (0,)
     machine_of: tuple[int, ...] = (0,)
-    lowest: tuple[float, ...] = (0.0,)
+    u_min: tuple[float, ...] = (0.0,)
     shares: tuple[float, ...] = (0.0,)
     floor_area_m2: tuple[float, ...] = (float("nan"),)
     exclusive: tuple[tuple[int, ...], ...] = ()
@@ -41,7 +41,7 @@ class Layout:
     def __post_init__(self) -> None:
         Z, A, M = (len(names) for names in (self.names.zones, self.names.actuators, self.names.machines))
         for what, expected in (
-            ("signs", A), ("home", A), ("machine_of", A), ("lowest", A), ("shares", A), ("floor_area_m2", Z),
+            ("signs", A), ("home", A), ("machine_of", A), ("u_min", A), ("shares", A), ("floor_area_m2", Z),
         ):  # fmt: skip
             if len(getattr(self, what)) != expected:
                 raise DataError(f"layout: {what} has {len(getattr(self, what))} entries, expected {expected}")
@@ -55,23 +55,23 @@ class Layout:
             if len(group) < 2 or len(set(group)) != len(group) or not all(0 <= a < A for a in group):
                 raise DataError(f"layout: exclusive {group}: expected two or more of {A} actuators, each once")
             for a in group:
-                if self.lowest[a] < 0.0:
+                if self.u_min[a] < 0.0:
                     raise DataError(
                         f"layout: exclusive: {self.names.actuators[a]} is run by room set-points, whose loops act when "
                         "the zone asks for it: they cannot be excluded"
                     )
 
     @classmethod
-    def single(cls, mode: str = "heating", lowest: float = 0.0, floor_area_m2: float | None = None) -> Layout:
+    def single(cls, mode: str = "heating", u_min: float = 0.0, floor_area_m2: float | None = None) -> Layout:
         """One zone with one actuator; `mode` 'heating', 'cooling' or 'both' (levels are signed). Raises `DataError`."""
         if mode not in ("heating", "cooling", "both"):
             raise DataError(f"mode is {mode!r}: expected heating, cooling or both")
         area = float("nan") if floor_area_m2 is None else floor_area_m2
-        return cls(signs=(-1 if mode == "cooling" else 1,), lowest=(lowest,), floor_area_m2=(area,))
+        return cls(signs=(-1 if mode == "cooling" else 1,), u_min=(u_min,), floor_area_m2=(area,))
 
     def mode(self, a: int) -> str:
         """What actuator `a` does: 'heating', 'cooling', or 'both' where its levels are signed."""
-        if self.lowest[a] < 0.0:
+        if self.u_min[a] < 0.0:
             return "both"
         return "heating" if self.signs[a] > 0 else "cooling"
 

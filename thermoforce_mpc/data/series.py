@@ -59,6 +59,17 @@ def interpolated(values: Array) -> Array:
     return np.interp(np.arange(values.size), known, values[known]) if known.size else np.zeros(values.size)
 
 
+def short_gaps_bridged(values: Array, apart: int) -> Array:
+    """`values` (n,) with lines between known values at most `apart` places apart; longer gaps and the ends stay NaN."""
+    known = np.flatnonzero(np.isfinite(values))
+    if known.size in (0, values.size):
+        return values
+    steps = np.diff(known)
+    short = np.zeros(values.size, dtype=bool)
+    short[known[0] : known[-1]] = np.repeat(steps <= apart, steps)
+    return np.where(short, interpolated(values), values)
+
+
 def held(values: Array) -> Array:
     """`values` (n,), not all NaN, with each gap filled by the last finite value (at the start, by the first)."""
     finite = np.isfinite(values)

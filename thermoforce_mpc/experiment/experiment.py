@@ -196,7 +196,7 @@ class Setting:
         Arguments and errors as of `run_closed_loop`; raises `ConfigError` too where prices end before the forecasts do.
         """
         experiment, testcase = self.experiment, self.experiment.testcase
-        spec, lowest = experiment.plant.spec, testcase.layout.lowest
+        spec, u_min = experiment.plant.spec, testcase.layout.u_min
         check_prices(spec, experiment.price, self.period, max(controller.horizon_s - controller.step_s, 0.0))
         return run_closed_loop(
             self.plant,
@@ -204,8 +204,8 @@ class Setting:
             self.period,
             experiment.price,
             on_step,
-            limits_of(controller, testcase.area_m2, min(lowest)),
-            lowest,
+            limits_of(controller, testcase.area_m2, min(u_min)),
+            u_min,
             keeper,
             steps,
             outage_h=spec.forecast_outage_h,

@@ -67,13 +67,13 @@ class LevelsView(View):
             )
         self.plant, self._layout, self._perfect = plant, testcase.layout, perfect
         self._step_s, self._ahead_s = step_s, ahead_s
-        names, lowest = self._layout.names, self._layout.lowest
+        names, u_min = self._layout.names, self._layout.u_min
         chosen = {} if observations is None else {"observations": dict(observations)}
         seen = {"step_s": step_s, "ahead_s": ahead_s, "every_s": every_s, "behind_s": behind_s, **chosen}
-        self.spec = validate(PolicySpec, {**asdict(names), "lowest": lowest, **seen}, "the environment")
+        self.spec = validate(PolicySpec, {**asdict(names), "u_min": u_min, **seen}, "the environment")
         self.spec.check()
         self._behind, self.action_names = self.spec.n_behind, names.actuators
-        self.action_space = spaces.Box(np.array(lowest, np.float32), np.ones(len(lowest), np.float32))
+        self.action_space = spaces.Box(np.array(u_min, np.float32), np.ones(len(u_min), np.float32))
         self.box = ObservationBox.of(self.spec.entries)
 
     @property

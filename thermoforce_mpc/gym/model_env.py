@@ -82,7 +82,7 @@ class ModelVectorEnv(VectorEnv[Any, Any, Any]):
         self.num_envs, self._step_s, self._weight = num_envs, step_s, discomfort_weight
         blocks = part_load == "blocks"
         self._operator = model.operator.resampled(step_s)
-        self._pairs = [self._operator.of_actuator(a) for a in range(len(layout.lowest))]
+        self._pairs = [self._operator.of_actuator(a) for a in range(len(layout.u_min))]
         heat = [one.heat_input for one in self._pairs]
         self._heat = [of.at_lowest_level(1.0) if blocks else of for of in heat]
         powers = [power.at_lowest_level(1.0) if blocks else power for power in model.power if power]
@@ -107,7 +107,7 @@ class ModelVectorEnv(VectorEnv[Any, Any, Any]):
         self._feedback = any(one.feedback_active for one in self._pairs)
         seen = {"step_s": step_s, "ahead_s": predictive_period, "every_s": max(forecast_every, step_s)}
         self.policy_spec = PolicySpec(
-            **asdict(layout.names), lowest=layout.lowest, **seen, observations=dict.fromkeys(_SEEN)
+            **asdict(layout.names), u_min=layout.u_min, **seen, observations=dict.fromkeys(_SEEN)
         )
         self.policy_spec.check()
         weather = np.stack([self._T_out, solar])
@@ -124,7 +124,7 @@ class ModelVectorEnv(VectorEnv[Any, Any, Any]):
         self._own = np.flatnonzero(np.isnan(self._known[0]))  # zone temperatures, then levels
         low, high = np.array([of for _, of in self.policy_spec.entries], dtype=np.float32).T
         self.single_observation_space = gymnasium.spaces.Box(low, high)
-        self._least = np.array(layout.lowest)
+        self._least = np.array(layout.u_min)
         self.single_action_space = gymnasium.spaces.Box(self._least.astype(np.float32), np.ones(A, dtype=np.float32))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

@@ -55,7 +55,7 @@ def identify(
     config: IdentificationConfig | None = None,
     layout: Layout | None = None,
     mode: Literal["heating", "cooling", "both"] = "heating",
-    lowest: float = 0.0,
+    u_min: float = 0.0,
     floor_area_m2: float | None = None,
     step_s: float | None = None,
     source: str | None = None,
@@ -69,7 +69,7 @@ def identify(
         config: options.
         layout: what acts where; by default one zone with one actuator, described by the next three.
         mode: sign of what the actuator does to the zone; both: levels are signed, cooling below 0.
-        lowest: lowest level, below 0 with mode both.
+        u_min: lowest level, below 0 with mode both.
         floor_area_m2: heated floor area, m²; with measured heat the network expects a building of this area. Readings
             of heat and power that no building of this area gives are left out.
         step_s: step of the returned operator, s; by default the step of the data.
@@ -89,22 +89,22 @@ def identify(
     runs = (runs,) if isinstance(runs, Record) else tuple(runs)
     source = source or _times_of([*runs, *(pair.a for pair in pairs)])
     say = progress or (lambda text: None)
-    if (mode == "both") != (lowest < 0.0):
-        raise DataError(f"mode is {mode} and the lowest level {lowest:g}: mode both needs one below 0, others 0")
+    if (mode == "both") != (u_min < 0.0):
+        raise DataError(f"mode is {mode} and the lowest level {u_min:g}: mode both needs one below 0, others 0")
     if not runs and not pairs:
         raise DataError("nothing to identify from: give at least one run or pair")
     if layout is None:
         names = (runs[0] if runs else pairs[0].a).names
         if not names.single:
             raise DataError(f"the records have {names}: say what acts where (layout)")
-        layout = replace(Layout.single(mode, lowest, floor_area_m2), names=names)
+        layout = replace(Layout.single(mode, u_min, floor_area_m2), names=names)
     records = _prepared(runs, pairs, layout, config)
     alone = len(layout.home) == 1
     inputs, noted = [], []
     for a, home in enumerate(layout.home):
         parts = [h.part(home, [a], [layout.machine_of[a]]) for h in records.histories]
         with _told(records, layout, a):
-            heat_input, of_heat = identified_heat_input(parts, config, layout.signs[a], layout.lowest[a], alone)
+            heat_input, of_heat = identified_heat_input(parts, config, layout.signs[a], layout.u_min[a], alone)
         inputs.append(heat_input)
         noted.append([*records.notes, *of_heat, *records.foreign.notes(a)])
     runs, sun = without_sun(records.runs, layout, inputs, config)
@@ -174,7 +174,7 @@ def _prepared(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout, con
         check_same_building("the record", record.names, "the layout", layout.names)
     hashes = {name: data_hash(record) for name, record in given.items()}
     area_m2 = float(np.sum(layout.floor_area_m2))
-    allowed = ReadingLimits.of(None, area_m2 if np.isfinite(area_m2) else None, min(layout.lowest))
+    allowed = ReadingLimits.of(None, area_m2 if np.isfinite(area_m2) else None, min(layout.u_min))
     runs, gaps = prepared_runs(runs, allowed)
     # What the runs say against themselves, each thing once, where it is surest.
     surest = {}

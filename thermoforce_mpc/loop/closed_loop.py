@@ -154,7 +154,7 @@ def run_closed_loop(
     price: str = "constant",
     on_step: Callable[[StepRecord], None] | None = None,
     allowed: ReadingLimits | None = None,
-    lowest: Sequence[float] | None = None,
+    u_min: Sequence[float] | None = None,
     keeper: StepKeeper | None = None,
     steps: KeptSteps[StepRecord] | None = None,
     record_days: float = _RECORD_DAYS,
@@ -170,7 +170,7 @@ def run_closed_loop(
     Args:
         on_step: called after every control step (progress display).
         allowed: limits of plausible readings; by default those of the controller's model, see `limits_of`.
-        lowest: lowest level of each actuator (A,); by default that of `allowed` for all.
+        u_min: lowest level of each actuator (A,); by default that of `allowed` for all.
         keeper: keeps a journal of the steps.
         steps: where the steps are kept, also if the plant fails; empty.
         record_days: controllers get the record of these latest days, or up to a day more.
@@ -186,7 +186,7 @@ def run_closed_loop(
     """
     began = time.perf_counter()
     driver = _Simulated(
-        plant, controller, period, price, on_step, allowed, lowest, keeper, steps, record_days, units, state
+        plant, controller, period, price, on_step, allowed, u_min, keeper, steps, record_days, units, state
     )
     state = Loop(driver, controller, outage_h).run()
     kpis = plant.kpis() | {"time_rat": time_rat(driver.steps, controller.step_s)}
@@ -207,7 +207,7 @@ class _Simulated:
         price: str,
         on_step: Callable[[StepRecord], None] | None,
         allowed: ReadingLimits | None,
-        lowest: Sequence[float] | None,
+        u_min: Sequence[float] | None,
         keeper: StepKeeper | None,
         steps: KeptSteps[StepRecord] | None,
         record_days: float,
@@ -217,7 +217,7 @@ class _Simulated:
         self._state = state
         self._plant, self._period, self._price, self._step_s = plant, period, price, controller.step_s
         self._allowed = allowed or limits_of(controller)
-        self._lowest: Sequence[float] = [self._allowed.lowest] if lowest is None else lowest
+        self._u_min: Sequence[float] = [self._allowed.u_min] if u_min is None else u_min
         self._on_step, self._keeper, self._units, self._record_days = on_step, keeper, units, record_days
         self.steps: KeptSteps[StepRecord] = KeptSteps() if steps is None else steps
         self._notes: tuple[str, ...] = ()
@@ -237,7 +237,7 @@ class _Simulated:
     def read(self) -> Believed:
         """See `LoopDriver.read`."""
         as_read = self._history if self.steps else self._as_read
-        return Believed(self._history, as_read, self._notes, self._end_s - self._now_s, self._lowest)
+        return Believed(self._history, as_read, self._notes, self._end_s - self._now_s, self._u_min)
 
     def unfit(self, blocks: Sequence[Block]) -> str:
         """See `LoopDriver.unfit`: the plant refuses itself what it has not."""
@@ -307,7 +307,7 @@ class _Simulated:
             self._keeper.decided(decided.index, observation.time_s, decided.plan, decided.blocks, decided.refused)
         )
         left_s = min(self._step_s, self._end_s - self._now_s)
-        if wrong := wrong_blocks(kept, left_s, self._lowest, self._history.names):
+        if wrong := wrong_blocks(kept, left_s, self._u_min, self._history.names):
             raise DataError(f"the journal tells of {wrong}; was it edited? Start the run again")
         return kept
 

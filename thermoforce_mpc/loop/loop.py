@@ -125,14 +125,14 @@ class Believed:
         as_read: the record in which wrong units are looked for.
         notes: readings that were missing or rejected.
         left_s: time until the loop ends, s.
-        lowest: lowest level of each actuator (A,), or of all.
+        u_min: lowest level of each actuator (A,), or of all.
     """
 
     history: Record
     as_read: Record
     notes: tuple[str, ...]
     left_s: float
-    lowest: float | Sequence[float]
+    u_min: float | Sequence[float]
 
 
 @dataclass(frozen=True)
@@ -198,8 +198,11 @@ class LoopDriver(Protocol):
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """See `Plant.forecast`."""
 
-    def instead(self, index: int, error: Exception, state: object) -> Decided:
-        """What acts in the place of a decision that failed; raises `error` where that ends the loop."""
+    def instead(self, index: int, error: Exception, state: object) -> Decided | None:
+        """What acts in the place of a decision that failed; raises `error` where that ends the loop.
+
+        None: it is decided once more, by a controller that begins anew, since what it went on from may be wrong.
+        """
 
     def act(self, decided: Decided) -> object:
         """Apply and record a decision; returns the controller's state to go on from."""
@@ -228,7 +231,8 @@ class Loop:
                 try:
                     decided = self._decide(index, driver.read(), state)
                 except Exception as error:
-                    decided = driver.instead(index, error, state)
+                    instead = driver.instead(index, error, state)
+                    decided = self._decide(index, driver.read(), None) if instead is None else instead
                 if decided.plan.ends:
                     state = decided.after
                     break
@@ -256,7 +260,7 @@ class Loop:
         plan, after = replace(plan, state=None), plan.state
         if plan.ends:
             return Decided(index, observation, boundary, plan, (), before=state, after=after)
-        blocks, refused = checked_blocks(plan, controller.step_s, believed.left_s, believed.lowest, history.names)
+        blocks, refused = checked_blocks(plan, controller.step_s, believed.left_s, believed.u_min, history.names)
         if not refused and (unfit := self._driver.unfit(blocks)):
             refused = f"refused {unfit}: native control instead"
             blocks = (Block.native(len(history.names.actuators), min(controller.step_s, believed.left_s)),)
@@ -276,18 +280,18 @@ class Loop:
 
 
 def checked_blocks(
-    plan: Plan, step_s: float, remaining_s: float, lowest: float | Sequence[float] = 0.0, names: Names = SINGLE
+    plan: Plan, step_s: float, remaining_s: float, u_min: float | Sequence[float] = 0.0, names: Names = SINGLE
 ) -> tuple[tuple[Block, ...], str]:
     """The blocks of `plan` cut to the window and "", or one step of native control and the reason for the refusal.
 
     Last check before the plant: there must be one level for each actuator of `names`, None or finite and in
-    [`lowest`, 1] (`lowest` of all or of each), room set-points finite and in order; a duration must be finite and
+    [`u_min`, 1] (`u_min` of all or of each), room set-points finite and in order; a duration must be finite and
     positive; the durations must sum to `step_s`. What is wrong with one actuator refuses the plan for all.
     """
     native = (Block.native(len(names.actuators), min(step_s, remaining_s)),)
     if not plan.blocks:
         return native, "the plan had no action: native control instead"
-    if wrong := wrong_blocks(plan.blocks, step_s, lowest, names):
+    if wrong := wrong_blocks(plan.blocks, step_s, u_min, names):
         return native, f"refused {wrong}: native control instead"
     cut: list[Block] = []
     left_s = remaining_s
@@ -299,11 +303,11 @@ def checked_blocks(
     return tuple(cut), ""
 
 
-def wrong_blocks(blocks: Sequence[Block], duration_s: float, lowest: float | Sequence[float], names: Names) -> str:
+def wrong_blocks(blocks: Sequence[Block], duration_s: float, u_min: float | Sequence[float], names: Names) -> str:
     """What is wrong with blocks for `duration_s`, in words; empty where they may be applied."""
     try:
         for block in blocks:
-            check_levels(block.u, block.duration_s, block.command, names=names, lowest=lowest)
+            check_levels(block.u, block.duration_s, block.command, names=names, u_min=u_min)
     except InputError as error:
         return str(error)
     total_s = math.fsum(block.duration_s for block in blocks)

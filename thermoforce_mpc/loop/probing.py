@@ -59,7 +59,7 @@ class Probed:
         from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, called_for, each_direction, running
 
         found: list[Directions] = []
-        for a, (z, sign, lowest) in enumerate(zip(layout.home, layout.signs, layout.lowest, strict=True)):
+        for a, (z, sign, u_min) in enumerate(zip(layout.home, layout.signs, layout.u_min, strict=True)):
             levels = np.array([math.nan if block.u[a] is None else block.u[a] for block in self.blocks])
             told = [block.command[a] for block in self.blocks]
             bands = [pair if isinstance(pair, tuple) else (math.nan, math.nan) for pair in told]
@@ -67,9 +67,9 @@ class Probed:
             asked = called_for(levels, heating_C, cooling_C, self.record.T_zone_C[z])
             m = layout.machine_of[a]
             record = self.record.part(z, [a], [m])
-            if len(layout.fed_by(m)) == 1 and lowest >= 0.0:
+            if len(layout.fed_by(m)) == 1 and u_min >= 0.0:
                 record = running(record)
-            each = each_direction(asked, record, sign, signed=lowest < 0.0)
+            each = each_direction(asked, record, sign, signed=u_min < 0.0)
             found.append(tuple(BlockedHours.found(*one) for one in each))
         return found
 
@@ -243,7 +243,7 @@ class Probing:
         self.record, self.blocks = Record.beginning(now), list[Block]()
         # The past bounds the effect of a level; rooms need none.
         self._past = self.record
-        if any(lowest >= 0.0 for lowest in self._layout.lowest):
+        if any(u_min >= 0.0 for u_min in self._layout.u_min):
             past = plant.past(c.step_s)
             sampled: dict[str, Any] = {name: np.copy(getattr(past, name)) for name in SAMPLED}
             for name in SAMPLED:
@@ -302,7 +302,7 @@ class Probing:
     def read(self) -> Believed:
         """See `LoopDriver.read`: readings are judged where a model is identified from them."""
         history = self.record if self.record.n_steps else self._past
-        return Believed(history, history, (), math.inf, self._layout.lowest)
+        return Believed(history, history, (), math.inf, self._layout.u_min)
 
     def unfit(self, blocks: Sequence[Block]) -> str:
         """See `LoopDriver.unfit`: the plant refuses itself what it has not."""

@@ -68,7 +68,7 @@ def _beside_model(record: Record, layout: Layout, model: ThermalModel) -> Iterat
     """Meters of machines with one actuator, and of heat, far from what a model says of the known levels, in words."""
     T_out, names = record.T_out_C[:-1], record.names
     for a, m in enumerate(layout.machine_of):
-        u = np.clip(record.u[a], layout.lowest[a], 1.0)
+        u = np.clip(record.u[a], layout.u_min[a], 1.0)
         power, law = model.power[m], model.operator.of_actuator(a).heat_input.law
         meters = []
         if power is not None and len(layout.fed_by(m)) == 1:

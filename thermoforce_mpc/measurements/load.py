@@ -13,7 +13,7 @@ import pandas as pd
 from thermoforce_mpc.commands.kinds import AnyCommand
 from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, check_told, learn_command
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
-from thermoforce_mpc.data.dataframes import new_year, seconds_at, seconds_since, stamps
+from thermoforce_mpc.data.dataframes import clock_s, new_year, seconds_at, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError, counted
 from thermoforce_mpc.measurements import readings
 from thermoforce_mpc.measurements.map.entries import Signal
@@ -124,8 +124,8 @@ def actuator_levels(rules: MeasurementMap, reader: SignalReader, heat: Array, po
             raise DataError(f"actuators.{name}: full_W of {full:g} W is not above off_W of {actuator.off_W:g} W")
         level = (used - actuator.off_W) / span * (np.sign(load) if actuator.mode == "both" else 1.0)
         cut = int((level > 1.0).sum())
-        lowest = -1.0 if actuator.mode == "both" else 0.0
-        rows.append(np.clip(level, lowest, 1.0))
+        u_min = -1.0 if actuator.mode == "both" else 0.0
+        rows.append(np.clip(level, u_min, 1.0))
         how = "as given" if actuator.full_W else "the 99th percentile of the steps in which it ran"
         less = f" above {actuator.off_W:g} W" if actuator.off_W else ""
         notes.append(
@@ -134,18 +134,25 @@ def actuator_levels(rules: MeasurementMap, reader: SignalReader, heat: Array, po
     return np.array(rows), notes
 
 
+def _over_K(actuator: MappedActuator, name: str, reader: SignalReader, rules: MeasurementMap) -> Array | None:
+    """What the water of an emitter is above its room (n,), K; None where the map does not name its water."""
+    if actuator.flow is None:
+        return None
+    zone = rules.zones[actuator.zone or next(iter(rules.zones))]
+    T_zone_C = reader.sampled(f"zones.{name}.temperature", zone.temperature, readings.ZONE)
+    flow_C = reader.mean(f"actuators.{name}.flow", actuator.flow, readings.WATER)
+    return np.asarray(np.maximum(flow_C - 0.5 * (T_zone_C[:-1] + T_zone_C[1:]), 0.0))
+
+
 def _emission(
     actuator: MappedActuator, name: str, reader: SignalReader, rules: MeasurementMap, notes: list[str]
 ) -> Array:
     """Level (n,) of an emitter by its open valve and what its water is above the room."""
-    assert actuator.flow is not None
-    zone = rules.zones[actuator.zone or next(iter(rules.zones))]
-    T_zone_C = reader.sampled(f"zones.{name}.temperature", zone.temperature, readings.ZONE)
-    flow_C = reader.mean(f"actuators.{name}.flow", actuator.flow, readings.WATER)
-    valve = np.ones(flow_C.size)
+    over_K = _over_K(actuator, name, reader, rules)
+    assert over_K is not None  # it has a flow
+    valve = np.ones(over_K.size)
     if actuator.level is not None:
         valve = np.clip(reader.mean(f"actuators.{name}.level", actuator.level, readings.LEVEL), 0.0, 1.0)
-    over_K = np.maximum(flow_C - 0.5 * (T_zone_C[:-1] + T_zone_C[1:]), 0.0)
     runs = over_K[(valve > 0.0) & np.isfinite(over_K)]
     full_K = float(np.percentile(runs, 99.0)) if runs.size else 0.0
     if full_K <= 0.0:
@@ -199,7 +206,7 @@ class Measurements:
             tuple(layout.signs[a] for a in acting),
             tuple(kept.index(layout.home[a]) if layout.home[a] in kept else 0 for a in acting),
             tuple(layout.machine_of[a] for a in acting),
-            tuple(layout.lowest[a] for a in acting),
+            tuple(layout.u_min[a] for a in acting),
             tuple(layout.shares[a] for a in acting),
             tuple(layout.floor_area_m2[z] for z in kept),
         )
@@ -330,7 +337,10 @@ def _from_table(
     heat = np.array([reader.mean(f"actuators.{name}.heat", a.heat, readings.POWER) for name, a in actuators] or unknown)
     u, of_levels = actuator_levels(rules, reader, heat, power)
     set_by = {name: found for name, _ in actuators if (found := rules.command_of(name)) is not None}
-    commands = {name: _commanded(reader, where, command) for name, (where, command) in set_by.items()}
+    commands = {
+        name: replace(_commanded(reader, where, command), over_K=_over_K(rules.actuators[name], name, reader, rules))
+        for name, (where, command) in set_by.items()
+    }
     record = Record(
         grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
         np.array(water), origin, names,
@@ -375,7 +385,8 @@ def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
             T_zone_C, shared = record.T_zone_C[measured.layout.home[a]], kind == "machines"
             where = f"{where}.command (column {command.column})" + (f" for {name}" if shared else "")
             signals = T_zone_C, record.T_out_C, record.u[a], record.time_s
-            learned = learn_command(command, was, *signals, where, may_be_untold=True)
+            habits_s = clock_s(record.time_s, record.origin)
+            learned = learn_command(command, was, *signals, where, clock_s=habits_s, may_be_untold=True)
             out[name] = replace(learned, origin=record.origin, machine=machine if shared else "")
     check_told(out.values())
     return out

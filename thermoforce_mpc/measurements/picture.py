@@ -61,7 +61,7 @@ def measurements_figure(measured: Measurements, title: str = "") -> Figure:
         panels[2].stairs(record.u[a], at, **_look(a), fill=alone, alpha=0.6, label=actuator, baseline=0.0)
         _gaps(panels[2], at, record.u[a], f"C{a % 10}")
     panels[2].set_ylabel("level u")
-    panels[2].set_ylim(min(0.0, *measured.layout.lowest) * 1.05, 1.05)
+    panels[2].set_ylim(min(0.0, *measured.layout.u_min) * 1.05, 1.05)
     _legend(panels[2], len(names.actuators))
     if with_power:
         for m, machine in enumerate(names.machines):

@@ -122,10 +122,10 @@ class PredictionContext:
             u = u[..., None, :]
         if u.shape[-2:] != (actuators, self.n_steps):
             raise DataError(f"u has shape {u.shape}, expected (..., {actuators}, {self.n_steps})")
-        lowest = self.operator.lowest[:, None]
-        if not ((u >= lowest - ROUNDING) & (u <= 1 + ROUNDING)).all():
-            raise DataError(f"u must be finite and inside [{lowest.min():g}, 1]")
-        u = np.clip(u, lowest, 1.0)
+        u_min = self.operator.u_min[:, None]
+        if not ((u >= u_min - ROUNDING) & (u <= 1 + ROUNDING)).all():
+            raise DataError(f"u must be finite and inside [{u_min.min():g}, 1]")
+        u = np.clip(u, u_min, 1.0)
         forced = self.operator.rollout(self.forced_K, u, self.features).sum(axis=(-3, -1))
         return Prediction(
             free_C=self.free.median_C,

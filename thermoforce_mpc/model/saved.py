@@ -29,6 +29,7 @@ from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.version import VERSION
 
@@ -37,6 +38,8 @@ _LARGEST = 1e12
 _WORDS = {bool: "true or false", str: "a text", list: "a list", dict: "an object with keys"}
 _OPERATOR_ARRAYS = ("poles", "gains", "hidden_weight", "hidden_bias", "output_weight", "feature_mean", "feature_scale")
 _FREE_ARRAYS = ("poles", "weights", "process_K2", "start_K2")
+# Fields that files call otherwise.
+_IN_FILES = {"u_min": "lowest"}
 FORMAT = "thermoforce-mpc thermal model"
 FORMAT_VERSION = 9
 JSON_NAME = "model.json"
@@ -149,7 +152,7 @@ def _pair_content(operator: OperatorParameters) -> dict[str, Any]:
         "sign": operator.sign,
         "step_s": operator.step_s,
         "feedback": operator.feedback,
-        "heat_input": dataclasses.asdict(operator.heat_input),
+        "heat_input": {_IN_FILES.get(name, name): v for name, v in dataclasses.asdict(operator.heat_input).items()},
         "time_constants_h": operator.time_constants_h,
         "steady_gains_K": operator.steady_gains_K,
     }
@@ -188,7 +191,10 @@ def decode(content: Mapping[str, Any], arrays: Mapping[str, Array]) -> dict[str,
 
 
 def _operator(data: Mapping[str, Any], arrays: Mapping[str, Array], prefix: str) -> OperatorParameters:
-    return of_fields(OperatorParameters, data, **{name: _array(arrays, prefix + name) for name in _OPERATOR_ARRAYS})
+    of_file = _expected(dict, data["heat_input"])
+    named = {item.name: of_file[_IN_FILES.get(item.name, item.name)] for item in dataclasses.fields(HeatInput)}
+    known = {name: _array(arrays, prefix + name) for name in _OPERATOR_ARRAYS}
+    return of_fields(OperatorParameters, {**data, "heat_input": named}, **known)
 
 
 def _array(arrays: Mapping[str, Array], name: str) -> Array:

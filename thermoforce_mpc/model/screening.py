@@ -27,25 +27,25 @@ class ReadingLimits:
     """Plausible ranges of readings of one building; most are common to all (`thermoforce_mpc.data.limits`).
 
     `power_W` and `heat_W` are (lowest, highest) in W of any machine and actuator, as measured: heat of a cooling
-    machine is negative. `lowest`: the lowest level, below 0 where levels are signed.
+    machine is negative. `u_min`: the lowest level, below 0 where levels are signed.
     """
 
     power_W: tuple[float, float] = _INFINITE
     heat_W: tuple[float, float] = _INFINITE
-    lowest: float = 0.0
+    u_min: float = 0.0
 
     @classmethod
-    def of(cls, model: ThermalModel | None, floor_area_m2: float | None = None, lowest: float = 0.0) -> ReadingLimits:
+    def of(cls, model: ThermalModel | None, floor_area_m2: float | None = None, u_min: float = 0.0) -> ReadingLimits:
         """Limits as multiples of the identified machine's largest heat and power.
 
         Without a heat or power model: 500 W per m² of floor area; without a floor area, no limit.
         """
         most_W = limits.LOAD_W_PER_M2 * (floor_area_m2 or np.inf)
-        allowed = cls((-most_W, most_W), (-most_W, most_W), lowest)
+        allowed = cls((-most_W, most_W), (-most_W, most_W), u_min)
         if model is None:
             return allowed
         heads = [model.operator.of_actuator(a) for a in range(len(model.operator.actuators))]
-        allowed = replace(allowed, lowest=min(head.heat_input.lowest for head in heads))
+        allowed = replace(allowed, u_min=min(head.heat_input.u_min for head in heads))
         if all(head.heat_input.law is not None for head in heads):
             full_W = [head.sign * head.heat_input.largest_W() for head in heads]
             ends = [share * each for share in limits.LOAD_RANGE for each in full_W]
@@ -63,23 +63,23 @@ class ReadingLimits:
     def range(self, name: str) -> tuple[float, float]:
         """Return the lowest and highest value of the signal `name` of a `Record` or `Measurement`, in its unit."""
         of_building = {
-            "u": (self.lowest + limits.LEVEL[0], limits.LEVEL[1]),
+            "u": (self.u_min + limits.LEVEL[0], limits.LEVEL[1]),
             "power_W": self.power_W,
             "heat_W": self.heat_W,
         }
         return of_building.get(name, limits.RULES[name].range)
 
 
-def limits_of(controller: object, floor_area_m2: float | None = None, lowest: float = 0.0) -> ReadingLimits:
-    """Return limits by the model of `controller`, else by the floor area, m², and `lowest` level, see
+def limits_of(controller: object, floor_area_m2: float | None = None, u_min: float = 0.0) -> ReadingLimits:
+    """Return limits by the model of `controller`, else by the floor area, m², and the lowest level `u_min`, see
     `ReadingLimits.of`.
     """
     model = getattr(controller, "model", None)
     if model is None:
-        return ReadingLimits.of(None, floor_area_m2, lowest)
+        return ReadingLimits.of(None, floor_area_m2, u_min)
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
-    return ReadingLimits.of(model if isinstance(model, ThermalModel) else None, floor_area_m2, lowest)
+    return ReadingLimits.of(model if isinstance(model, ThermalModel) else None, floor_area_m2, u_min)
 
 
 def screened(measurement: Measurement, allowed: ReadingLimits, history: Record) -> tuple[Measurement, tuple[str, ...]]:

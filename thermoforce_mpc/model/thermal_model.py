@@ -121,7 +121,7 @@ class ThermalModel:
             tuple(head.sign for head in heads),
             self.operator.home,
             self.machine_of,
-            tuple(head.heat_input.lowest for head in heads),
+            tuple(head.heat_input.u_min for head in heads),
             self.shares,
             self.floor_area_m2,
             self.exclusive,
@@ -199,7 +199,7 @@ class ThermalModel:
         fed = list(layout.fed_by(m))
         if power is None or (len(fed) > 1 and power.cooling is not None):
             return Share(1.0, UNKNOWN)
-        u = np.clip(record.u[fed], np.array(layout.lowest)[fed, None], 1.0)
+        u = np.clip(record.u[fed], np.array(layout.u_min)[fed, None], 1.0)
         T_out_C, T_return_C = record.T_out_C[:-1], record.T_return_C[m]
         weights = np.array(layout.weights)[fed]
         own = power(u[0], T_out_C, T_return_C) if len(fed) == 1 else power.of_actuators(u, weights, T_out_C)
@@ -340,7 +340,7 @@ def _disbelieved(model: ThermalModel, a: int) -> str:
     said_K = own.sign * card.uncertainty.get(f"step_response_{_EFFECT_H:g}h_K", math.nan)
     if math.isfinite(said_K) and not math.isclose(verdict.effect_K, said_K, rel_tol=_SAME, abs_tol=_SAME):
         return f"its verdict is on an effect of {verdict.effect_K:.4g} K, by its arrays it is {said_K:.4g} K"
-    why = verdict.contradiction(by_loops=own.heat_input.lowest < 0.0)
+    why = verdict.contradiction(by_loops=own.heat_input.u_min < 0.0)
     return f"it is called competent, but {why}" if why else ""
 
 

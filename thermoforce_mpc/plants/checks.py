@@ -60,7 +60,7 @@ def check_levels(
     command: Commands = None,
     *,
     names: Names = SINGLE,
-    lowest: float | Sequence[float] = 0.0,
+    u_min: float | Sequence[float] = 0.0,
 ) -> Block:
     """Return levels and commands as given to a plant, one entry for each of its A actuators.
 
@@ -69,10 +69,10 @@ def check_levels(
         duration_s: how long to apply them, s.
         command: of each actuator, a number or a heating and a cooling set-point, °C, see `Block`; None for all.
         names: names of the actuators.
-        lowest: lowest level, of all actuators or of each.
+        u_min: lowest level, of all actuators or of each.
 
     Raises:
-        InputError: entries that are not one per actuator, a level not in [`lowest`, 1], a command that is neither a
+        InputError: entries that are not one per actuator, a level not in [`u_min`, 1], a command that is neither a
             finite number nor two rising ones, or a duration that is not positive and less than a year; names the
             actuator.
     """
@@ -84,7 +84,7 @@ def check_levels(
             raise InputError(
                 f"{what} of {len(values)} actuators: expected one for each of {', '.join(names.actuators)}"
             )
-    each = np.broadcast_to(lowest, n)
+    each = np.broadcast_to(u_min, n)
     for name, level, least, told in zip(names.actuators, levels, each, commands, strict=True):
         of = "" if alone else f" for '{name}'"
         if level is not None and not (_is_number(level) and least <= level <= 1.0):
@@ -117,7 +117,7 @@ def plant_inputs(
     if command is not None and pair is None:
         raise InputError(f"command of {command!r}: the actuator takes levels or room set-points")
     if isinstance(actuator, RoomSetpoints):
-        if pair is None and u is not None and u not in (-1.0, 0.0, 1.0) and u != actuator.lowest:
+        if pair is None and u is not None and u not in (-1.0, 0.0, 1.0) and u != actuator.u_min:
             raise InputError(f"level of {u:g} without room set-points: a loop can only be driven to its limits")
         return actuator.inputs(u, pair)
     if pair is not None:

@@ -47,7 +47,7 @@ def recorded_levels(record: Mapping[str, Array], points: BuildingPoints, applied
     for one, home, m in zip(points.actuators, points.layout.home, points.layout.machine_of, strict=True):
         actuator, running = one.actuator, points.machines[m].running
         if isinstance(actuator, RoomSetpoints):
-            level = np.clip(one.heat.heat_W(record) / actuator.heating_W, actuator.lowest, 1.0)
+            level = np.clip(one.heat.heat_W(record) / actuator.heating_W, actuator.u_min, 1.0)
         elif one.full_W is not None:
             level = np.clip(one.heat.heat_W(record) / one.full_W, 0.0, 1.0)
         else:

@@ -70,7 +70,7 @@ class PlantShell(Releasing, ABC):
     """A plant whose physics run in steps from a reset on; see `Plant` for what its methods do and raise."""
 
     _names: Names = SINGLE
-    _lowest: float | Sequence[float] = 0.0
+    _u_min: float | Sequence[float] = 0.0
     _price: Price = "constant"
     _tariffs: Mapping[str, tariffs.Tariff]
     _start_s = _begin_s = _now_s = 0.0
@@ -98,7 +98,7 @@ class PlantShell(Releasing, ABC):
             InputError: `u` or `duration_s` is out of range, or the plant was not reset.
             PlantError: what simulates it failed or took too long.
         """
-        return self._advanced(check_levels(u, duration_s, names=self._names, lowest=self._lowest))
+        return self._advanced(check_levels(u, duration_s, names=self._names, u_min=self._u_min))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """Return boundary conditions, with forecast errors if set; raises `InputError` as `forecast_times`."""
@@ -157,7 +157,7 @@ class RoomSetpointShell(PlantShell):
 
     def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
         """As `PlantShell.advance`, or with the room set-points `command`, °C."""
-        return self._advanced(check_levels(u, duration_s, command, names=self._names, lowest=self._lowest))
+        return self._advanced(check_levels(u, duration_s, command, names=self._names, u_min=self._u_min))
 
 
 @dataclass

@@ -227,7 +227,7 @@ def history_before(steps: Sequence[ToldStep]) -> Record:
     if any("before" in step.told or step.tail is not None for step in steps[first:]):  # of a real building
         for step in steps[first + 1 :]:
             record = record if step.tail is None else spliced(record, values.record_of(step.tail, step.names))
-        return screened_history(record, ReadingLimits(lowest=-1.0))[0]
+        return screened_history(record, ReadingLimits(u_min=-1.0))[0]
     ends = []
     for step in steps[first:-1]:
         parts = [(b.duration_s, with_level(reading, b)) for b, reading in zip(step.blocks, step.after, strict=True)]
@@ -237,7 +237,7 @@ def history_before(steps: Sequence[ToldStep]) -> Record:
         columns = {name: np.concatenate([getattr(record, name), new], axis=-1) for name, new in columns.items()}
         record = Record(**columns, names=record.names)
     # Limits that need a model or a floor area are left to the notes of the run.
-    return screened_history(record, ReadingLimits(lowest=-1.0))[0]
+    return screened_history(record, ReadingLimits(u_min=-1.0))[0]
 
 
 def forecast_of(steps: Sequence[ToldStep]) -> Boundary:

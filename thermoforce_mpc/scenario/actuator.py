@@ -193,7 +193,7 @@ class RoomSetpoints(StrictModel):
         return self
 
     @property
-    def lowest(self) -> float:
+    def u_min(self) -> float:
         """Lowest level: full cooling."""
         return -self.cooling_W / self.heating_W
 

@@ -285,7 +285,7 @@ def layout_of(
         tuple(-1 if getattr(one, "mode", "heating") == "cooling" else 1 for one in actuators.values()),
         tuple(list(zones).index(one.zone) for one in actuators.values()),
         tuple(list(machines).index(one.machine) for one in actuators.values()),
-        tuple(one.lowest if isinstance(one, RoomSetpoints) else 0.0 for one in actuators.values()),
+        tuple(one.u_min if isinstance(one, RoomSetpoints) else 0.0 for one in actuators.values()),
         tuple(share(one) for one in actuators.values()),
         tuple(zone.floor_area_m2 for zone in zones.values()) or (math.nan,),
         tuple(tuple(list(actuators).index(name) for name in group) for group in exclusive),

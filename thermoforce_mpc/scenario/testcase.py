@@ -182,7 +182,7 @@ class TestCase(StrictModel):
             heating_price=f.heating_price,
             emission=f.emission,
         )
-        layout = Layout.single(self.mode, getattr(actuator, "lowest", 0.0), self.area_m2)
+        layout = Layout.single(self.mode, getattr(actuator, "u_min", 0.0), self.area_m2)
         acts = ActuatorPoints(actuator, HeatMeter(m.heat, m.zone_temperature), "actuator")
         return BuildingPoints(layout, (zone,), (acts,), (machine,), *weather)
 

@@ -233,7 +233,7 @@ def counterfactual(
     whole, _ = bridged(model.own_heat(record.slice(0, first + n)))
     context = _known_from(model, whole, first)
     stretch = whole.slice(first, first + n)
-    applied = np.clip(stretch.u, model.operator.lowest[:, None], 1.0)
+    applied = np.clip(stretch.u, model.operator.u_min[:, None], 1.0)
     effect = context.effect(levels, applied)
     levels = levels if levels.ndim == 2 else levels[None]
     low, high = _certified_bounds(model, levels - applied, record.step_s)

@@ -155,7 +155,7 @@ class IdentifiedHouse(Releasing):
         Raises `InputError` for what is no level or command, and beyond the end of the record.
         """
         layout = self.model.layout
-        block = check_levels(u, duration_s, command, names=layout.names, lowest=layout.lowest)
+        block = check_levels(u, duration_s, command, names=layout.names, u_min=layout.u_min)
         if self._now_s + duration_s > self._was.time_s[-1] + _CLOCK_S:
             raise InputError(f"{duration_s:g} s from {self._now_s:g} s on: the record ends at {self._was.time_s[-1]:g}")
         left_s, u_sum, power_sum = float(duration_s), np.zeros(len(self.u)), np.zeros(len(self.power_W))
@@ -233,7 +233,7 @@ class IdentifiedHouse(Releasing):
             home = self.model.operator.home[a]
             T_C = float(self._free_C[home, self._k] + self.forced_K[home].sum())
             level[a] = float(self._loops[a].loop.level(told, T_C, T_out_C, before[a]))
-        return np.clip(level, np.array(self.model.layout.lowest), 1.0)
+        return np.clip(level, np.array(self.model.layout.u_min), 1.0)
 
     def _power(self, level: Array, seconds: float) -> Array:
         """Power of each machine (M,) at levels (A,): as it was, and what other levels change by the law.

@@ -183,10 +183,10 @@ def structure_of(
     h = shape.n_chosen_moves if shape.needs_choices else 0
     for a, name in enumerate(machinery.actuators):
         heat = operator.of_actuator(a).heat_input.heat
-        lowest = min(machinery.lowest_level[a], machinery.u_max[a])
-        if heat is not None and not np.isclose(min(heat.lowest_level, machinery.u_max[a]), lowest):
+        lowest_level = min(machinery.lowest_level[a], machinery.u_max[a])
+        if heat is not None and not np.isclose(min(heat.lowest_level, machinery.u_max[a]), lowest_level):
             raise ControllerConfigError(
-                f"actuator {name}: its heat is known for a lowest level of {heat.lowest_level:g}, not {lowest:g}"
+                f"actuator {name}: its heat is known for a lowest level of {heat.lowest_level:g}, not {lowest_level:g}"
             )
     part_load = []
     for m in np.flatnonzero(machinery.shared):

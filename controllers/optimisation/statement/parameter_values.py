@@ -53,7 +53,7 @@ class Numbers:
             "runs_for": machinery.runs_for,
             "u_max": machinery.u_max,
             "u_min": machinery.u_min,
-            "lowest": machinery.lowest_level,
+            "lowest_level": machinery.lowest_level,
             "on_per_v": np.maximum(1.0 / machinery.lowest_level, np.where(alone, machinery.share, 0.0)),
         }
         places, self._places, at = parameter_sizes(s), {}, 0
@@ -191,9 +191,9 @@ class Numbers:
             return per_u_W, fixed_W, fixed_cost
         per_u_W, fixed_W, fixed_cost = per_u_W.copy(), fixed_W.copy(), fixed_cost.copy()
         for a in np.flatnonzero(machinery.stepped):
-            m, lowest = machinery.machine_of[a], machinery.lowest_level[a]
-            kept_W = np.minimum(fixed_W[m], bend_W[a] * lowest**2)
-            per_u_W[a] += bend_W[a] * lowest + (fixed_W[m] - kept_W) / lowest
+            m, lowest_level = machinery.machine_of[a], machinery.lowest_level[a]
+            kept_W = np.minimum(fixed_W[m], bend_W[a] * lowest_level**2)
+            per_u_W[a] += bend_W[a] * lowest_level + (fixed_W[m] - kept_W) / lowest_level
             fixed_W[m], fixed_cost[m] = kept_W, p.price_per_W[m] * kept_W
         return per_u_W, fixed_W, fixed_cost
 
@@ -204,13 +204,13 @@ class Numbers:
         for a, home in enumerate(self._operator.home):
             pair, features = self._operator.of_actuator(a), p.features[home]
             T_out_C = features[:, OUTDOOR]
-            highest, lowest = float(machinery.u_max[a]), float(machinery.lowest_level[a])
+            highest, lowest_level = float(machinery.u_max[a]), float(machinery.lowest_level[a])
             full = pair.heat_input(np.full(n, highest), T_out_C)
             drive[a] = full / highest
             if machinery.stepped[a]:
-                at_lowest = pair.heat_input(np.full(n, lowest), T_out_C)
-                slope = (full - at_lowest) / (highest - lowest)
-                drive[a] = at_lowest / lowest
+                at_lowest = pair.heat_input(np.full(n, lowest_level), T_out_C)
+                slope = (full - at_lowest) / (highest - lowest_level)
+                drive[a] = at_lowest / lowest_level
                 sag[a] = np.maximum(drive[a] - slope, 0.0)
         comes = 1.0 if p.available is None else p.available
         return drive * comes, sag * comes

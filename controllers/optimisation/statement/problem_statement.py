@@ -82,7 +82,7 @@ def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
         **dict.fromkeys((*heat, "cold_power", "cold_cost", "least", "most"), (s.A, s.N)),
         **dict.fromkeys(("T_free", "lower", "upper"), (s.Z, s.N)),
         **dict.fromkeys(("fixed", "fixed_cost", "capacity"), (s.M, s.N)),
-        **dict.fromkeys(("share", "runs_for", "u_max", "u_min", "lowest", "on_per_v", "last_u"), (s.A, 1)),
+        **dict.fromkeys(("share", "runs_for", "u_max", "u_min", "lowest_level", "on_per_v", "last_u"), (s.A, 1)),
         **{"comfort": (s.Z, 1), "weights": (3, 1), "kept": (1, 1)},
         **dict.fromkeys(("reached", "limit", "surplus", "dearer"), (1, s.N)),
     }
@@ -137,10 +137,11 @@ def _over(alg: Algebra, q: Parameters, s: Structure, heat: ca.SX) -> tuple[ca.SX
     """How far levels are above those below which their actuators switch, and what power bends with, (A, N) each."""
     over, curve, rows = ca.SX(s.A, s.N), heat**2, list(s.stepped)
     if rows:
-        lowest = ca.repmat(q["lowest"][rows], 1, s.N)
-        over[rows, :] = alg.at_least("over", heat[rows, :] - lowest, high=ca.repmat(q["u_max"][rows], 1, s.N) - lowest)
+        lowest_level = ca.repmat(q["lowest_level"][rows], 1, s.N)
+        most = ca.repmat(q["u_max"][rows], 1, s.N) - lowest_level
+        over[rows, :] = alg.at_least("over", heat[rows, :] - lowest_level, high=most)
         alg.require("", heat[rows, :] - over[rows, :])  # else what sags would cool while the level is 0
-        curve[rows, :] = lowest * over[rows, :] + over[rows, :] ** 2
+        curve[rows, :] = lowest_level * over[rows, :] + over[rows, :] ** 2
     return over, curve
 
 

@@ -163,7 +163,7 @@ def test_room_setpoints_and_a_file_of_one_actuator_exclude_nothing():
         validate(TestCase, single, "one.yaml")
     layout = coils().layout
     with pytest.raises(DataError, match="cooling_coil is run by room set-points"):
-        replace(layout, lowest=(0.0, -1.0))
+        replace(layout, u_min=(0.0, -1.0))
     with pytest.raises(DataError, match="expected two or more of 2 actuators"):
         replace(layout, exclusive=((0, 2),))
 

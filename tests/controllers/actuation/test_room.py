@@ -43,7 +43,7 @@ LOWEST = -0.6
 
 
 def signed(operator: OperatorParameters) -> OperatorParameters:
-    return replace(operator, heat_input=HeatInput(lowest=LOWEST))
+    return replace(operator, heat_input=HeatInput(u_min=LOWEST))
 
 
 def both_ways(rng: np.random.Generator, order: int):
@@ -102,7 +102,7 @@ def both_solvers(operator, shape):
 
 def blocks(u: float, T_end_C: float, T_now_C: float, *, u_last: float = 0.0, bounds=(15.0, 30.0)) -> tuple[Block, ...]:
     return room_blocks(
-        u, T_end_C, T_now_C=T_now_C, u_last=u_last, bounds_C=bounds, lowest=LOWEST, step_s=900.0, block_s=60.0
+        u, T_end_C, T_now_C=T_now_C, u_last=u_last, bounds_C=bounds, u_min=LOWEST, step_s=900.0, block_s=60.0
     )
 
 
@@ -164,7 +164,7 @@ def probed():
 
 @pytest.fixture(scope="module")
 def model(probed) -> ThermalModel:
-    return identify(probed, mode="both", lowest=LOWEST, floor_area_m2=48.0)
+    return identify(probed, mode="both", u_min=LOWEST, floor_area_m2=48.0)
 
 
 def test_probing_heats_and_cools_inside_the_band(probed):
@@ -200,14 +200,14 @@ def test_one_operator_for_both_directions_is_found(model, tmp_path):
     assert float(model.only.power(-full, 0.0)[0]) == pytest.approx(11000.0 / 3.0, rel=0.02)
     model.save(tmp_path / "office")
     again = load_model(tmp_path / "office")
-    assert again.only.operator.heat_input.lowest == LOWEST
+    assert again.only.operator.heat_input.u_min == LOWEST
     assert again.power == model.power
 
 
 def test_in_a_record_without_cooling_it_is_taken_to_cost_as_heating_does(probed):
     """A winter's three days need not keep the building from being heated."""
     heated = replace(probed, u=np.maximum(probed.u, 0.0), power_W=np.where(probed.u > 0, probed.power_W, 0.0))
-    (power,) = identify(heated, mode="both", lowest=LOWEST, floor_area_m2=48.0).power
+    (power,) = identify(heated, mode="both", u_min=LOWEST, floor_area_m2=48.0).power
     assert power is not None
     assert power.cooling == power.load
     assert "the other direction was hardly used" in power.source

@@ -489,7 +489,7 @@ def test_the_gain_in_a_zone_without_a_reading_sees_the_mean_of_the_others():
 
 def test_cooling_of_a_zone_costs_its_share_of_the_machine():
     both = two_model(shared=True)
-    operator = both.operator.map_actuators(lambda _, pair: replace(pair, heat_input=HeatInput(lowest=-1.0)))
+    operator = both.operator.map_actuators(lambda _, pair: replace(pair, heat_input=HeatInput(u_min=-1.0)))
     law = replace(both.power[0].load, coefficients=(0.0, 0.0, 6000.0, 0.0))
     power = replace(both.power[0], load=law, cooling=replace(law, coefficients=(0.0, 0.0, 2000.0, 10.0)))
     model = replace(both, operator=operator, power=(power,), shares=(0.75, 0.25))

@@ -73,7 +73,7 @@ def test_where_heat_is_known_nothing_is_estimated():
     assert identify(metered, config=CONFIG).only.operator.heat_input.per_K == 0.0
     for options in ({"heat_input": "identity"}, {"method": "two_stage", "order": 1}):
         assert not levels_only(IDENTITY, Layout.single(), 0, CONFIG.model_copy(update=options))
-    assert not levels_only(HeatInput(lowest=-1.0), Layout.single("both", -1.0), 0, CONFIG)
+    assert not levels_only(HeatInput(u_min=-1.0), Layout.single("both", -1.0), 0, CONFIG)
     assert levels_only(IDENTITY, Layout.single(), 0, CONFIG)
     assert laws_of([], Layout.single(), 0, IDENTITY, CONFIG) == []
 
@@ -103,7 +103,7 @@ def test_heat_that_would_fall_with_the_level_is_refused():
     with pytest.raises(DataError, match="not positive from -20 to 10 °C"):
         HeatInput(reference_C=5.0, per_K=0.05, T_out_range_C=(-20.0, 10.0))
     with pytest.raises(DataError, match="lowest level"):
-        HeatInput(lowest=-1.0, per_K=0.01, T_out_range_C=(0.0, 1.0))
+        HeatInput(u_min=-1.0, per_K=0.01, T_out_range_C=(0.0, 1.0))
 
 
 @pytest.mark.parametrize(("at_first_W", "fewest", "most"), [(10000.0, 0.2, 0.6), (5000.0, 0.0, 0.001)])

@@ -20,7 +20,7 @@ LAYOUT = Layout(
     signs=(1, 1),
     home=(0, 1),
     machine_of=(0, 1),
-    lowest=(0.0, 0.0),
+    u_min=(0.0, 0.0),
     shares=(0.0, 0.0),
     floor_area_m2=(float("nan"),) * 2,
 )

@@ -86,7 +86,7 @@ def test_levels_of_cooling_are_drawn(tmp_path, monkeypatch):
     u = np.repeat(rng.choice([-1.0, 0.0, 1.0], 36), 8)
     run = record(House(machine_W=(0.0, 10000.0)), 3.0, u=u, noise_K=0.01, heat_measured=False)
     run = replace(run, power_W=np.full(u.size, np.nan))
-    model = identify([run], config=LINEAR, mode="both", lowest=-1.0)
+    model = identify([run], config=LINEAR, mode="both", u_min=-1.0)
     drawn = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
     plot_identification(tmp_path / "a.png", model, run)

@@ -77,7 +77,7 @@ def test_a_search_ends_where_the_slopes_vanish():
 
 
 def test_levels_of_room_set_points_do_not_tell(sunlit):
-    levels = HeatInput(lowest=-1.0)
+    levels = HeatInput(u_min=-1.0)
     assert sun_on_sensor([sunlit[0]], 0, Layout.single(), [levels], IdentificationConfig()) is None
 
 

@@ -102,7 +102,7 @@ def test_schedules_that_nobody_can_run_are_refused(changes, message):
     with pytest.raises(DataError, match=message):
         probe_schedule(operated(np.full((1, 72), 0.4), 3), HEATING, **changes)
     with pytest.raises(DataError, match="heats and cools"):
-        probe_schedule(operated(np.full((1, 72), 0.4), 3), replace(HEATING, lowest=(-1.0,)))
+        probe_schedule(operated(np.full((1, 72), 0.4), 3), replace(HEATING, u_min=(-1.0,)))
 
 
 @pytest.mark.slow

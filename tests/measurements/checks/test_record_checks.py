@@ -273,6 +273,17 @@ def test_a_boiler_that_is_better_at_part_load_is_no_heat_pump_in_other_units(day
     assert "units of heat come from one of energy" in words
 
 
+def test_three_days_of_a_heat_pump_in_even_weather_are_no_other_unit():
+    """As three days of probing the embedded plant: the ratio hardly goes with 7 K of weather, and its days agree."""
+    record = CLEAN.slice(0, 96 * 3)
+    T_out = record.T_out_C[:-1]
+    load = np.where(np.arange(record.n_steps) // 6 % 2, 1.0, 0.5)
+    of_days = np.repeat([0.003, -0.006, 0.003], 96) * (T_out - T_out.mean())
+    heat = 3.0 * 400.0 * load * np.exp(-0.004 * (T_out - T_out.mean()) + of_days)
+    metered = replace(record, u=load[None], power_W=400.0 * load[None], heat_W=heat[None])
+    assert not [one for one in remarks(metered, LAYOUT) if one.kind == "unit of power"]
+
+
 def test_a_chiller_of_one_efficiency_is_no_boiler_in_other_units():
     """A steady 2.9 units of cold from one of energy in any weather; as heat of a machine that only heats a doubt."""
     cold_W = 0.8 * FULL_W * CLEAN.u * (1.0 + 0.2 * np.sin(np.arange(CLEAN.n_steps)))

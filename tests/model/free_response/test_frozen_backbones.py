@@ -88,6 +88,17 @@ def test_same_bits_and_same_weights_however_many_threads(forecaster: ChronosFree
     assert forecaster.weight_hash() == before
 
 
+@pytest.mark.parametrize("one_in", [2, 3])
+def test_values_lost_here_and_there_change_little(forecaster: ChronosFreeResponse, one_in: int) -> None:
+    """A sensor that reports every second or third hour; models that are told of each gap move by more than 1 K."""
+    free = daily(hours(240))
+    seldom = np.where(np.arange(free.size) % one_in == 0, free, np.nan)
+    history, boundary = history_of(free), boundary_of(240, 24)
+    whole, gapped = (forecaster.forecast(values, history, boundary) for values in (free, seldom))
+    assert gapped.note == whole.note
+    assert np.abs(gapped.median_C - whole.median_C).max() < 0.3
+
+
 def test_gaps_are_passed_on_and_not_mended_on_the_way(forecaster: ChronosFreeResponse) -> None:
     """The forecast with a gap differs from that with the gap bridged by a line, and stays finite."""
     free = daily(hours(240))

@@ -36,7 +36,7 @@ operators = st.builds(
     scale=st.sampled_from([1e-3, 0.03, 0.1, 0.3, 1.0, 30.0, 1e50]),
     sign=st.sampled_from([1, -1]),
     gamma=st.sampled_from([0.0, 0.3, 0.75]),
-    heat_input=st.sampled_from([IDENTITY, HEAT_MAP, HeatInput(lowest=-1.0)]),
+    heat_input=st.sampled_from([IDENTITY, HEAT_MAP, HeatInput(u_min=-1.0)]),
 )
 
 
@@ -91,8 +91,8 @@ def test_every_effect_lies_in_the_certified_interval(params, seed):
     proof = certificate(params, N)
     low, high = np.array(proof.effect_low_K), np.array(proof.effect_high_K)
     # From all-on to random, and far from the data: where feedback is strongest is unknown.
-    lowest = params.heat_input.lowest
-    for u in (np.ones(N), rng.uniform(lowest, 1, N), np.full(N, lowest or 1e-3)):
+    u_min = params.heat_input.u_min
+    for u in (np.ones(N), rng.uniform(u_min, 1, N), np.full(N, u_min or 1e-3)):
         features = random_features(rng, N)
         jacobian = _jacobian(params, rng.normal(size=params.order), u, features)
         room = 1e-9 * float(np.abs(params.gains).sum()) * params.heat_input.slope_bounds()[1]
@@ -175,7 +175,7 @@ def test_an_operator_that_turns_around_is_not_certified():
 def test_cooling_by_a_signed_level_turns_the_feedback_around():
     """m rises with the temperature: that strengthens heating, and while the level is below 0 it weakens the effect."""
     params = replace(
-        linear_operator([0.5], [2.0], step_s=3600.0, hidden=1, heat_input=HeatInput(lowest=-1.0)),
+        linear_operator([0.5], [2.0], step_s=3600.0, hidden=1, heat_input=HeatInput(u_min=-1.0)),
         feedback=True,
         hidden_weight=np.array([[0.5, 0.0, 0.0, 0.0]]),
         output_weight=np.array([1.0]),

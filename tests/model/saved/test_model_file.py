@@ -15,6 +15,7 @@ from thermoforce_mpc.model.card import Competence, HorizonScore, ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import forced_rollout
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.saved import ARRAYS_NAME, JSON_NAME, content_sha256, read_model_file, write_model_file
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
@@ -88,6 +89,13 @@ def test_floor_areas_come_back(tmp_path, model):
         replace(model, floor_area_m2=(10.0, 20.0))
 
 
+def test_files_call_the_lowest_level_as_those_of_before_do(tmp_path):
+    cools = linear_operator([0.9], [2.0], step_s=3600.0, heat_input=HeatInput(u_min=-0.6))
+    folder = ThermalModel.single(cools).save(tmp_path / "model")
+    assert json.loads((folder / JSON_NAME).read_text())["pairs"][0]["heat_input"]["lowest"] == -0.6
+    assert load_model(folder).layout.u_min == (-0.6,)
+
+
 def test_a_bare_operator_can_be_saved(tmp_path):
     model = ThermalModel.single(linear_operator([0.9], [0.1], step_s=3600.0))
     back = load_model(model.save(tmp_path / "deep" / "model"))
@@ -143,6 +151,14 @@ def _gains(factor: float) -> Callable[[dict, dict], None]:
     return lambda content, arrays: arrays.update({"pair.0.0.gains": factor * arrays["pair.0.0.gains"]})
 
 
+def _of_card(**changes) -> Callable[[dict, dict], None]:
+    return lambda content, arrays: content["actuators"][0]["card"].update(changes)
+
+
+def _hours(*told) -> Callable[[dict, dict], None]:
+    return _of_card(hour_effects=[[float(day * 86400), *told] for day in (10, 11)])
+
+
 def _no_card(content: dict, arrays: dict) -> None:
     _gains(1e6)(content, arrays)
     content["actuators"][0]["card"] |= {"competence": None, "uncertainty": {}}
@@ -159,6 +175,14 @@ def _no_card(content: dict, arrays: dict) -> None:
         (_verdict(effect_sd_K=3.0), "its effect is known to ± 132 % only"),
         (_verdict(reasons=["too weak"]), "is not, since too weak"),
         (_verdict(horizons=[]), "its error 1 h ahead is nan K"),
+        (_hours(-1.0, 1.2, 0.0), "hour_effects: .*a promise above 0"),
+        (_hours(-1.0, 1.2, None), "hour_effects: .*all finite"),
+        (_hours(None, 1.2, 0.2), "hour_effects: .*all finite"),
+        (_hours(-1.0, 1.2), "zip|4 values|shorter"),
+        (_of_card(blocked_hours=[24]), "24 is no hour of the day"),
+        (_of_card(blocked_cooling_hours=[-1]), "-1 is no hour of the day"),
+        (_of_card(ranges={"T_out_C": [None, None]}), "ranges: T_out_C"),
+        (_of_card(ranges={"u": [1.0, 0.0]}), "ranges: u"),
     ],
 )
 def test_a_card_is_not_believed_where_its_arrays_or_its_own_numbers_say_otherwise(tmp_path, edit, message):

@@ -10,7 +10,7 @@ import importlib.util
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -20,6 +20,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 from torch import nn
+
+from benchmarks.free_response import random_models
 
 LEVELS = [level / 10 for level in range(1, 10)]
 
@@ -63,7 +65,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, name: str, **names: Any) -> None:
 
 def tirex2(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if installed("tirex2"):
-        return _real_tirex2(folder)
+        return random_models.save_tirex2(folder, True)
 
     @dataclass
     class TimeseriesType:
@@ -98,84 +100,22 @@ def tirex2(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     return Line(stack_config={}, future_len=64).save(folder)
 
 
-def _real_tirex2(folder: Path) -> None:
-    from tirex2 import TiRex2
-
-    def block(kind: str) -> dict[str, Any]:
-        size = {"embedding_dim": 32, "num_heads": 4}
-        time_mixer = {"model_type": kind, "num_slstm_heads": 4, **size}
-        return {"time_mixer": time_mixer, "variate_mixer": size, "dropout": 0.0, "eps": 1e-6}
-
-    patch = {"input_patch_size": 16, "output_patch_size": 16}
-    config = {
-        "stack_config": {"templates": {"m": block("bi-mlstm"), "s": block("bi-slstm")}, "recipe": ["m", "s"]},
-        "tokenizer_cfg": {"input_patch_stride": 16, **patch},
-        "scaler_cfg": {},
-        "quantiles": LEVELS,
-        "act_func": "SiLU",
-        "dropout": 0.0,
-        "h_expand": 2.0,
-        **{"num_blocks": 2, "embedding_dim": 32, "input_ff_dim": 32, "context_len": 256, "future_len": 64},
-        **patch,
-    }
-    model = TiRex2(**config, device="cpu")
-    # Its checkpoints hold a tensor of several names once.
-    once = {value.data_ptr(): name for name, value in model.state_dict().items()}
-    tensors = {name: model.state_dict()[name].contiguous() for name in once.values()}
-    save_file(tensors, folder / "model.safetensors")
-    (folder / "config.json").write_text(json.dumps(config))
-
-
 def timesfm(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("timesfm")
-    from timesfm.timesfm_2p5 import timesfm_2p5_base as base
     from timesfm.timesfm_2p5 import timesfm_2p5_torch as by_torch
 
-    full = base.TimesFM_2p5_200M_Definition()
-    small = {"input_dims": 32, "hidden_dims": 32}
-    transformer = replace(full.stacked_transformers.transformer, model_dims=32, hidden_dims=32, num_heads=2)
-    tiny = replace(
-        full,
-        tokenizer=replace(full.tokenizer, hidden_dims=32, output_dims=32),
-        stacked_transformers=replace(full.stacked_transformers, num_layers=2, transformer=transformer),
-        output_projection_point=replace(full.output_projection_point, **small),
-        output_projection_quantiles=replace(full.output_projection_quantiles, **small),
-    )
-    monkeypatch.setattr(by_torch.TimesFM_2p5_200M_torch_module, "config", tiny)
-    save_file(by_torch.TimesFM_2p5_200M_torch_module().state_dict(), folder / "model.safetensors")
+    random_models.save_timesfm(folder, True)
+    monkeypatch.setattr(by_torch.TimesFM_2p5_200M_torch_module, "config", random_models.tiny_timesfm())
 
 
 def timesfm3(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("timesfm3")
-    from timesfm3 import ResidualBlockConfig, StackedTransformersConfig, TimesFM3Torch, TransformerConfig
-
-    transformer = TransformerConfig(
-        **{"model_dims": 32, "hidden_dims": 32, "num_heads": 2, "use_bias": False, "ff_activation": "relu"},
-        **{"attention_norm": "rms", "feedforward_norm": "rms", "qk_norm": "rms"},
-        **{"use_rope_seq": True, "use_rope_var": True, "deterministic": True},
-    )
-    model = TimesFM3Torch(
-        input_patch_len=32,
-        output_patch_len=64,
-        quantiles=LEVELS,
-        residual_block_config=ResidualBlockConfig(32, 32, use_bias=False, activation="relu"),
-        transformer_config=StackedTransformersConfig(num_layers=2, transformer=transformer),
-    )
-    model.pre_transformer_resblock.set_input_dims(2 * (32 + 64))
-    model.save_pretrained(folder)
+    random_models.save_timesfm3(folder, True)
 
 
 def toto2(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if installed("toto2"):
-        from toto2 import Toto2Model, Toto2ModelConfig
-
-        config = Toto2ModelConfig(
-            **{"patch_size": 16, "d_model": 32, "num_heads": 2, "num_layers": 2, "layer_group_size": 2},
-            **{"num_variate_layers_per_group": 1, "variate_layer_first": False, "residual_attn_ratio": 2.0},
-        )
-        save_file(Toto2Model(config).state_dict(), folder / "model.safetensors")
-        (folder / "config.json").write_text(json.dumps(asdict(config)))
-        return
+        return random_models.save_toto2(folder, True)
 
     class Toto2Model(Line):
         def forecast(self, inputs: dict[str, torch.Tensor], horizon: int, **kwargs: Any) -> torch.Tensor:
@@ -194,12 +134,7 @@ def toto2(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def flowstate(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if installed("tsfm_public"):
-        from tsfm_public.models.flowstate import FlowStateConfig, FlowStateForPrediction
-
-        sizes = {"embedding_feature_dim": 16, "encoder_num_layers": 1, "encoder_state_dim": 16, "decoder_dim": 8}
-        config = FlowStateConfig(context_length=256, encoder_num_hippo_blocks=2, **sizes)
-        FlowStateForPrediction(config).save_pretrained(folder)
-        return
+        return random_models.save_flowstate(folder, True)
 
     class FlowStateForPrediction(Line):
         def forward(
@@ -217,14 +152,7 @@ def flowstate(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def ttm(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if installed("tsfm_public"):
-        from tsfm_public.models.tinytimemixer import TinyTimeMixerConfig, TinyTimeMixerForPrediction
-
-        sizes = {"d_model": 16, "num_layers": 1, "decoder_num_layers": 1, "prediction_length": 30}
-        config = TinyTimeMixerConfig(
-            context_length=128, patch_length=16, patch_stride=16, multi_quantile_head=True, **sizes
-        )
-        TinyTimeMixerForPrediction(config).save_pretrained(folder)
-        return
+        return random_models.save_ttm(folder, True)
 
     class TinyTimeMixerForPrediction(Line):
         def forward(

@@ -128,7 +128,7 @@ def instance(case: Case, rng: np.random.Generator) -> tuple[BuildingOperator, MP
     networks = [random_operator(rng, 1) for _ in range(A)]
 
     def changed(a: int, pair: OperatorParameters) -> OperatorParameters:
-        heat = HeatInput(lowest=-0.6) if a == case.signed else IDENTITY
+        heat = HeatInput(u_min=-0.6) if a == case.signed else IDENTITY
         if a in case.heat:
             lowest = case.machinery.get("lowest_level", [1.0] * A)[a]
             heat = HeatInput(heat=replace(HEAT, lowest_level=lowest))
@@ -140,7 +140,7 @@ def instance(case: Case, rng: np.random.Generator) -> tuple[BuildingOperator, MP
         return replace(pair, **network, heat_input=heat, feedback=case.feedback)
 
     operator = base.map_actuators(changed)
-    machinery = machinery_of(operator, case.machine_of, **({"u_min": operator.lowest} | case.machinery))
+    machinery = machinery_of(operator, case.machine_of, **({"u_min": operator.u_min} | case.machinery))
     # A little too cold and then a little too warm, so that energy and comfort are worth about the same.
     cold, warm = (rng.uniform(*between, (case.zones, n)) for between in ((17, 20), (20, 24)))
     options: dict[str, Any] = {"T_free_C": np.where(np.arange(n) < n // 2, cold, warm)}

@@ -111,8 +111,8 @@ def _zones(view: RunView, bars: int) -> Table:
         now = Text("own control" if math.isnan(level) else f"{level:.2f}")
         past = [point.u[a] for point in view.past]
         # Where it cools too, off is in the middle.
-        lowest = -1.0 if any(u < 0.0 for u in past) else 0.0
-        table.add_row(name, now, view.acting[a], _bars(past, bars, lowest, 1.0))
+        u_min = -1.0 if any(u < 0.0 for u in past) else 0.0
+        table.add_row(name, now, view.acting[a], _bars(past, bars, u_min, 1.0))
     return table
 
 

@@ -73,7 +73,7 @@ def levels_only(heat_input: HeatInput, layout: Layout, a: int, config: Identific
     Not so where heat was measured or is the level itself: signed levels, `heat_input: identity`.
     """
     may_be_fitted = config.method == "joint" and config.heat_input == "auto"
-    return may_be_fitted and heat_input.heat is None and layout.lowest[a] == 0.0
+    return may_be_fitted and heat_input.heat is None and layout.u_min[a] == 0.0
 
 
 def laws_of(
@@ -86,7 +86,7 @@ def laws_of(
     """
     m = layout.machine_of[a]
     shared = len(layout.fed_by(m)) > 1
-    if config.method != "joint" or heat_input.law is not None or layout.lowest[a] < 0.0:
+    if config.method != "joint" or heat_input.law is not None or layout.u_min[a] < 0.0:
         return []
     weather = weather_of(runs, a)
     if weather is None:

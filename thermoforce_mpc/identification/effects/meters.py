@@ -57,7 +57,7 @@ def foreign_loads(histories: Sequence[Record], layout: Layout) -> OtherLoads:
     time_s, T_out_C = (np.concatenate([getattr(h, name)[:-1] for h in histories]) for name in ("time_s", "T_out_C"))
 
     def found(fed: Sequence[int], meter_W: Array) -> OtherLoad | None:
-        signed = any(layout.lowest[a] < 0.0 for a in fed)
+        signed = any(layout.u_min[a] < 0.0 for a in fed)
         return None if signed else other_load(u[list(fed)], time_s, T_out_C, meter_W)
 
     return OtherLoads(
@@ -68,18 +68,18 @@ def foreign_loads(histories: Sequence[Record], layout: Layout) -> OtherLoads:
 
 
 def identified_heat_input(
-    histories: Sequence[Record], config: IdentificationConfig, sign: int, lowest: float = 0.0, alone: bool = True
+    histories: Sequence[Record], config: IdentificationConfig, sign: int, u_min: float = 0.0, alone: bool = True
 ) -> tuple[HeatInput, list[str]]:
     """Return the heat input of the modes (measured heat where available, else u) and notes on it.
 
-    Signed levels, `lowest` below 0, are heat themselves. `alone`: whether the building has no other actuator; of
+    Signed levels, `u_min` below 0, are heat themselves. `alone`: whether the building has no other actuator; of
     several, one that was hardly on must not refuse the rest.
 
     Raises:
         DataError: heat is that of the other mode, or cannot be fitted.
     """
-    if lowest < 0.0:
-        return HeatInput(lowest=lowest), ["heat input: identity, the level is heat over full heat"]
+    if u_min < 0.0:
+        return HeatInput(u_min=u_min), ["heat input: identity, the level is heat over full heat"]
     if config.heat_input == "identity":
         return IDENTITY, ["heat input: identity, as configured"]
     heat = np.concatenate([h.heat_W[0] for h in histories]) * sign
@@ -124,7 +124,7 @@ def power_of_machine(
     if np.isfinite(np.concatenate([h.power_W[0] for h in records])).mean() < _MEASURED:
         return None
     u, weights = np.concatenate([h.u[fed] for h in histories], axis=1), layout.weights[fed]
-    if any(layout.lowest[a] < 0.0 for a in fed):
+    if any(layout.u_min[a] < 0.0 for a in fed):
         return fit_both_directions(records, weights @ np.maximum(u, 0.0), weights @ np.maximum(-u, 0.0))
     squares = weights @ u**2 if config.power_curve else None
     if len(fed) == 1:
@@ -138,10 +138,10 @@ def _running(u: Array, weights: Array, lowest_level: float | None) -> list[tuple
     Levels `u` (A, n) may have been held for the step, or made of on-times that begin together: both are tried.
     """
     load, running = np.minimum(weights @ u, 1.0), []
-    for lowest in _CYCLES_BELOW if lowest_level is None else (lowest_level,):
-        running.append((lowest, np.minimum(load / lowest, 1.0)))
-        if lowest < 1.0:
-            running.append((lowest, running_share(u, np.minimum(weights / lowest, 1.0))))
+    for cycles_below in _CYCLES_BELOW if lowest_level is None else (lowest_level,):
+        running.append((cycles_below, np.minimum(load / cycles_below, 1.0)))
+        if cycles_below < 1.0:
+            running.append((cycles_below, running_share(u, np.minimum(weights / cycles_below, 1.0))))
     return running
 
 
@@ -157,5 +157,5 @@ def machine_record(record: Record, layout: Layout, machine: int) -> Record:
     part = record.part(layout.home[fed[0]], fed[:1], [machine])
     if len(fed) == 1:
         return part
-    level = np.clip(layout.weights[fed] @ record.u[fed], min(0.0, *(layout.lowest[a] for a in fed)), 1.0)
+    level = np.clip(layout.weights[fed] @ record.u[fed], min(0.0, *(layout.u_min[a] for a in fed)), 1.0)
     return replace(part, u=level, heat_W=record.heat_W[fed].sum(axis=0))

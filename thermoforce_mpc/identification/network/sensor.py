@@ -85,7 +85,7 @@ def sun_on_sensor(
     from scipy.linalg import block_diag
 
     home = layout.actuators_of(zone)
-    if not home or any(heat_inputs[a].lowest < 0.0 for a in home) or (noon_s := _noon_s(runs)) is None:
+    if not home or any(heat_inputs[a].u_min < 0.0 for a in home) or (noon_s := _noon_s(runs)) is None:
         return None
     actuators = NetworkInputs(layout, heat_inputs, [()] * len(heat_inputs), config.cross_effects)
     grid_K = resolution_K([run.part(zone, [home[0]], [layout.machine_of[home[0]]]) for run in runs])

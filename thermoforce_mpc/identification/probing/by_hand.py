@@ -179,7 +179,7 @@ def _check(layout: Layout, days: int, levels: Sequence[float], awake: tuple[int,
         raise DataError(f"levels to probe are {list(levels)}: start with 0, and give another one in (0, 1]")
     if not 0 <= awake[0] < awake[1] <= 24 or awake[1] - awake[0] < max(_HOLDS_H):
         raise DataError(f"hours from {awake[0]} to {awake[1]}: give at least {max(_HOLDS_H)} h of a day, as in 7 to 22")
-    signed = [name for name, low in zip(layout.names.actuators, layout.lowest, strict=True) if low < 0.0]
+    signed = [name for name, low in zip(layout.names.actuators, layout.u_min, strict=True) if low < 0.0]
     if signed:
         raise DataError(
             f"{', '.join(signed)} heats and cools (mode both): probe it by room set-points, with `tf-mpc identify "

@@ -110,11 +110,11 @@ class RoomsState:
 
 @dataclass
 class RoomExcitation:
-    """Excites a zone by room set-points, equal ones for equal seeds and readings. `lowest`: level of full cooling."""
+    """Excites a zone by room set-points, equal ones for equal seeds and readings. `u_min`: level of full cooling."""
 
     rng: np.random.Generator
     hold_steps: tuple[int, ...]
-    lowest: float
+    u_min: float
     step_s: float
     left: int = 0
     sign: int = 0
@@ -134,7 +134,7 @@ class RoomExcitation:
         if self.sign > 0 and T_zone_C < upper - _APART_K:
             return Block(1.0, step_s, (min(target, upper - _APART_K), upper))
         if self.sign < 0 and T_zone_C > lower + _APART_K:
-            return Block(self.lowest, step_s, (lower, max(target, lower + _APART_K)))
+            return Block(self.u_min, step_s, (lower, max(target, lower + _APART_K)))
         return Block(0.0, step_s, (lower, upper))
 
     def state(self) -> RoomsState:

@@ -195,10 +195,10 @@ class ProbingController:
     def _excites(self, past: Record | None) -> list[_Levels | RoomExcitation]:
         """What excites each actuator; `past` at the begin, it bounds the effect of a level."""
         c, excites = self.config, list[_Levels | RoomExcitation]()
-        for a, (zone, lowest) in enumerate(zip(self.layout.home, self.layout.lowest, strict=True)):
+        for a, (zone, u_min) in enumerate(zip(self.layout.home, self.layout.u_min, strict=True)):
             draws = (self._seed,) if a == 0 else (self._seed, a)
-            if lowest < 0.0:
-                excites.append(RoomExcitation(np.random.default_rng(_seed(draws)), c.hold_steps, lowest, c.step_s))
+            if u_min < 0.0:
+                excites.append(RoomExcitation(np.random.default_rng(_seed(draws)), c.hold_steps, u_min, c.step_s))
             else:
                 own = None if past is None else past.part(zone, [a])
                 excites.append(_Levels(c, draws, self.layout.signs[a], own))

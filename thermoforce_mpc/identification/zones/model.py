@@ -94,7 +94,7 @@ def identify_zone(
 def _hours_that_differ(fold: Fold, operator: OperatorParameters, certainty: Mapping[str, float]) -> HourEffects:
     """The hours of the day in which the records show less of the effect of acting than the operator says."""
     effects = HourEffects(fold.sign)
-    if fold.heat_input.lowest < 0.0:
+    if fold.heat_input.u_min < 0.0:
         return effects
     share = certainty["step_response_1h_sd_K"] / max(certainty["step_response_1h_K"], 1e-9)
     for seen in hours_seen(fold, operator, min(share, 1.0)):

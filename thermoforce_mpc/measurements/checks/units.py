@@ -27,8 +27,9 @@ _LEAST_RATIO, _CARNOT, _WATER_C, _BOREHOLE = 0.7, 0.5, 35.0, 6.5
 # That of a boiler or an electric heater is steady, and rises by 0.4 % where it condenses (EN 15502): its logarithm
 # varies by less than 0.05. What rises by more than any heat pump's is another thing: load, losses, a schedule.
 _NO_HEAT_PUMP, _LEAST_SLOPE_PER_K, _MOST_SLOPE_PER_K, _STEADY = 1.1, 0.01, 0.05, 0.05
-# Days whose ratios must agree, and standard deviations of their spread that count: few days say little of it.
-_LEAST_DAYS, _CLEAR_OF_DAYS = 3, 4.0
+# Days whose ratios must agree, and standard deviations of their spread that count: loads that go with the weather are
+# errors of all days. Few days say little of the spread; how sure it must make the doubt (Student's t).
+_LEAST_DAYS, _CLEAR_OF_DAYS, _SURE = 3, 4.0, 0.995
 # Largest heat loss per floor area, W/m²K: houses before any insulation have 3.5 with their ventilation (TABULA).
 _MOST_LOSS_W_M2K = 4.0
 # Full power or heat, W: a pump takes 15 W, a house without a floor area less than 300 kW.
@@ -141,7 +142,10 @@ def _of_ratio(
     days = record.time_s[:-1][rows] // DAY_S
     if np.unique(days).size < _LEAST_DAYS:
         return []
-    margin = max(_CLEAR * float(np.sqrt(covariance[1, 1])), _CLEAR_OF_DAYS * _sd_of_days(columns, residual, days))
+    from scipy.special import stdtrit
+
+    clear = max(_CLEAR_OF_DAYS, float(stdtrit(np.unique(days).size - 1, _SURE)))
+    margin = max(_CLEAR * float(np.sqrt(covariance[1, 1])), clear * _sd_of_days(columns, residual, days))
     if ratio <= _NO_HEAT_PUMP:
         rises = beta[1] - margin > _LEAST_SLOPE_PER_K and beta[1] < _MOST_SLOPE_PER_K
         wrong = rises and _NO_HEAT_PUMP < ratio / step_h < possible
@@ -197,7 +201,7 @@ def _of_loss(record: Record, layout: Layout, fed: list[int], heat: Array, where:
 
 
 def _of_outdoors(record: Record, layout: Layout) -> list[Remark]:
-    heats = [a for a, sign in enumerate(layout.signs) if sign > 0 and layout.lowest[a] >= 0.0]
+    heats = [a for a, sign in enumerate(layout.signs) if sign > 0 and layout.u_min[a] >= 0.0]
     if not heats:
         return []
     u, T_zone = record.u[heats].mean(axis=0), record.T_zone_C[:, :-1].mean(axis=0)

@@ -228,7 +228,7 @@ class MeasurementMap(StrictModel):
             machine_of=tuple(
                 names.machines.index(actuator.machine) if actuator.machine else 0 for actuator in actuators
             ),
-            lowest=tuple(-1.0 if actuator.mode == "both" else 0.0 for actuator in actuators),
+            u_min=tuple(-1.0 if actuator.mode == "both" else 0.0 for actuator in actuators),
             shares=tuple(actuator.share for actuator in actuators),
             floor_area_m2=tuple(zone.floor_area_m2 or np.nan for zone in self.zones.values()),
         )

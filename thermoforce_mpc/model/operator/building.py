@@ -150,9 +150,9 @@ class BuildingOperator:
         return np.array([float(self.of_actuator(a).sign) for a in range(len(self.actuators))])
 
     @property
-    def lowest(self) -> Array:
+    def u_min(self) -> Array:
         """Lowest level of each actuator (A,): 0, or below where it heats and cools."""
-        return np.array([self.of_actuator(a).heat_input.lowest for a in range(len(self.actuators))])
+        return np.array([self.of_actuator(a).heat_input.u_min for a in range(len(self.actuators))])
 
     @cached_property
     def gains(self) -> Array:

@@ -9,7 +9,7 @@ With feedback, m depends on the predicted zone temperature, and so on F: F(t+1) 
 
     x(j+1) = (diag a + κ_j g 1ᵀ) x(j),   κ_j = v_j ∂m/∂T,   ∂F(t+k)/∂u(t) = 1ᵀ x(k).
 
-κ_j is known by an interval: v lies in [lowest, v_max], and both derivatives of tanh lie in [0, 1]. 1ᵀ x(k) is affine in
+κ_j is known by an interval: v lies in [u_min, v_max], and both derivatives of tanh lie in [0, 1]. 1ᵀ x(k) is affine in
 each κ_j, so its extremes lie at the interval ends, and the convex hull of all reachable x(k) is propagated exactly. The
 interval is valid for the `n_steps` of the certificate and may cross zero: that operator is not certified.
 """
@@ -55,7 +55,7 @@ def modulation_slope(params: OperatorParameters) -> tuple[float, float]:
 
 def feedback_bounds(params: OperatorParameters, n_steps: int) -> FeedbackBounds:
     """Return bounds of the response over `n_steps` steps for any weather, temperatures and later actions."""
-    drive = params.heat_input.lowest, params.heat_input.largest()
+    drive = params.heat_input.u_min, params.heat_input.largest()
     ends = [v * slope for v in drive for slope in modulation_slope(params)]
     low, high = (min(0.0, *ends), max(0.0, *ends)) if params.feedback_active else (0.0, 0.0)
     responses: list[tuple[float, float]] = []

@@ -17,26 +17,26 @@ class HeatInput:
 
     Without a `heat` load it is v = u·(1 + per_K·(T_out − reference_C)), and the identity v = u of the paper's operator
     where `per_K` is 0; outside `T_out_range_C`, °C, T_out is held at the nearer end. Heat that was measured beside v =
-    u is `metered`: it does not enter v, but readings of the meter are levels by it. `lowest` is the lowest level: 0, or
+    u is `metered`: it does not enter v, but readings of the meter are levels by it. `u_min` is the lowest level: 0, or
     less where the level of one zone's heating and cooling is signed, which only the identity allows. Raises `DataError`
-    for `lowest` outside [−10, 0], a load with a term in u², parts that do not go together, or a `per_K` so large that v
+    for `u_min` outside [−10, 0], a load with a term in u², parts that do not go together, or a `per_K` so large that v
     does not rise with u somewhere in the range.
     """
 
     heat: MachineLoad | None = None
     reference_C: float = 0.0
-    lowest: float = 0.0
+    u_min: float = 0.0
     per_K: float = 0.0
     T_out_range_C: tuple[float, float] = (0.0, 0.0)
     metered: MachineLoad | None = None
 
     def __post_init__(self) -> None:
         identity = self.heat is None and self.per_K == 0.0
-        if not -10.0 <= self.lowest <= 0.0 or (self.lowest < 0.0 and not identity):
-            raise DataError(f"lowest level {self.lowest:g}: expected 0, or that of cooling where u drives the operator")
+        if not -10.0 <= self.u_min <= 0.0 or (self.u_min < 0.0 and not identity):
+            raise DataError(f"lowest level {self.u_min:g}: expected 0, or that of cooling where u drives the operator")
         if self.law is not None and self.law.curve_W != 0.0:
             raise DataError(f"heat input: heat has no term in u² ({self.law.curve_W:g} W), only power has")
-        if self.metered is not None and not (identity and self.lowest == 0.0):
+        if self.metered is not None and not (identity and self.u_min == 0.0):
             raise DataError("heat input: metered heat belongs to v = u with levels from 0")
         if self.per_K == 0.0:
             return

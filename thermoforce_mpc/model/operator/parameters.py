@@ -167,7 +167,7 @@ class OperatorParameters:
     @property
     def mode(self) -> str:
         """'heating', 'cooling', or 'both' where levels below 0 cool."""
-        if self.heat_input.lowest < 0.0:
+        if self.heat_input.u_min < 0.0:
             return "both"
         return "heating" if self.sign > 0 else "cooling"
 

@@ -211,7 +211,7 @@ class BoptestPlant(Releasing):
             PlantError: the service failed, or its scenario is over.
         """
         layout = self._points.layout
-        block = checks.check_levels(u, duration_s, command, names=layout.names, lowest=layout.lowest)
+        block = checks.check_levels(u, duration_s, command, names=layout.names, u_min=layout.u_min)
         applied = inputs(self._points, block, self._T_zone_C, self._last)
         if self._now_s + duration_s > self._end_s + _CLOCK_TOLERANCE_S:
             raise PlantError(

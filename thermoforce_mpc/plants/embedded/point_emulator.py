@@ -41,7 +41,7 @@ class PointEmulator(Emulator, RoomSetpointShell):
         """
         case = CASES[testcase.plant or testcase.name]
         self._points = testcase.points
-        self._names, self._lowest = self._points.layout.names, self._points.layout.lowest
+        self._names, self._u_min = self._points.layout.names, self._points.layout.u_min
         self._T_zone_C: Array = np.full(len(self._points.zones), math.nan)
         self._last: Measurement | None = None
         self._columns = dict(case.measurements)

@@ -43,7 +43,7 @@ class SmallOfficePlant(EnginePlant[tuple[float, ...], office.OfficeReading], Roo
         super().__init__(testcase, office.WEATHER, **options)
         self._schedules = office.office_schedules()
         self._points = testcase.points
-        self._names, self._lowest = self._points.layout.names, self._points.layout.lowest
+        self._names, self._u_min = self._points.layout.names, self._points.layout.u_min
 
     @property
     def info(self) -> PlantInfo:
@@ -121,4 +121,4 @@ class SmallOfficePlant(EnginePlant[tuple[float, ...], office.OfficeReading], Roo
     def _acting(self, heat_W: Array, power_W: Array) -> dict[str, Any]:
         """Levels, heat and power of each unit, (Z,) or (Z, n), from those of burners and coils, (2 Z,) or (2 Z, n)."""
         heat, power = heat_W[:_Z] + heat_W[_Z:], power_W[:_Z] + power_W[_Z:]
-        return {"u": np.clip(heat.T / _FULL_W, self._lowest, 1.0).T, "heat_W": heat, "power_W": power}
+        return {"u": np.clip(heat.T / _FULL_W, self._u_min, 1.0).T, "heat_W": heat, "power_W": power}

@@ -67,7 +67,7 @@ class FmuPlant(WithProcess[FmuRun], RoomSetpointShell):
         )
         check_points(testcase, given, outputs, forecast, f"the FMU {path}")
         self._points = testcase.points
-        self._names, self._lowest = self._points.layout.names, self._points.layout.lowest
+        self._names, self._u_min = self._points.layout.names, self._points.layout.u_min
         echoes = [f"{name}_y" for name in self._points.sensed]
         for echo in echoes:
             if echo not in archive.outputs:

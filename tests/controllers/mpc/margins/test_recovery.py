@@ -165,7 +165,7 @@ def test_a_machine_that_was_off_in_the_setback_could_have_begun_earlier(full_h, 
 def test_loops_that_cool_learn_as_those_that_heat():
     """Levels below 0 cool; the machine of a signed level was not at its most in either direction, or in one."""
     zone = simple_model().only
-    both = replace(zone.operator, heat_input=HeatInput(lowest=-0.6))
+    both = replace(zone.operator, heat_input=HeatInput(u_min=-0.6))
     model = ThermalModel.of_zone(replace(zone, operator=both))
     rules = MarginRules(
         MPCConfig(), model, Actuators(model.layout, [Actuation(ActuationConfig(mode="room_setpoints"))])
