@@ -277,16 +277,11 @@ class ThermoForceMPC(ActuatedController):
         """One control step: each line a station, from what is believed to what is applied."""
         readings, state = yield from self._clean(observation, state)
         state = yield from self._watch(readings, state)
-<<<<<<< HEAD
         state = self._compare_day(readings, state)
         situation = Situation(
             readings.observation, readings.zones, state.watch, days=state.mornings.stands_back(readings.time_s)
         )
-        overrides = decide(self._overrides, situation)
-=======
-        situation = Situation(readings.observation, readings.zones, state.watch)
         overrides, joined_in = self._shared.open(decide(self._overrides, situation))
->>>>>>> main
         state = self._learn(readings, state)
         if len(overrides) == len(self._fallbacks):
             plan = self._realisation.stand_back(overrides, state)
