@@ -281,7 +281,7 @@ class ThermoForceMPC(ActuatedController):
         situation = Situation(
             readings.observation, readings.zones, state.watch, days=state.mornings.stands_back(readings.time_s)
         )
-        overrides, joined_in = self._shared.open(decide(self._overrides, situation))
+        overrides, joined_in = self._opened(decide(self._overrides, situation), situation)
         state = self._learn(readings, state)
         if len(overrides) == len(self._fallbacks):
             plan = self._realisation.stand_back(overrides, state)
@@ -292,6 +292,12 @@ class ThermoForceMPC(ActuatedController):
             plan = self._realise(result, readings, overrides, situation)
         plan = self._believe(plan, readings, state)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
+
+    def _opened(
+        self, overrides: dict[int, Override], situation: Situation
+    ) -> tuple[dict[int, Override], dict[int, ActsTogether]]:
+        """The overrides without those of actuators that act together, and these; none while all plans stand back."""
+        return (overrides, {}) if situation.days else self._shared.open(overrides)
 
     def _clean(self, observation: Observation, state: MPCState) -> Computation[tuple[Readings, MPCState]]:
         """What is believed; a model that may not act says nothing of readings."""
