@@ -167,7 +167,7 @@ class Measurements:
 
     `conditions`: measured weather with the bounds and prices of the map, NaN where it names none. `left_out`: what was
     left out of a table that a machine appends to, in words. `commands`: what was set, by actuator, of those with a
-    command.
+    command. `windows`: by zone with a contact, 1 where one was open at the boundaries (n + 1,).
     """
 
     record: Record
@@ -177,6 +177,7 @@ class Measurements:
     map: MeasurementMap
     left_out: tuple[str, ...] = ()
     commands: Mapping[str, CommandRecord] = field(default_factory=dict)
+    windows: Mapping[str, Array] = field(default_factory=dict)
 
     def newest_s(self) -> float:
         """Time of the newest temperature of a zone, s; NaN without one."""
@@ -341,6 +342,8 @@ def _from_table(
         name: replace(_commanded(reader, where, command), over_K=_over_K(rules.actuators[name], name, reader, rules))
         for name, (where, command) in set_by.items()
     }
+    contacts = {name: z.window.model_copy(update={"hold_h": _COMMAND_HOLDS_H}) for name, z in zones if z.window}
+    windows = {name: reader.scheduled(f"zones.{name}.window", one, readings.COMMAND) for name, one in contacts.items()}
     record = Record(
         grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
         np.array(water), origin, names,
@@ -371,7 +374,7 @@ def _from_table(
         (*table.notes, *of_clock(zone, rows_every_s, step_s), *of_sun, *of_levels, *of_changes(reader.on_change)),
         missing(rules, record, conditions),
     )
-    return Measurements(record, layout, conditions, understood, rules, commands=commands)
+    return Measurements(record, layout, conditions, understood, rules, commands=commands, windows=windows)
 
 
 def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:

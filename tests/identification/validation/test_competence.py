@@ -224,6 +224,7 @@ def test_weather_alone_may_be_better_by_chance_only_at_once_or_in_one_part():
     assert kinds(3.0, 0.19, -0.5) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 3])
 def test_models_from_pairs_are_judged(n):
     """On pairs that were held out, or on the last part of the only one."""
