@@ -176,6 +176,17 @@ RULES: tuple[Detector, ...] = (
         controller={"watch": {"enabled": False}},
     ),
     Detector(
+        "worse days",
+        "who acts for a day: native control or the rule",
+        lambda ran: ran.news("the last day cost"),
+        controller={"watch": {"mornings": False}},
+    ),
+    Detector(
+        "rule's levels",
+        "levels of a plan: the on/off rule's",
+        lambda ran: ran.reasons("the on/off rule's levels act"),
+    ),
+    Detector(
         "gate",
         "who acts, for the whole run",
         lambda ran: [ran.model] if isinstance(ran.model, str) else ran.spells(PlanStatus.GATE)[:1],
