@@ -102,6 +102,12 @@ class Transport:
     """Sends requests and unpacks `{"status", "message", "payload"}`."""
 
     def __init__(self, url: str, config: TransportConfig, user_agent: str) -> None:
+        if "@" in url:  # requests would take what is before it for a user and a password
+            raise BadAddress(
+                f"…@{url.rpartition('@')[2]}",
+                "what is before @ would stand in logs; expected something like http://127.0.0.1:8000, a token in "
+                "BOPTEST_TOKEN",
+            )
         if not _is_address(url):
             raise BadAddress(url, "not the address of a service; expected something like http://127.0.0.1:8000")
         self.url = url.rstrip("/")

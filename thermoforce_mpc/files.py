@@ -266,7 +266,7 @@ def no_secret_in(address: str, key: str, instead: str) -> None:
 
     `instead`: where the secret belongs.
     """
-    if "@" in address.partition("://")[2].partition("/")[0] or ("://" not in address and "@" in address):
+    if "@" in address:  # a password may hold a / too, after which no host could be told from a path
         raise ConfigError(f"{key}: a user or password in it would stand in logs: leave out what is before @; {instead}")
 
 

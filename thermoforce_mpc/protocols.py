@@ -187,7 +187,8 @@ class Connection(Protocol):
     One that must ask for each column has `reads(columns)`, which gets those of the map before the first call. Where
     people set everything by hand, one that gives things back by itself is told with `leave()` that nothing is held.
     `present(names)` says what devices hold now of what `write` sets, by name and in its unit, without those that do not
-    say it: what is neither that nor what was before, somebody set by hand.
+    say it: what is neither that nor what was before, somebody set by hand. `put_back(held)` sets again, without end,
+    what devices held by `present` before a trial.
     """
 
     def measurements(self) -> pd.DataFrame | str | Path:

@@ -1,7 +1,8 @@
 """File of a controller's state: dataclasses, named tuples and enumerations by name, plain values and arrays.
 
 An .npz file without pickles: the arrays, and a JSON text that says where they stand. Reading it builds the classes of a
-closed table by their constructors; nothing that a file names is imported.
+closed table by their constructors, of values of the types that their fields are declared with; nothing that a file
+names is imported.
 """
 
 from __future__ import annotations
@@ -9,9 +10,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import types
+import typing
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from enum import Enum
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -104,13 +108,45 @@ class StateFormat:
             case {"enum": name, "member": member}:
                 return self._of(name)[member]
             case {"is": name, "of": fields}:
-                return self._of(name)(**{key: self._built(item, arrays) for key, item in fields.items()})
+                kind, of = self._of(name), {key: self._built(item, arrays) for key, item in fields.items()}
+                for key, declared in _declared(kind).items():
+                    if key in of and not _fits(of[key], declared):
+                        raise ValueError(f"{name}.{key} is a {type(of[key]).__name__}, not as it is declared")
+                return kind(**of)
         raise ValueError(f"{sorted(content)} is nothing that is kept")
 
     def _of(self, name: str) -> Any:
         if name not in self._by_name:
             raise ValueError(f"'{name}' is no class that is kept")
         return self._by_name[name]
+
+
+@cache
+def _declared(kind: type[Any]) -> dict[str, Any]:
+    """Types that the fields of a class are declared with, by name."""
+    return typing.get_type_hints(kind)
+
+
+def _fits(value: Any, declared: Any) -> bool:
+    """Whether a value is of a declared type: a class, a union, a tuple, list or mapping of these; else any."""
+    of, inside = typing.get_origin(declared), typing.get_args(declared)
+    if of in (typing.Union, types.UnionType):
+        return any(_fits(value, one) for one in inside)
+    if of is tuple:
+        alike = inside[1:] == (...,)
+        right = isinstance(value, tuple) and (alike or len(value) == len(inside))
+        return right and all(_fits(item, inside[0 if alike else k]) for k, item in enumerate(value))
+    if isinstance(of, type) and issubclass(of, Mapping):
+        right = isinstance(value, Mapping)
+        return right and all(_fits(key, inside[0]) and _fits(item, inside[1]) for key, item in value.items())
+    if of is list:
+        return isinstance(value, list) and all(_fits(item, inside[0]) for item in value)
+    kind = of or declared
+    if kind is Any or not isinstance(kind, type) or getattr(kind, "_is_protocol", False):
+        return True
+    if kind in (float, int):  # a truth value is no number, and every number of a float may be whole
+        return isinstance(value, int | float if kind is float else int) and not isinstance(value, bool)
+    return isinstance(value, kind)
 
 
 def _fields(value: Any) -> list[str] | None:

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import click
 
+from benchmarks.cli.options import JSON
 from thermoforce_mpc.cli.options import FiniteRange
 
 
 @click.command()
 @click.option("--episodes", type=click.IntRange(1, 100_000), default=20, show_default=True, help="Number of episodes.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Seed of the troubles.")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of the troubles.")
 @click.option("--days", type=FiniteRange(0.1, 60), default=2.0, show_default=True, help="Scored days an episode.")
 @click.option(
     "--controller",
@@ -25,7 +26,7 @@ from thermoforce_mpc.cli.options import FiniteRange
     "--jobs", "--workers", "jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Parallel processes."
 )
 @click.option("--keep", type=click.Path(path_type=Path), help="Keep the journal of every episode in this folder.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the result to this JSON file.")
+@JSON
 def command(
     episodes: int,
     seed: int,

@@ -10,6 +10,7 @@ from benchmarks.cli.options import FOLDER, JSON, QUICK, say
 from benchmarks.cli.show import show
 from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
 from thermoforce_mpc.comparison.variants import comma_list
+from thermoforce_mpc.errors import ConfigError
 
 
 @click.command("buildings")
@@ -97,12 +98,18 @@ def worth_command(
     """
     from benchmarks.closed_loop.worth import run_worth_bench
 
+    try:
+        days_of_history = [int(number) for number in comma_list(history, "--history")]
+    except ValueError as error:
+        raise ConfigError(f"--history {history}: expected whole days separated by commas, such as 1,3") from error
+    if min(days_of_history) < 1:
+        raise ConfigError(f"--history {history}: a day at least")
     with engine(say) as where:
         result = run_worth_bench(
             windows=comma_list(windows, "--windows"),
             houses=houses,
             days=days,
-            history_d=[int(number) for number in comma_list(history, "--history")],
+            history_d=days_of_history,
             methods=comma_list(free_responses, "--free-responses") if free_responses else (),
             uncertainty=uncertainty,
             engine=where,
@@ -262,6 +269,8 @@ def contest_command(
     """
     from benchmarks.closed_loop.contest import run_contest
 
+    if not houses and not windows:
+        raise ConfigError("--houses 0 and no --windows: no building is left to judge on; give either")
     with engine(say) as where:
         result = run_contest(
             contest,

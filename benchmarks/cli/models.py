@@ -154,7 +154,9 @@ def verdicts_command(
     help="What a changed operation saved, or what plans would have saved.",
 )
 @click.option("--cases", type=click.IntRange(1), help="Number of cases.  [default: 40; 20]")
-@click.option("--seed", type=int, default=7, show_default=True, help="Seed of houses, start days and set-points.")
+@click.option(
+    "--seed", type=click.IntRange(0), default=7, show_default=True, help="Seed of houses, start days and set-points."
+)
 @execution_options()
 @QUICK
 @JSON

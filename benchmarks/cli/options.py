@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from typing import Any
 
 import click
 
+
+class ResultFile(click.Path):
+    """A file that a result can be written to; what cannot be is refused before a bench that takes hours."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path, dir_okay=False)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """See `click.ParamType.convert`."""
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        there = next(one for one in (path, *path.absolute().parents) if one.exists())
+        if there != path and not there.is_dir():
+            self.fail(f"{path} cannot be written: {there} is a file", param, ctx)
+        if not os.access(there, os.W_OK):
+            self.fail(f"{path} cannot be written: no right to write to {there}", param, ctx)
+        return path
+
+
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
-JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the result to this JSON file.")
+JSON = click.option("--json", "json_file", type=ResultFile(), help="Write the result to this JSON file.")
 QUICK = click.option("--quick", is_flag=True, help="Smaller and faster version of the benchmark.")
 
 

@@ -28,6 +28,7 @@ from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_task, model_for
 from thermoforce_mpc.experiment.windows import scored_period
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.model.free_response.registry import find_free_response
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
 from thermoforce_mpc.plants.registry import build_plant
@@ -95,6 +96,9 @@ def run_worth_bench(
         keep: folder in which finished cases are kept; a run that was cut off goes on from there.
         progress: callback for progress lines.
     """
+    for name in methods:
+        if name not in (DEFAULT, LIMIT):
+            find_free_response(name.partition(":")[0])
     named = tuple(dict.fromkeys((REFERENCE, DEFAULT, *methods, LIMIT)))
 
     def case(testcase: str, window: str, price: str, people: int | None, errors: str = "none") -> Case:

@@ -35,6 +35,7 @@ Options of the watch over a model, its state during a run, and the scaled models
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -416,6 +417,11 @@ _USUAL_DAYS, _KEPT_H = 7, 72.0
 # room, and a heating curve of 25 K over 20 K.
 _PER_K = {"T_zone_C": 0.04, "T_out_C": 0.05}
 _MOST_UNKNOWN = 0.6
+# How fast what a prediction missed may leave a zone again, s, as air and furniture do (chosen like `_FORGETS_S` of
+# `blocked_hours`).
+_FORGOTTEN_S = 3 * HOUR_S
+# What full level does in so many hours, on a model's card.
+_STEP_RESPONSE = re.compile(r"step_response_(\d{1,4})h_K")
 # Hourly comparisons of meters before a change can be seen.
 _LEAST_RATIOS = 12
 # Share of predictions inside their band, and share of those expected that came due, to hand control back.
@@ -587,7 +593,9 @@ class Watch:
         effect = float(forced - idle)
         unknown = self._beyond_identified(history.slice(start, start + n))
         gain = _NORMAL_90 * math.hypot(self._gain_sd[lead], unknown) * effect
-        promise = math.hypot(min(band, self.config.widest * usual), gain, self._least_K[lead])
+        promise = math.hypot(
+            min(band, self.config.widest * usual), gain, self._least_K[lead], _rebound_K(track, item.time_s, error)
+        )
         return Judged(float(history.time_s[start + n]), lead, error, promise, effect)
 
     def _beyond_identified(self, record: Record) -> float:
@@ -805,6 +813,13 @@ def e_value(z: float) -> float:
     return 0.5 / math.sqrt(max(p, _LEAST_P))
 
 
+def _rebound_K(track: Track, issued_s: float, error_K: float) -> float:
+    """What of the errors an hour ahead before a prediction an error to the other side may give back, K."""
+    rows = Judged.of(track.judged[(track.judged[:, 1] == 0) & (track.judged[:, 0] <= issued_s + 1.0)])
+    opposite_K = np.maximum(-math.copysign(1.0, error_K) * rows.error_K, 0.0)
+    return float(np.max(opposite_K * np.exp((rows.time_s - issued_s) / _FORGOTTEN_S), initial=0.0))
+
+
 def _without_force(state: PredictorState | None) -> PredictorState:
     """The state of a predictor for another operator: the forced state is computed anew."""
     return replace(state or PredictorState(), forced=None)
@@ -813,13 +828,7 @@ def _without_force(state: PredictorState | None) -> PredictorState:
 def _relative_gain_sd(model: ZoneModel, hours: float) -> float:
     """Relative standard deviation of the effect of `hours` at full level, from the card; 0 where it says nothing."""
     uncertainty = model.card.uncertainty
-    leads_h = [
-        int(key.split("_")[2][:-1]) for key in uncertainty if key.startswith("step_response_") and key.endswith("h_K")
-    ]
-    if not leads_h:
-        return 0.0
-    share = [
-        uncertainty[f"step_response_{h}h_sd_K"] / max(abs(uncertainty[f"step_response_{h}h_K"]), 1e-9)
-        for h in sorted(leads_h)
-    ]
-    return float(np.interp(hours, sorted(leads_h), np.minimum(share, 1.0)))
+    found = ((of[1], uncertainty[key]) for key in uncertainty if (of := _STEP_RESPONSE.fullmatch(key)))
+    known = {int(h): (effect_K, uncertainty.get(f"step_response_{h}h_sd_K", math.nan)) for h, effect_K in found}
+    share = {h: sd_K / max(abs(effect_K), 1e-9) for h, (effect_K, sd_K) in sorted(known.items()) if sd_K >= 0.0}
+    return float(np.interp(hours, list(share), np.minimum(list(share.values()), 1.0))) if share else 0.0

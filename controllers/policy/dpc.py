@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 from torch import Tensor, nn
 
 from controllers.checks import ControllerConfigError
@@ -53,9 +53,16 @@ class PolicyConfig(StrictModel):
 
 
 class DPCConfig(MPCConfig):
-    """Options of differentiable predictive control: those of the MPC, whose solver is not used, and the policy's."""
+    """Options of differentiable predictive control: those of the MPC but for its solver, and the policy's."""
 
     policy: PolicyConfig = PolicyConfig()
+
+    @field_validator("solver")
+    @classmethod
+    def _no_solver(cls, solver: str) -> str:
+        if solver != "auto":
+            raise ValueError("dpc plans by its policy, with no solver: leave it out, or use thermoforce_mpc")
+        return solver
 
 
 class DPC(ThermoForceMPC):

@@ -254,6 +254,32 @@ def test_one_that_only_writes_is_quiet(connect, broker, tmp_path):
 
 
 @needs_broker
+def test_what_a_device_held_is_put_back_without_end(connect, broker):
+    """A number as it was; of a device whose own word gives it back (own, auto) that; an option by its word."""
+    states = {1.0: "blocked", 2.0: "normal", 3.0: "recommended"}
+    home = connect(
+        actuators={
+            "hall": {"topic": "back/hall", "release": 20.0, "scale": 10.0},
+            "bath": {"topic": "back/bath", "release": "own"},
+            "pump": {"topic": "back/pump", "release": "normal", "options": states},
+        }
+    )
+    heard = []
+    device = broker.client(on_message=lambda client, userdata, message: heard.append(message))
+    device.subscribe("back/#", 1)
+    home.write({"hall": 21.0}, 900.0)
+    home.put_back({"hall": 22.5, "bath": 22.5, "pump": 3.0})
+    wait_for("all of it", lambda: len(heard) == 4)
+    expiry = [getattr(one.properties, "MessageExpiryInterval", None) for one in heard]
+    assert expiry[0] is not None
+    assert expiry[1:] == [None] * 3
+    said = {one.topic: one.payload.decode() for one in heard}
+    assert said == {"back/hall": "225", "back/bath": "own", "back/pump": "recommended"}
+    device.disconnect()
+    device.loop_stop()
+
+
+@needs_broker
 def test_a_connection_that_dies_says_so_by_its_last_will(connect, broker):
     with wire(broker.port) as (port, _, snap):
         home = connect(prefix="dying", port=port)

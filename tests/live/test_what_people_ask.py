@@ -103,6 +103,7 @@ def test_what_cannot_be_asked_is_refused_and_changes_nothing(people, key, word):
     ["{", "[]", '{"x": 1}', '{"lower_C": 99, "comfort_until": "2027-01-01T00:00Z"}', '{"away_until": "soon"}',
      '{"by_hand": {"x": 5}}', '{"by_hand": [1]}', '{"by_hand": {"x": [21, "soon"]}}',
      '{"by_hand": {"x": [21, "2027-01-01"]}}',
+     '{"away_until": ""}', '{"boost_until": "NaT"}', '{"by_hand": {"x": [21, ""]}}',
      '{"mode": "shadow"}', '{"mode": 1}',
      '{"by_hand": {"x": ["21", "2027-01-01T00:00Z"]}}', '{"by_hand": {"x": [NaN, "2027-01-01T00:00Z"]}}', "[" * 99_999],
 )  # fmt: skip

@@ -129,6 +129,7 @@ def finds_one_device_by_mqtt(core) -> None:
             home = build_connection("mqtt", broker.options(record=str(Path(folder) / "mqtt.csv"), prefix="house"))
             home.listen({key: lambda text, key=key: asked.append((key, text)) for key in KEYS})
             home.tell({"status": "solved", "why": "cheap hours first " * 30, "level": "hall 21 °C for 60 min"})
+            home.tell({"saving": {"said": "not known yet", "kWh": 0.0}})
             home.tell({"plan": {"next": "hall 21 °C", "steps": []}})
             people = {"lower_C": None, "upper_C": 23.5, "planned_lower_C": 20.0, "planned_upper_C": 23.0}
             home.tell({"people": people | {"away": False, "boost_min": 30}})
@@ -139,11 +140,11 @@ def finds_one_device_by_mqtt(core) -> None:
                     for s in requests.get(f"{core.url}/api/states", headers=core.headers, timeout=10).json()
                     if "thermoforce" in s["entity_id"]
                 }
-                if len(found) == 7 and all(one["state"] not in ("unknown", "unavailable") for one in found.values()):
+                if len(found) == 8 and all(one["state"] not in ("unknown", "unavailable") for one in found.values()):
                     break
                 time.sleep(0.2)
             by_kind = {name.partition("_mpc_")[2]: one for name, one in found.items()}
-            assert set(by_kind) == {"status", "why", "set_now", "plan", "comfort", "boost", "away"}, sorted(found)
+            assert set(by_kind) == {"status", "why", "set_now", "plan", "saving", "comfort", "boost", "away"}
             assert by_kind["status"]["state"] == "solved"
             assert by_kind["why"]["state"].startswith("cheap hours first")
             assert by_kind["plan"]["state"] == "hall 21 °C"

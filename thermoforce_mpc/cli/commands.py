@@ -45,6 +45,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "saving": ("building.saving:saving", "What a changed operation saved, with an interval."),
     },
     "Live": {
+        "commission": ("live.commission:commission", "Take a building into service, step by step."),
         "control": ("live.control:control", "Control a real building through a connection."),
         "ask": ("live.ask:ask", "Ask a controller for warmer, cooler, away or boost."),
         "record": ("live.record:record", "Write a building's history, or record it."),
@@ -81,14 +82,14 @@ SYNONYMS = {
 
 EXIT_CODES = """\
 0    done
-1    a check failed (doctor, chaos), there is no plan (plan), or your own controller raised (run)
+1    a check failed (doctor, chaos, commission), there is no plan (plan), or your own controller raised (run)
 2    bad input
 3    the plant or its service failed, or one of many runs (compare, sweep, fleet)
 4    the model is not competent (identify, plan)
 5    the service no longer has the test (resume)
 6    a file cannot be written: disk full, folder read-only or removed; out of memory
 7    the Dask cluster of --scheduler is gone or does not fit
-129  the terminal was closed (control)
+129  the terminal was closed (control, commission)
 130  interrupted by Ctrl-C
 143  ended by SIGTERM
 """

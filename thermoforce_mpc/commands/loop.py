@@ -13,13 +13,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.commands.command import SAME, Command
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Plan
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables are read
@@ -133,7 +133,11 @@ class LearnedCommand:
         return np.asarray(time_s + (origin - self.origin).total_seconds())
 
     def usual_at(self, time_s: Array) -> Array:
-        """What the command is when it is left alone, at `time_s` (N,), s."""
+        """What the command is when it is left alone, at `time_s` (N,), s, by the clock of the zone of `origin`."""
+        if self.origin is not None:
+            from thermoforce_mpc.data.dataframes import clock_s
+
+            time_s = clock_s(time_s, self.origin)
         part_s = 7.0 * DAY_S / self.usual.size
         return np.asarray(self.usual[np.floor(time_s / part_s + 1e-6).astype(np.intp) % self.usual.size])
 
@@ -147,6 +151,7 @@ def learn_command(
     time_s: Array,
     where: str,
     *,
+    clock_s: Array | None = None,
     may_be_untold: bool = False,
 ) -> LearnedCommand:
     """Learn what the loop makes of `command` from a record of n steps.
@@ -158,6 +163,7 @@ def learn_command(
         u: mean level of each step (n,).
         time_s: boundaries (n + 1,), s.
         where: what it is the command of, for messages.
+        clock_s: what a clock on the wall showed at `time_s` (n + 1,), s, by which habits go; default: the same.
         may_be_untold: it is enough that the record tells of another one: of a room that was never cold it tells
             nothing (`untold`, see `check_told`).
 
@@ -179,7 +185,15 @@ def learn_command(
     usual = value if was.usual is None else was.usual
     if not np.isfinite(usual).any():
         raise DataError(f"{where}: usual: its column holds no value: check it, or give a number")
-    return LearnedCommand(command, loop, last, held_s, _usual(usual[:-1], time_s[:-1]), now_s, untold=untold)
+    return LearnedCommand(
+        command,
+        loop,
+        last,
+        held_s,
+        _usual(usual[:-1], (time_s if clock_s is None else clock_s)[:-1]),
+        now_s,
+        untold=untold,
+    )
 
 
 def check_told(learned: Collection[LearnedCommand]) -> None:
@@ -387,3 +401,23 @@ def _usual(value: Array, time_s: Array) -> Array:
         # Of an even number the earlier of the two in the middle: a value that was set.
         out[of_week] = np.sort(same)[(same.size - 1) // 2] if same.size else np.nanmedian(value)
     return out
+
+
+def command_rows(plan: Plan, commands: Mapping[str, LearnedCommand]) -> list[dict[str, Any]]:
+    """The commands of a plan in the order of actuators and time, JSON types; `value` None: leave it to itself."""
+    from thermoforce_mpc.data.dataframes import stamps
+
+    rows, said = [], set()
+    for of_actuator, settings in zip(plan.names.actuators, plan.settings, strict=bool(plan.settings)):
+        machine = commands[of_actuator].machine if of_actuator in commands else ""
+        name = machine or of_actuator
+        if machine in said:  # one command for all that it feeds
+            continue
+        said |= {machine} - {""}
+        for one in settings:
+            begin, end = stamps(np.array([one.start_s, one.end_s]), plan.origin)
+            command = commands[of_actuator].command
+            text = "its own control" if one.value is None else command.in_words(one.value)
+            row = {"actuator": name, "kind": command.kind, "from": begin.isoformat(), "until": end.isoformat()}
+            rows.append(row | {"value": one.value, "unit": command.unit, "text": text})
+    return rows

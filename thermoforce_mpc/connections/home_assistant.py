@@ -206,6 +206,14 @@ class HomeAssistantConnection:
         if self._watchdog is not None and native:
             self._service("timer", "cancel", {"entity_id": self._watchdog})
 
+    def put_back(self, held: Mapping[str, float]) -> None:
+        """See `Connection`; the timer is ended, whose end would undo it."""
+        for name, value in held.items():
+            one = self._actuators[name]
+            unknown = one.domain in _HOLDS_OPTION and float(value) not in one.options
+            self._set(one, None if unknown else value)
+        self.leave()
+
     def leave(self) -> None:
         """See `Connection`: the timer is ended, whose end would undo what people set."""
         if self._watchdog is not None:

@@ -201,13 +201,30 @@ class MqttConnection:
         if unknown := [name for name in levels if name not in self._actuators]:
             raise ConfigError(f"connection mqtt: actuators: none is given for '{unknown[0]}'")
         until = utc_now() + timedelta(seconds=seconds)
-        messages, awaited = [], {}
-        for name, level in levels.items():
+        # What is given back stays given back: it has no end.
+        self._set(
+            {
+                name: (_text(self._actuators[name], level), None if level is None else max(1, math.ceil(seconds)))
+                for name, level in levels.items()
+            },
+            until,
+        )
+
+    def put_back(self, held: Mapping[str, float]) -> None:
+        """See `Connection`: with no end; where `release` is a word of its own (own, auto), that one."""
+        texts = {}
+        for name, value in held.items():
             one = self._actuators[name]
-            value = _text(one, level)
+            own_word = isinstance(one.release, str) and one.release not in one.options.values()
+            texts[name] = (_text(one, None if own_word else value), None)
+        self._set(texts, utc_now())
+
+    def _set(self, texts: Mapping[str, tuple[str, int | None]], until: datetime) -> None:
+        """Publish values with the time after which each counts no more, s, and wait until devices say them."""
+        messages, awaited = [], {}
+        for name, (value, expires) in texts.items():
+            one = self._actuators[name]
             text = Template(one.payload).substitute(value=value, until=until.isoformat(timespec="seconds"))
-            # What is given back stays given back: it has no end.
-            expires = None if level is None else max(1, math.ceil(seconds))
             messages.append((one.topic, text, one.retain, expires))
             if one.state is not None:
                 awaited[one.state] = value

@@ -43,9 +43,17 @@ class Watchdog:
     """The controller's side: starts the process, and tells it of each action. One that dies is started again."""
 
     def __init__(
-        self, connection: str, options: Mapping[str, Any], sets: Sets, grace_s: float, log: Path | None = None
+        self,
+        connection: str,
+        options: Mapping[str, Any],
+        sets: Sets,
+        grace_s: float,
+        log: Path | None = None,
+        held: Mapping[str, float] | None = None,
     ) -> None:
-        """`grace_s`: how long after the end of what was set the building is given back, s; `log`: file it writes to."""
+        """`grace_s`: how long after the end of what was set the building is given back, s; `log`: file it writes to;
+        `held`: what devices are put back to, where that is not what giving them back sets (`Connection.put_back`).
+        """
         of = {"path": str(sets.resolve())} if isinstance(sets, Path) else {"text": sets}  # texts of several: a list
         self._told = {
             "connection": connection,
@@ -53,6 +61,7 @@ class Watchdog:
             "sets": of,
             "grace_s": grace_s,
             "controller": os.getpid(),
+            "held": dict(held or {}),
         }
         self._log = log
         self._process: subprocess.Popen[str] | None = None
@@ -205,7 +214,12 @@ def _give_back(
         if left and (leave := getattr(connection, "leave", None)) is not None and len(left) == len(names):
             leave()
         elif back := [name for name in names if name not in left]:
-            connection.write(dict.fromkeys(back), 0.0)
+            put_back, told = getattr(connection, "put_back", None), head.get("held", {})
+            before = {name: float(told[name]) for name in back if name in told and put_back is not None}
+            if put_back is not None and before:
+                put_back(before)
+            if rest := [name for name in back if name not in before]:
+                connection.write(dict.fromkeys(rest), 0.0)
         return left
 
 

@@ -24,6 +24,7 @@ from thermoforce_mpc.errors import ConfigError, EngineError, counted
 from thermoforce_mpc.execution.engine import Begun, Ended, Event, Lost, Told, WorkerAnswer, answer_to
 from thermoforce_mpc.execution.keys import source_fingerprint
 from thermoforce_mpc.execution.local import LocalEngine
+from thermoforce_mpc.files import no_secret_in
 from thermoforce_mpc.version import VERSION, installed
 
 # So long an attempt to connect takes at least, and the pause after it.
@@ -281,6 +282,7 @@ class DaskEngine:
             from distributed import Client
         except ImportError:
             raise ConfigError("--scheduler needs the extra [fleet]: pip install 'thermoforce-mpc[fleet]'") from None
+        no_secret_in(self._address, "--scheduler", "Dask has none in an address")
         _check_scheduler(self._address, within_s)
         client = Client(self._address, timeout=self._patience.connect_s, set_as_default=False)
         client.subscribe_topic(self._topic, self._hear)

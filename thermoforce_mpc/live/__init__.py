@@ -2,6 +2,6 @@
 
 from thermoforce_mpc.live.building import KeptState, LiveBuilding, real_run
 from thermoforce_mpc.live.control import Clock, Decision, WallClock, control
-from thermoforce_mpc.live.people import People
+from thermoforce_mpc.records.people import People
 
 __all__ = ["Clock", "Decision", "KeptState", "LiveBuilding", "People", "WallClock", "control", "real_run"]

@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,6 @@ from thermoforce_mpc.experiment.run_models import origin
 from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.identification.probing.excitation import RoomsState
 from thermoforce_mpc.identification.probing.probe import LevelsState, ProbingState
-from thermoforce_mpc.live.people import People
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import Measurements, learned_commands, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
@@ -39,6 +38,7 @@ from thermoforce_mpc.model.saved import JSON_NAME
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.protocols import Connection
 from thermoforce_mpc.records.live_journal import RealRun
+from thermoforce_mpc.records.people import People
 from thermoforce_mpc.records.run_folder import plain_json
 from thermoforce_mpc.scenario.scenario import ControllerSpec, Scenario
 from thermoforce_mpc.state_file import StateFormat
@@ -64,13 +64,16 @@ class Applied:
 
 
 @dataclass(frozen=True)
-class _Told:
-    """A command set at `at` for `seconds` s; what was set `before` (NaN: unknown); `seen`: it was read since."""
+class LastTold:
+    """A command that an actuator was told, to hold `until` a time, ISO 8601.
 
+    `before`: what was set before (NaN: unknown); `seen`: it was read since.
+    """
+
+    name: str
     value: float
     before: float
-    at: pd.Timestamp
-    seconds: float
+    until: str
     seen: bool = False
 
 
@@ -91,7 +94,7 @@ class LiveBuilding:
     ) -> None:
         """`prices`: a file of them, read anew in each step, in the place of those of the map; `people`: who ask."""
         self._prices, self._people = prices, people
-        self._told: dict[str, _Told] = {}
+        self._told: dict[str, LastTold] = {}
         self.connection, self._rules, self._step_s = connection, rules, step_s
         if (reads := getattr(connection, "reads", None)) is not None:
             reads([column for _, signal in rules.signals() for column in signal.columns])
@@ -107,6 +110,16 @@ class LiveBuilding:
     def names(self) -> tuple[str, ...]:
         """Names of the actuators that are set."""
         return self._rules.names.actuators if self._measured is None else self._measured.record.names.actuators
+
+    @property
+    def step_s(self) -> float:
+        """Step of its record, s."""
+        return self._step_s
+
+    def table(self) -> pd.DataFrame | str | Path:
+        """What the connection gives as measurements; raises `PlantError`."""
+        table: pd.DataFrame | str | Path = self._call("measurements")
+        return table
 
     def command_of(self, name: str) -> Command | None:
         """What is set in the place of the level of an actuator, by the map; None where its level is."""
@@ -234,10 +247,7 @@ class LiveBuilding:
             elif (leave := getattr(self.connection, "leave", None)) is not None:
                 leave()
 
-        try:
-            self._calls(self._writer, write, self._answer_s)
-        except Crashed as crashed:  # such as an interrupt
-            raise (crashed.__cause__ or crashed) from None
+        self._answered(write)
 
     def to_set(self, levels: Mapping[str, float | None]) -> dict[str, float | None]:
         """What the connection is told of levels, see `Connection.write`, by its own names.
@@ -254,20 +264,72 @@ class LiveBuilding:
                 told.pop(self.key(name), None)
         return told
 
+    @property
+    def puts_back(self) -> bool:
+        """Whether the connection can set again what devices held (`put_back`), and not only give them back."""
+        return hasattr(self.connection, "put_back")
+
+    def put_back(self, held: Mapping[str, float]) -> None:
+        """Set again what devices held, by the connection's names; raises as `write`."""
+        self._answered(lambda: self.connection.put_back(held))  # type: ignore[attr-defined]
+
+    def leave(self) -> None:
+        """Tell the connection that nothing is held, since people set it; raises as `write`."""
+        if (leave := getattr(self.connection, "leave", None)) is not None:
+            self._answered(leave)
+
+    def held(self, keys: Sequence[str]) -> dict[str, float]:
+        """What devices say that they hold of `keys`, the connection's names; none where they do not say it."""
+        says = getattr(self.connection, "present", None)
+        if says is None:
+            return {}
+        try:
+            return dict(self._answered(lambda: says(list(keys))))
+        except Exception as error:  # somebody's connection may raise anything
+            _LOG.info("what the devices hold is not known (%s: %s)", type(error).__name__, error)
+            return {}
+
+    def _answered(self, call: Callable[[], Any]) -> Any:
+        """What a call of the connection answers, in time; raises what it raises."""
+        try:
+            return self._calls(self._writer, call, self._answer_s)
+        except Crashed as crashed:  # such as an interrupt
+            raise (crashed.__cause__ or crashed) from None
+
+    def zone_of(self, name: str) -> str:
+        """The room that an actuator serves."""
+        own = self._rules.actuators.get(name)
+        return next(iter(self._rules.zones)) if own is None or own.zone is None else own.zone
+
+    def machines_of(self, names: Sequence[str]) -> tuple[str, ...]:
+        """The machines that feed actuators."""
+        own, first = self._rules.actuators, next(iter(self._rules.machines), "")
+        return tuple(dict.fromkeys((own[name].machine if name in own else None) or first for name in names))
+
     def key(self, name: str) -> str:
         """What the connection calls the command of an actuator: that of a machine for several rooms is the machine."""
         found = self._rules.command_of(name)
         kind, _, of = found[0].partition(".") if found else ("", "", "")
         return of if kind == "machines" else name
 
+    @property
+    def told(self) -> tuple[LastTold, ...]:
+        """What commands were told last and may be held yet: what differs from it somebody set by hand."""
+        return tuple(self._told.values())
+
+    def remember(self, told: Sequence[LastTold]) -> None:
+        """Go on from what an earlier controller of the building was `told`."""
+        self._told = {one.name: one for one in told if one.name in self.names and self.command_of(one.name)}
+
     def _note(self, levels: Mapping[str, float | None], seconds: float, now: pd.Timestamp) -> None:
+        until = (now + pd.Timedelta(seconds=seconds)).isoformat()
         for name, value in levels.items():
             if value is None or self.command_of(name) is None:
                 self._told.pop(name, None)
             elif (told := self._told.get(name)) is None or told.value != value:
-                self._told[name] = _Told(value, self._commanded(name), now, seconds)
+                self._told[name] = LastTold(name, value, self._commanded(name), until)
             else:
-                self._told[name] = replace(told, at=now, seconds=seconds)
+                self._told[name] = replace(told, until=until)
 
     def _commanded(self, name: str) -> float:
         """The command as it was read last; NaN where it was not."""
@@ -294,16 +356,10 @@ class LiveBuilding:
 
     def notice(self) -> None:
         """Note what was set by hand since the last reading, of devices that say what they hold (`present`)."""
-        says, now = getattr(self.connection, "present", None), self.now
-        if says is None or self._people is None or now is None or not self._told:
+        now = self.now
+        if self._people is None or now is None or not self._told:
             return
-        try:
-            held = self._calls(self._writer, lambda: says([self.key(name) for name in self._told]), self._answer_s)
-        except Crashed as crashed:  # such as an interrupt
-            raise (crashed.__cause__ or crashed) from None
-        except Exception as error:  # somebody's connection may raise anything
-            _LOG.info("what the devices hold is not known (%s: %s)", type(error).__name__, error)
-            return
+        held = self.held([self.key(name) for name in self._told])
         for name in dict(self._told):
             self._compare(name, float(held.get(self.key(name), float("nan"))), now)
 
@@ -317,7 +373,7 @@ class LiveBuilding:
         told, near = self._told[name], self.nearness(name)
         if near is None or not math.isfinite(value) or self._people is None:
             return
-        if (now - told.at).total_seconds() > told.seconds:  # it ended by itself
+        if now > pd.Timestamp(told.until):  # it ended by itself
             del self._told[name]
         elif abs(value - told.value) <= near:
             self._told[name] = replace(told, seen=True)
@@ -333,7 +389,7 @@ class LiveBuilding:
 
 
 def _doubt_of_outdoors(record: Record, ahead: Boundary) -> tuple[str, ...]:
-    """A note where outdoor temperature and its forecast for now differ as °F and °C do."""
+    """A note where the outdoor temperature is far from its forecast for now: another unit, place or column."""
     measured = record.T_out_C[-max(1, round(_LATELY_S / record.step_s)) :]
     known, given = measured[np.isfinite(measured)], float(ahead.T_out_C[0])
     if not known.size or not math.isfinite(given):
@@ -341,12 +397,11 @@ def _doubt_of_outdoors(record: Record, ahead: Boundary) -> tuple[str, ...]:
     now_C = float(np.median(known))
     if abs(now_C - given) <= _FAR_K:
         return ()
+    found = f"outdoors it is {now_C:.1f} °C as measured and {given:.1f} °C by the forecast"
     for what, one, other in (("measured", now_C, given), ("in the forecast", given, now_C)):
         if abs((one - 32.0) / 1.8 - other) < _NEAR_K:
-            return (
-                f"outdoors it is {now_C:.1f} °C as measured and {given:.1f} °C by the forecast: °F {what}? set unit",
-            )
-    return ()
+            return (f"{found}: °F {what}? set unit",)
+    return (f"{found}: is the sensor in the sun, at a warm wall, or another one, or the forecast of another place?",)
 
 
 def _duration(seconds: float) -> str:
@@ -397,18 +452,20 @@ _OLDEST = pd.Timedelta(days=1)
 
 @dataclass(frozen=True)
 class SetCommand:
-    """The command `value` of an actuator that has been set `since` a time, ISO 8601."""
+    """The command `value` of an actuator that has been set `since` a time, to hold `until` another, ISO 8601."""
 
     name: str
     value: float
     since: str
+    until: str
 
 
 @dataclass(frozen=True)
 class Kept:
     """The controller's state `before` and `after` the decision at `instant`, and levels `applied` so far.
 
-    Seconds count from `origin`; both times in ISO 8601. `of` tells controllers apart. `commands`: what is set now.
+    Seconds count from `origin`; both times in ISO 8601. `of` tells controllers apart. `commands`: what is set now;
+    `told`: see `LiveBuilding.told`.
     """
 
     origin: str
@@ -418,13 +475,25 @@ class Kept:
     applied: tuple[Applied, ...]
     of: str = ""
     commands: tuple[SetCommand, ...] = ()
+    told: tuple[LastTold, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` for a time that is none, or a number that is not finite."""
+        ends = [at for one in self.commands for at in (one.since, one.until)] + [one.until for one in self.told]
+        for at in (self.origin, self.instant, *ends):
+            if pd.Timestamp(at).tzinfo is None:
+                raise ValueError(f"{at!r} is no time with a zone")
+        levels = [u for one in self.applied for u in (one.start_s, one.duration_s, *one.u) if u is not None]
+        values = [one.value for one in self.commands] + [one.value for one in self.told]
+        if not all(map(math.isfinite, [*levels, *values])):
+            raise ValueError("what was set is not finite")
 
     def state_at(self, instant: pd.Timestamp) -> object:
         """The state to decide with at `instant`; the step that was decided already is decided once more."""
         return self.before if instant == pd.Timestamp(self.instant) else self.after
 
 
-_FORMAT = StateFormat((*STATE_CLASSES, ProbingState, LevelsState, RoomsState, Kept, Applied, SetCommand))
+_FORMAT = StateFormat((*STATE_CLASSES, ProbingState, LevelsState, RoomsState, Kept, Applied, SetCommand, LastTold))
 
 
 class KeptState:

@@ -163,7 +163,11 @@ class _Building:
             return None
         self._building.count_from(pd.Timestamp(kept.origin))
         self._applied = list(kept.applied)
-        self._commands = {one.name: one for one in kept.commands}
+        # What ended meanwhile, or was given back, is not held any more.
+        now = self._clock.now()
+        self._commands = {one.name: one for one in kept.commands if now <= pd.Timestamp(one.until)}
+        if self._acts:
+            self._building.remember(kept.told)
         return kept.state_at(self._next)
 
     def next_step(self) -> bool:
@@ -230,12 +234,16 @@ class _Building:
         self._given = replace(self._given, forecast=forecast)
         return forecast
 
-    def instead(self, index: int, error: Exception, state: object) -> Decided:
+    def instead(self, index: int, error: Exception, state: object) -> Decided | None:
         """See `LoopDriver.instead`: the building's own control, but for what is wrong from the start."""
-        if index == 0:
-            raise error
-        # Nobody is there to start it again: the next step may be better.
         raised = error.__cause__ if isinstance(error, ControllerRaised) and error.__cause__ else error
+        if index == 0:
+            if state is None or isinstance(error, PlantError):
+                raise error
+            _LOG.warning("no decision with the state that was kept (%s): begun anew", raised)
+            self._applied, self._commands = [], {}
+            return None
+        # Nobody is there to start it again: the next step may be better.
         expected = isinstance(raised, ThermoForceError)
         _LOG.warning("no decision at %s: %s", self._at, raised, exc_info=None if expected else raised)
         why = f"the building's own control: {raised if expected else f'{type(raised).__name__}: {raised}'}"
@@ -290,6 +298,7 @@ class _Building:
         if self._set and not acts:  # until now it was
             self._set = not self._write((None,) * len(self._building.names), 0.0)
         if not acts:
+            self._commands = {}
             self._record(Block.native(len(self._building.names), self._step.total_seconds()), begin)
             state = not_followed(decided.before, decided.after)
             self._keep(self._at, decided.before, state)
@@ -301,7 +310,7 @@ class _Building:
                 hold_s = min((end - now).total_seconds(), self._step.total_seconds()) + beyond_s
                 block = self._as_may_be(block, now, (until - now).total_seconds())
                 taken = self._write(block.told, hold_s)
-                self._note_commands(block.told if taken else (None,) * len(block.told), now)
+                self._note_commands(block.told if taken else (None,) * len(block.told), now, hold_s)
                 start_s = self._building.time_s(begin)
                 # A plan whose levels were not taken did not act.
                 state = state if taken else not_followed(decided.before, decided.after)
@@ -339,13 +348,16 @@ class _Building:
         by_command = [None if one is None else now_told for one, now_told in zip(block.command, out, strict=True)]
         return Block(levels, block.duration_s, by_command)
 
-    def _note_commands(self, told: Sequence[CommandValue | None], now: pd.Timestamp) -> None:
-        """Note what is set since when; what is left to itself is not."""
+    def _note_commands(self, told: Sequence[CommandValue | None], now: pd.Timestamp, hold_s: float) -> None:
+        """Note what is set since when, for `hold_s` s; what is left to itself is not."""
+        until = (now + pd.Timedelta(seconds=hold_s)).isoformat()
         for name, value in zip(self._building.names, told, strict=True):
             if not isinstance(value, float) or self._building.command_of(name) is None:
                 self._commands.pop(name, None)
-            elif name not in self._commands or self._commands[name].value != value:
-                self._commands[name] = SetCommand(name, value, now.isoformat())
+            else:
+                before = self._commands.get(name)
+                since = before.since if before is not None and before.value == value else now.isoformat()
+                self._commands[name] = SetCommand(name, value, since, until)
 
     def _record(self, block: Block, begin: pd.Timestamp) -> None:
         """Note a block in the journal, whose steps begin when they do, not when they are decided."""
@@ -364,6 +376,7 @@ class _Building:
                     after,
                     tuple(self._applied),
                     commands=tuple(self._commands.values()),
+                    told=self._building.told,
                 )
             )
 
@@ -419,6 +432,7 @@ class _Building:
         if self._decided is None:
             return
         now_s = self._building.time_s(self._clock.now())
+        self._commands = {}
         self._applied = [
             replace(action, duration_s=min(action.duration_s, max(now_s - action.start_s, 0.0)))
             for action in self._applied

@@ -27,11 +27,11 @@ from thermoforce_mpc.data import CONDITIONS, J_PER_KWH, Boundary, Period, Record
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
 from thermoforce_mpc.experiment.worth import Houses, Lived, band_of, outside_Kh
 from thermoforce_mpc.files import read_bounded
-from thermoforce_mpc.live.saving import MOST_BYTES, SHADOW
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.records.journal import NAME, making_sense, read_run
 from thermoforce_mpc.records.run_folder import write_json
+from thermoforce_mpc.records.saving import MOST_BYTES, SHADOW
 from thermoforce_mpc.records.told_steps import (
     forecast_of,
     history_before,
@@ -71,6 +71,13 @@ class ShadowDay:
     warmer_K: float
     planned: float
     goes_on: bool
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` for a day that is none, and numbers that are not finite."""
+        date.fromisoformat(self.day)
+        numbers = [value for key, value in vars(self).items() if key not in ("day", "saved", "goes_on")]
+        if len(self.saved) != _DRAWS + 1 or not all(map(math.isfinite, (*numbers, *self.saved))):
+            raise ValueError(f"{self.day}: a number is not finite, or there is not a saving of each house")
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,18 +1,25 @@
-"""What was decided is shown through a connection that can tell, and what people ask through it is heard."""
+"""What was decided is shown, through a connection that can tell and in a file that the page reads; what people ask
+through the connection is heard.
+"""
 
 from __future__ import annotations
 
+import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from thermoforce_mpc.commands.loop import LearnedCommand, command_rows
+from thermoforce_mpc.errors import StorageError
+from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.live.control import Decision
-from thermoforce_mpc.live.people import People
-from thermoforce_mpc.live.saving import saving_so_far
 from thermoforce_mpc.protocols import Connection
+from thermoforce_mpc.records.people import SHOWN, People
+from thermoforce_mpc.records.run_folder import plain_json
+from thermoforce_mpc.records.saving import saving_so_far
 
 _LOG = logging.getLogger(__name__)
 ACTING = ("control", "probe")
@@ -26,13 +33,22 @@ def shared_with(
     in_words: Callable[[Decision], str],
     folder: Path,
     mode: str = "control",
+    commands: Mapping[str, LearnedCommand] | None = None,
 ) -> Callable[[Decision], None]:
     """`told`, then what was decided and asked to a `connection` with `tell`; what one with `listen` hears is asked.
 
-    `in_words`: a decision in one line; `folder`: of the run; `mode`: one that sets nothing is not asked for another.
+    `in_words`: a decision in one line; `folder`: of the run; `mode`: one that sets nothing is not asked for another;
+    `commands`: of actuators that are set by one.
     """
     acts = mode in ACTING
+    asks = ("lower", "upper", "away", "boost", *(["mode"] if acts else []))
     tell, listen = getattr(connection, "tell", None), getattr(connection, "listen", None)
+
+    def keep(said: dict[str, Any]) -> None:
+        try:
+            write_whole(folder / SHOWN, json.dumps(plain_json(said | {"mode": mode, "asks": asks})) + "\n")
+        except (StorageError, ValueError) as error:
+            _LOG.warning("the page does not know of it: %s", error)
 
     def show(said: dict[str, Any]) -> None:
         if tell is None:
@@ -55,7 +71,8 @@ def shared_with(
 
     shown: dict[str, Any] = {}
     if listen is not None:
-        listen({key: asked(key) for key in ("lower", "upper", "away", "boost", *(["mode"] if acts else []))})
+        listen({key: asked(key) for key in asks})
+    keep({})
 
     def decided(decision: Decision) -> None:
         told(decision)
@@ -67,12 +84,13 @@ def shared_with(
             for k, at in enumerate(plan.time_s)
         ]
         set_now = words.partition(": ")[0].partition("  ")[2]  # without the time and the reason
-        show(
-            {
-                "status": plan.status.value, "why": decision.refused or plan.why, "level": set_now,
-                "notes": list(decision.notes), "saving": saving_so_far(folder),
-                "plan": {"from": decision.instant.isoformat(), "next": words[:250], "steps": steps},
-            }
-        )  # fmt: skip
+        planned = {"from": decision.instant.isoformat(), "next": words[:250], "steps": steps}
+        said = {
+            "status": plan.status.value, "why": decision.refused or plan.why, "level": set_now,
+            "notes": list(decision.notes), "saving": saving_so_far(folder),
+            "plan": planned | {"commands": command_rows(plan, commands or {})},
+        }  # fmt: skip
+        keep(said)
+        show(said)
 
     return decided

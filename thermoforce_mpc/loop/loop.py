@@ -198,8 +198,11 @@ class LoopDriver(Protocol):
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """See `Plant.forecast`."""
 
-    def instead(self, index: int, error: Exception, state: object) -> Decided:
-        """What acts in the place of a decision that failed; raises `error` where that ends the loop."""
+    def instead(self, index: int, error: Exception, state: object) -> Decided | None:
+        """What acts in the place of a decision that failed; raises `error` where that ends the loop.
+
+        None: it is decided once more, by a controller that begins anew, since what it went on from may be wrong.
+        """
 
     def act(self, decided: Decided) -> object:
         """Apply and record a decision; returns the controller's state to go on from."""
@@ -228,7 +231,8 @@ class Loop:
                 try:
                     decided = self._decide(index, driver.read(), state)
                 except Exception as error:
-                    decided = driver.instead(index, error, state)
+                    instead = driver.instead(index, error, state)
+                    decided = self._decide(index, driver.read(), None) if instead is None else instead
                 if decided.plan.ends:
                     state = decided.after
                     break

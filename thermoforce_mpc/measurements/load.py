@@ -13,7 +13,7 @@ import pandas as pd
 from thermoforce_mpc.commands.kinds import AnyCommand
 from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, check_told, learn_command
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
-from thermoforce_mpc.data.dataframes import new_year, seconds_at, seconds_since, stamps
+from thermoforce_mpc.data.dataframes import clock_s, new_year, seconds_at, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError, counted
 from thermoforce_mpc.measurements import readings
 from thermoforce_mpc.measurements.map.entries import Signal
@@ -375,7 +375,8 @@ def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
             T_zone_C, shared = record.T_zone_C[measured.layout.home[a]], kind == "machines"
             where = f"{where}.command (column {command.column})" + (f" for {name}" if shared else "")
             signals = T_zone_C, record.T_out_C, record.u[a], record.time_s
-            learned = learn_command(command, was, *signals, where, may_be_untold=True)
+            habits_s = clock_s(record.time_s, record.origin)
+            learned = learn_command(command, was, *signals, where, clock_s=habits_s, may_be_untold=True)
             out[name] = replace(learned, origin=record.origin, machine=machine if shared else "")
     check_told(out.values())
     return out

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.machine.blocked_hours import HourEffects, HourSeen
 from thermoforce_mpc.model.machine.other_load import OtherLoad
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
@@ -136,6 +138,15 @@ class ModelCard:
     blocked_hours: tuple[int, ...] = ()
     blocked_cooling_hours: tuple[int, ...] = ()
     hour_effects: tuple[tuple[float, float, float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raise `DataError` for hours that are none of a day, ranges without ends, effects that cannot be judged."""
+        hours = (*self.blocked_hours, *self.blocked_cooling_hours)
+        if wrong := [hour for hour in hours if not 0 <= hour < 24]:
+            raise DataError(f"blocked hours: {wrong[0]} is no hour of the day, 0 to 23")
+        if away := [name for name, (low, high) in self.ranges.items() if not low <= high]:
+            raise DataError(f"ranges: {away[0]}: {self.ranges[away[0]]}, expected the least and the largest value")
+        HourEffects(seen=tuple(HourSeen(*one) for one in self.hour_effects))
 
     @property
     def unfit(self) -> str:

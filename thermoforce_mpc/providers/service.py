@@ -13,6 +13,7 @@ import pandas as pd
 import requests
 
 from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.files import no_secret_in
 from thermoforce_mpc.version import VERSION
 
 OUTDOOR, SUN, PRICE = "temperature_C", "solar_W_m2", "price_per_kWh"
@@ -29,6 +30,7 @@ class Service:
     url: str
 
     def __post_init__(self) -> None:
+        no_secret_in(self.url, "provider: url", "a token belongs in token_file")
         if not self.url.startswith(("https://", "http://127.0.0.1", "http://localhost", "http://[::1]")):
             raise ConfigError(f"provider: url: {self.url!r}: expected https:// (http:// on this machine alone)")
         self.url = self.url.rstrip("/")

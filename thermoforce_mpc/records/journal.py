@@ -226,11 +226,11 @@ class JournalTail:
     def __init__(self, path: Path) -> None:
         self.path, self._at, self._n, self._crc = path, 0, 0, 0
 
-    def more(self) -> list[JournalEntry]:
-        """The records that were written since the last call."""
+    def more(self, most: int | None = None) -> list[JournalEntry]:
+        """The records that were written since the last call, `most` at a time."""
         entries: list[JournalEntry] = []
         for line in lines_of(self.path, self._at):
-            if not line.endswith(b"\n"):
+            if not line.endswith(b"\n") or len(entries) == most:
                 break
             record = _checked_record(line, self._crc, self._n)
             if record is None:

@@ -26,6 +26,8 @@ from thermoforce_mpc.records.told_steps import StepReader, ToldBuilding, ToldSte
 
 # Past shown, and steps of it at most.
 _PAST_H, _MOST_POINTS = 24.0, 288
+# Records read at once: a journal of a year is 150 MB, and several times that in memory.
+_AT_ONCE = 500
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,8 @@ class WatchPoint:
 class RunView:
     """A run at an instant.
 
-    `state`: running, finished, ended, or ended early, and `said` why; `at`: `time_s` for people; `levels`: mean level
+    `state`: running, finished, ended, or ended early, and `said` why; `at`: `time_s` for people; `origin`, `zone`: from
+    when the seconds of a real building count, and on which clock, '' of a simulated one; `levels`: mean level
     of each actuator in the step under way, NaN under its own control; `cost` by metered power and prices in force
     (currency), `energy_kWh` and `discomfort_Kh` (mean over zones) since the begin of the loop, NaN where no power was
     metered yet, or prices or bounds are not known; `counts`: steps by status; `past` and `plan` by step, `until`: the
@@ -72,6 +75,8 @@ class RunView:
     said: str
     time_s: float
     at: str
+    origin: str
+    zone: str
     days: float
     days_in_all: float
     outdoor_C: float
@@ -134,8 +139,9 @@ class LiveRun:
             JournalError, InputError: the journal is damaged, or has no step yet, or not of the controller asked for.
         """
         with making_sense(self._folder / NAME):
-            for entry in self._tail.more():
-                self._take(entry)
+            while entries := self._tail.more(_AT_ONCE):
+                for entry in entries:
+                    self._take(entry)
             if step := self._steps.under_way or self._last:
                 return self._view(step)
             if self._wanted and self._loops and self._wanted not in self._loops:
@@ -224,6 +230,7 @@ class LiveRun:
         levels = np.average(u, axis=0, weights=[block["duration_s"] for block in blocks])
         time_s = step.time_s if at is None else at.time_s
         real, plan = "building" in self._head, self._planned(decision)
+        origin = self._told().origin if real else None
         in_words = self._told().in_words if real else words_of
         since_s = time_s - _PAST_H * HOUR_S
         return RunView(
@@ -234,6 +241,8 @@ class LiveRun:
             said=explanation,
             time_s=time_s,
             at=in_words(time_s),
+            origin="" if origin is None else origin.isoformat(),
+            zone="" if origin is None else str(origin.tz),
             days=(time_s - self._start_s) / DAY_S,
             days_in_all=np.nan if real else float(self._scenario.get("days") or np.nan),
             outdoor_C=float("nan") if at is None else at.T_out_C,

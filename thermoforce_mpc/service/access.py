@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import ipaddress
 import threading
@@ -30,11 +31,11 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def check_token(host: str, token: str | None) -> None:
+def check_token(host: str, token: str | None, variable: str = "BOPTEST_TOKEN") -> None:
     """Raise `ConfigError` where a service on `host` may not start with `token`: it is missing though other machines can
-    reach `host`, is too short, or has characters that a header cannot carry.
+    reach `host`, is too short, or has characters that a header cannot carry. `variable`: of the environment, for it.
     """
-    advice = "set BOPTEST_TOKEN to the output of: python -c 'import secrets; print(secrets.token_urlsafe(32))'"
+    advice = f"set {variable} to the output of: python -c 'import secrets; print(secrets.token_urlsafe(32))'"
     if token is None:
         if not is_loopback(host):
             raise ConfigError(f"{host} can be reached from other machines, so the service needs a token: {advice}")
@@ -53,15 +54,12 @@ class HostNames:
 
     def check(self, headers: Headers) -> None:
         """Raise `Refusal` (403) for a host of another name, or for a request that a page of elsewhere makes."""
-        asked, page = headers.get("Host", ""), headers.get("Origin")
+        asked = headers.get("Host", "")
         if asked and not self._own(asked):
             raise Refusal(
                 403, f"This service is not called {asked!r:.80}; ask by its address, or start it with --name."
             )
-        # `same-site` is a page of another port. Not every request of a page states an Origin.
-        elsewhere = page is not None and page.partition("://")[2] != asked
-        if elsewhere or headers.get("Sec-Fetch-Site", "none") not in _HERE:
-            raise Refusal(403, "A page of another site may not ask this service.")
+        check_page(headers, asked)
 
     def _own(self, asked: str) -> bool:
         try:
@@ -71,6 +69,15 @@ class HostNames:
             return False
 
 
+def check_page(headers: Headers, *hosts: str) -> None:
+    """Raise `Refusal` (403) for a request that a page of another site than `hosts` makes."""
+    page = headers.get("Origin")
+    # `same-site` is a page of another port. Not every request of a page states an Origin.
+    elsewhere = page is not None and page.partition("://")[2] not in hosts
+    if elsewhere or headers.get("Sec-Fetch-Site", "none") not in _HERE:
+        raise Refusal(403, "A page of another site may not ask this service.")
+
+
 def check_authorization(header: str | None, token: str) -> None:
     """Raise `Refusal` (401) unless `header` holds the token; takes as long for any wrong token of its length."""
     scheme, _, credentials = (header or "").partition(" ")
@@ -78,6 +85,19 @@ def check_authorization(header: str | None, token: str) -> None:
     same = hmac.compare_digest(credentials.strip().encode("utf-8", "replace"), token.encode("ascii"))
     if scheme.lower() != _SCHEME or not same:
         raise Refusal(401, "This service needs the header 'Authorization: Bearer TOKEN' with its token.")
+
+
+def signed(token: str, until_s: int) -> str:
+    """What a browser that gave the token shows of it until a time, s since 1970."""
+    return f"{until_s}.{hmac.new(token.encode(), str(until_s).encode(), hashlib.sha256).hexdigest()}"
+
+
+def is_signed(shown: str, token: str, now_s: float) -> bool:
+    """Whether `shown` is of `signed`, with this token, and its time not over."""
+    until, _, _ = shown.partition(".")
+    if not (until.isascii() and until.isdigit() and len(until) < 16 and now_s < int(until)):
+        return False
+    return hmac.compare_digest(shown.encode("utf-8", "replace"), signed(token, int(until)).encode())
 
 
 class Rate:

@@ -1,47 +1,117 @@
-"""A page on this machine that shows a running controller; it asks for the view of `tf-mpc watch` every few seconds."""
+"""A page that shows a running controller and, where somebody hears it, takes what people ask.
+
+It asks for the view every few seconds, by addresses relative to its own, so that it may stand behind Home Assistant's
+ingress. It holds nothing of the building itself: what does is asked for with the login.
+"""
 
 from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any
+from typing import Any, Protocol
 
 from flask import Flask, Response, request
+from werkzeug.exceptions import HTTPException
 
 from thermoforce_mpc.errors import ThermoForceError
-from thermoforce_mpc.service.access import HostNames, Refusal
+from thermoforce_mpc.service.access import (
+    HostNames,
+    Rate,
+    Refusal,
+    check_authorization,
+    check_page,
+    is_loopback,
+    is_signed,
+    signed,
+)
 from thermoforce_mpc.service.server import Server, bound, run_to_its_end, serve_on
 
 HOST = "127.0.0.1"
-_MOST_BYTES, _THREADS = 10_000, 4
+SUPERVISOR = "172.30.32.2"
+"""From where ingress asks, for users that Home Assistant has logged in; nobody else may:
+https://developers.home-assistant.io/docs/add-ons/presentation/#ingress"""
+_MOST_BYTES, _THREADS, _PER_SECOND = 10_000, 4, 20.0
+_COOKIE, _LOGIN_S = "tf-mpc", 90 * 86_400
 _HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
+_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; img-src data:; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors "
+)
 
 
-def live_app(view: Callable[[], Mapping[str, Any]]) -> Flask:
-    """The application: the page at `/`, and what `view`, called by one thread at a time, tells at `/view.json`."""
-    app = Flask(__name__, static_folder=None)
+class Hears(Protocol):
+    """Who hears what people ask."""
+
+    def shown(self) -> Mapping[str, Any]:
+        """What is asked now, for the page; `asks`: the keys that may be."""
+
+    def ask(self, key: str, text: str) -> None:
+        """Ask for something; raises `ConfigError` for what cannot be."""
+
+
+@dataclass(frozen=True)
+class PageAccess:
+    """Who may see the page and ask by it: who has the `token`, if there is one, by `names`, addresses or localhost.
+
+    `ingress`: only whom Home Assistant lets through, and this machine.
+    """
+
+    token: str | None = None
+    names: Collection[str] = ()
+    ingress: bool = False
+
+
+def live_app(
+    view: Callable[[], Mapping[str, Any]], hears: Hears | None = None, access: PageAccess | None = None
+) -> Flask:
+    """The application: the page at `/`, what `view`, called by one thread at a time, tells at `/view.json`, and what
+    people ask at `/ask`, as JSON {"key": "boost", "text": "60"}.
+    """
+    app, access = Flask(__name__, static_folder=None), access or PageAccess()
+    app.config["MAX_CONTENT_LENGTH"] = _MOST_BYTES
     page = files("thermoforce_mpc.service").joinpath("live_page.html").read_text(encoding="utf-8")
-    own, lock = HostNames(), threading.Lock()
+    own, lock, rate, logins = HostNames(access.names), threading.Lock(), Rate(_PER_SECOND), Rate(1.0)
+    headers = _HEADERS | {"Content-Security-Policy": _POLICY + ("'self'" if access.ingress else "'none'")}
 
     @app.before_request
-    def only_here() -> None:
-        own.check(request.headers)
+    def only_whom_it_is_for() -> None:
+        peer = request.remote_addr or ""
+        if access.ingress and peer == SUPERVISOR:  # asks by whatever name people reach Home Assistant
+            check_page(request.headers, request.headers.get("Host", ""), request.headers.get("X-Forwarded-Host", ""))
+        elif access.ingress and not is_loopback(peer):
+            raise Refusal(403, "This page is for Home Assistant alone.")
+        else:
+            rate.admit(peer)
+            own.check(request.headers)
+        token = access.token if request.endpoint in ("now", "ask") else None
+        if token is not None and not is_signed(request.cookies.get(_COOKIE, ""), token, time.time()):
+            check_authorization(request.headers.get("Authorization"), token)
 
     @app.errorhandler(Refusal)
     def refused(error: Refusal) -> Response:
-        return Response(error.message, error.status, mimetype="text/plain")
+        return _json(error.status, {"error": error.message})
+
+    @app.errorhandler(ThermoForceError)
+    def failed(error: ThermoForceError) -> Response:
+        return _json(500, {"error": str(error)})
+
+    @app.errorhandler(Exception)
+    def broken(error: Exception) -> Response:
+        if isinstance(error, HTTPException):
+            return _json(error.code or 500, {"error": error.name})
+        return _json(500, {"error": f"the page failed ({type(error).__name__})"})
 
     @app.after_request
     def with_headers(response: Response) -> Response:
-        response.headers.update(_HEADERS)
+        response.headers.update(headers)
         return response
 
     @app.get("/")
@@ -50,20 +120,65 @@ def live_app(view: Callable[[], Mapping[str, Any]]) -> Flask:
 
     @app.get("/view.json")
     def now() -> Response:
-        try:
-            with lock:
-                told = view()
-            return Response(json.dumps(told, allow_nan=False), mimetype="application/json")
-        except ThermoForceError as error:
-            return Response(json.dumps({"error": str(error)}), 500, mimetype="application/json")
+        with lock:
+            told = dict(view()) | ({} if hears is None else {"people": dict(hears.shown())})
+        return _json(200, told)
+
+    @app.post("/ask")
+    def ask() -> Response:
+        said = _said("key", "text")
+        if hears is None:
+            raise Refusal(404, "Nobody hears this page: it only shows.")
+        with lock:
+            try:
+                hears.ask(said["key"], said["text"])
+            except ThermoForceError as error:
+                raise Refusal(400, str(error)) from error
+            return _json(200, {"people": dict(hears.shown())})
+
+    @app.post("/login")
+    def login() -> Response:
+        logins.admit(request.remote_addr or "")
+        given = _said("token")["token"]
+        if access.token is not None:
+            check_authorization(f"Bearer {given}", access.token)
+        answer = _json(200, {})
+        if access.token is not None:
+            proof = signed(access.token, int(time.time()) + _LOGIN_S)
+            answer.set_cookie(_COOKIE, proof, max_age=_LOGIN_S, httponly=True, samesite="Strict")
+        return answer
 
     return app
 
 
-def page_server(view: Callable[[], Mapping[str, Any]], port: int) -> Server:
+def _said(*keys: str) -> dict[str, str]:
+    """Texts by `keys` of a request; raises `Refusal` for any other, which a form of another site can send too."""
+    if request.mimetype != "application/json":
+        raise Refusal(415, "Send application/json.")
+    try:
+        said = json.loads(request.get_data())
+    except (ValueError, RecursionError) as error:
+        raise Refusal(400, "The body is not JSON.") from error
+    if not isinstance(said, dict) or set(said) != set(keys) or not all(isinstance(one, str) for one in said.values()):
+        raise Refusal(400, f"Expected an object of texts: {', '.join(keys)}.")
+    return said
+
+
+def _json(status: int, content: Mapping[str, Any]) -> Response:
+    return Response(json.dumps(content, allow_nan=False), status, mimetype="application/json")
+
+
+def page_server(
+    view: Callable[[], Mapping[str, Any]],
+    port: int,
+    *,
+    host: str = HOST,
+    hears: Hears | None = None,
+    access: PageAccess | None = None,
+) -> Server:
     """Bind the page; `run()` of the server serves until `close()`. Raises `PlantError` where the port is taken."""
-    listening = bound(HOST, port, "another --port")
-    return serve_on(listening, live_app(view), threads=_THREADS, most_bytes=_MOST_BYTES)
+    listening = bound(host, port, "another --port")
+    return serve_on(listening, live_app(view, hears, access), threads=_THREADS, most_bytes=_MOST_BYTES)
 
 
 def serve_page(view: Callable[[], Mapping[str, Any]], port: int, on_ready: Callable[[str], None]) -> None:

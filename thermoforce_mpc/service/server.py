@@ -10,23 +10,21 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from waitress.adjustments import Adjustments  # type: ignore[import-untyped]
 from waitress.server import TcpWSGIServer  # type: ignore[import-untyped]
 
-from thermoforce_mpc.boundary.tariffs import Tariff
-from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
-from thermoforce_mpc.plants.embedded.emulator import Emulator
-from thermoforce_mpc.plants.registry import emulator_of
 from thermoforce_mpc.service.access import check_token, is_loopback
-from thermoforce_mpc.service.app import ServiceLimits, create_app
-from thermoforce_mpc.service.points import WEATHER_SIGNALS
-from thermoforce_mpc.service.sessions import MOST_ASKING
 
+if TYPE_CHECKING:  # the page of a controller is served without a plant, in half of the memory
+    from thermoforce_mpc.boundary.tariffs import Tariff
+    from thermoforce_mpc.boundary.weather.year import Weather
+    from thermoforce_mpc.plants.embedded.emulator import Emulator
+
+_TESTCASE = "bestest_hydronic_heat_pump"
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8000
 _FREE_THREADS = 4
 # Largest number of open connections. A client reuses one connection and reconnects when it was closed.
@@ -106,7 +104,7 @@ def serve_on(listening: socket.socket, app: Callable[..., Any], *, threads: int,
 def build_server(
     weather: Weather,
     *,
-    testcase: str = HEAT_PUMP.name,
+    testcase: str = _TESTCASE,
     host: str = DEFAULT_HOST,
     port: int = DEFAULT_PORT,
     highly_dynamic: Tariff | None = None,
@@ -124,6 +122,9 @@ def build_server(
         ConfigError: `port`, a limit or the token is out of range, or the token is missing.
         PlantError: the address cannot be bound.
     """
+    from thermoforce_mpc.service.app import ServiceLimits, create_app
+    from thermoforce_mpc.service.sessions import MOST_ASKING
+
     if not 0 <= port <= 65535:
         raise ConfigError(f"port {port}: expected 0 to 65535")
     for name, value in limits.items():
@@ -163,10 +164,11 @@ def effective_port(server: Server) -> int:
     return int(server.effective_port)
 
 
-def plants(
-    weather: Weather, highly_dynamic: Tariff | None = None, testcase: str = HEAT_PUMP.name
-) -> Callable[[], Emulator]:
+def plants(weather: Weather, highly_dynamic: Tariff | None = None, testcase: str = _TESTCASE) -> Callable[[], Emulator]:
     """Builder of plants that share constant data, such as the irradiance on each surface."""
+    from thermoforce_mpc.plants.registry import emulator_of
+    from thermoforce_mpc.service.points import WEATHER_SIGNALS
+
     first = emulator_of(testcase, weather, highly_dynamic=highly_dynamic)
     # The first wet bulb temperature compiles psychrolib, which takes seconds: done here, not in a request.
     WEATHER_SIGNALS["TWetBul"].at(weather, np.zeros(1))

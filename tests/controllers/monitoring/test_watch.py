@@ -375,6 +375,41 @@ def test_an_error_beyond_the_promise_is_no_evidence_where_the_model_was_not_iden
     assert outside < 0.7 * inside
 
 
+# Errors 1 h ahead of days on which air of 40 °C reaches a cold room at 8:00, in promised half-widths, as BOPTEST's air
+# unit had them: the model has half of the jump, and what it missed of it leaves the room again until the afternoon.
+_AIR_DAY = [0.0, -0.3, -0.5, -0.2, 0.1, -0.3, -0.4, 4.0, -2.5, -1.8, -1.2, -1.4, -1.3, -0.9, -0.6, -0.4] + 8 * [-0.1]
+
+
+def evidence_of(errors: list[float]) -> tuple[str, float]:
+    """Alarm, and the most evidence, of hours without action whose errors 1 h ahead are these, in half-widths."""
+    watch, operator, state, most = watch_of({}), simple_model().only.operator, WatchState(), 0.0
+    n, band = watch.leads[-1], np.full(len(watch.leads), 0.5)
+    for k, error in enumerate(errors):
+        start_s = k * HOUR_S
+        median = np.full(band.size, ZONE_C - 0.5 * error)
+        issued = Issued(start_s, operator, np.zeros(1), np.zeros((n, 4)), median, band, band)
+        track = state.tracks[0]
+        track = replace(track, pending=(issued,), bands=np.array([[0.0, *band]]))
+        out, nothing = np.full(2, OUT_C), np.full(1, np.nan)
+        times = np.array([start_s, start_s + HOUR_S])
+        history = Record(times, np.full(2, ZONE_C), out, 0.0 * out, np.zeros(1), nothing, nothing)
+        state = watch.validate(replace(state, tracks=(track,)), history, None, None)
+        if state.alarm:
+            return state.alarm, watch.threshold
+        most = max(most, state.tracks[0].worst[0])
+    return "", most / watch.threshold
+
+
+def test_what_a_jump_gives_back_is_no_evidence_against_the_model():
+    alarm, share = evidence_of(14 * _AIR_DAY)
+    assert alarm == ""
+    assert share < 0.05
+    without_jump = [min(error, 0.0) for error in _AIR_DAY]
+    assert "colder than predicted" in evidence_of(14 * without_jump)[0], "the same errors, of themselves"
+    assert "warmer than predicted" in evidence_of(48 * [1.5])[0], "errors to the same side excuse nothing"
+    assert "warmer" in evidence_of([-4.0, *48 * [1.5]])[0], "nor does one to the other side for long"
+
+
 @pytest.mark.parametrize(("ranges", "alarm"), [({}, True), (INSIDE, True), (INSIDE | {"T_out_C": (40.0, 50.0)}, False)])
 def test_meters_may_differ_by_more_where_the_model_was_not_identified(ranges, alarm):
     """A machine that takes 1.6 times what it did: more than 1.35 and less than that times 1.6."""

@@ -14,9 +14,11 @@ from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.solvers.qp import QPConfig, QPSolver
 from controllers.policy.dpc import DPC, DPCConfig
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
+from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.scenario.settings import validate
 
 pytestmark = pytest.mark.slow
 
@@ -119,3 +121,9 @@ def test_what_a_policy_is_not_trained_through_is_refused():
     pair = replace(pair, hidden_weight=np.full(pair.hidden_weight.shape, 0.01))
     with pytest.raises(ControllerConfigError, match=r"not trained; identify it with .*feedback: false"):
         built(ThermalModel.of_zone(replace(zone, operator=pair)))
+
+
+def test_a_solver_that_a_policy_would_not_use_is_refused():
+    with pytest.raises(ConfigError, match="solver: dpc plans by its policy, with no solver"):
+        validate(DPCConfig, {"solver": "ipopt"}, "options")
+    assert validate(DPCConfig, {"solver": "auto"}, "options").solver == "auto"

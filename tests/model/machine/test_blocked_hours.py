@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, HourEffects, HourSeen, running
 
 
@@ -161,3 +162,12 @@ def test_a_machine_that_reports_what_was_asked_of_it_stands_where_its_meter_read
     assert BlockedHours.found(u, running(record), 1).hours == {6, 7}
     for tells_nothing in (np.full((1, 48), np.nan), np.zeros((1, 48)), record.power_W + 500.0):
         assert (running(replace(record, power_W=tells_nothing)).u == 0.5).all()
+
+
+def test_what_cannot_be_judged_tells_nothing_of_its_hour():
+    known = effects(seen(1, -0.9), seen(2, -0.9))
+    nan = float("nan")
+    for told in (seen(3, nan), seen(3, 0.0, effect_K=nan), seen(3, 0.0, promise_K=nan), seen(3, 0.0, promise_K=0.0)):
+        assert known.after(told) == known
+        with pytest.raises(DataError, match="hour_effects"):
+            HourEffects(seen=(told,))

@@ -151,6 +151,14 @@ def _gains(factor: float) -> Callable[[dict, dict], None]:
     return lambda content, arrays: arrays.update({"pair.0.0.gains": factor * arrays["pair.0.0.gains"]})
 
 
+def _of_card(**changes) -> Callable[[dict, dict], None]:
+    return lambda content, arrays: content["actuators"][0]["card"].update(changes)
+
+
+def _hours(*told) -> Callable[[dict, dict], None]:
+    return _of_card(hour_effects=[[float(day * 86400), *told] for day in (10, 11)])
+
+
 def _no_card(content: dict, arrays: dict) -> None:
     _gains(1e6)(content, arrays)
     content["actuators"][0]["card"] |= {"competence": None, "uncertainty": {}}
@@ -167,6 +175,14 @@ def _no_card(content: dict, arrays: dict) -> None:
         (_verdict(effect_sd_K=3.0), "its effect is known to ± 132 % only"),
         (_verdict(reasons=["too weak"]), "is not, since too weak"),
         (_verdict(horizons=[]), "its error 1 h ahead is nan K"),
+        (_hours(-1.0, 1.2, 0.0), "hour_effects: .*a promise above 0"),
+        (_hours(-1.0, 1.2, None), "hour_effects: .*all finite"),
+        (_hours(None, 1.2, 0.2), "hour_effects: .*all finite"),
+        (_hours(-1.0, 1.2), "zip|4 values|shorter"),
+        (_of_card(blocked_hours=[24]), "24 is no hour of the day"),
+        (_of_card(blocked_cooling_hours=[-1]), "-1 is no hour of the day"),
+        (_of_card(ranges={"T_out_C": [None, None]}), "ranges: T_out_C"),
+        (_of_card(ranges={"u": [1.0, 0.0]}), "ranges: u"),
     ],
 )
 def test_a_card_is_not_believed_where_its_arrays_or_its_own_numbers_say_otherwise(tmp_path, edit, message):

@@ -26,6 +26,26 @@ def sets_a_thermostat_and_gives_it_back(connect, act):
     assert act("state", "timer.tf_mpc")["state"] == "idle"
 
 
+def puts_back_what_devices_held(connect, act):
+    """After a trial: what they held, not what they are given back to; and the timer does not undo it."""
+    pump = {
+        "entity": "input_select.sg_ready",
+        "release": "normal",
+        "options": {1: "blocked", 2: "normal", 3: "recommended"},
+    }
+    home = connect(actuators=HALL | {"pump": pump}, watchdog="timer.tf_mpc")
+    assert act("call", "climate.set_temperature", entity_id="climate.hall", temperature=22.5) == 200
+    assert act("call", "input_select.select_option", entity_id="input_select.sg_ready", option="recommended") == 200
+    held = home.present(["hall", "pump"])
+    assert held == {"hall": 22.5, "pump": 3.0}
+    home.write({"hall": 21.0, "pump": 2.0}, 900.0)
+    home.put_back(held)
+    assert act("state", "climate.hall")["attributes"]["temperature"] == 22.5
+    assert act("state", "input_select.sg_ready")["state"] == "recommended"
+    assert act("state", "timer.tf_mpc")["state"] == "idle"
+    home.write({"hall": None, "pump": None}, 0.0)
+
+
 def rounds_to_the_step_of_the_device(connect, act):
     curve = {"curve": {"entity": "number.curve", "release": 0}}
     home = connect(actuators=HALL | curve)
@@ -130,7 +150,8 @@ def does_not_say_the_token(connect, act):
 
 
 CASES = [
-    sets_a_thermostat_and_gives_it_back, rounds_to_the_step_of_the_device, sets_switches_options_and_numbers,
+    sets_a_thermostat_and_gives_it_back, puts_back_what_devices_held, rounds_to_the_step_of_the_device,
+    sets_switches_options_and_numbers,
     refuses_what_the_device_does_not_take, says_that_a_device_did_not_take_its_value,
     sets_nothing_of_what_is_off_or_unavailable, reads_states_attributes_and_words, names_the_entity_that_is_not_there,
     does_not_say_the_token,

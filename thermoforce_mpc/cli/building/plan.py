@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +24,7 @@ from thermoforce_mpc.cli.options import (
     own_prices_option,
     plot_option,
 )
+from thermoforce_mpc.commands.loop import command_rows
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan, PlannedSaving
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError
@@ -36,7 +36,6 @@ from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from thermoforce_mpc.commands.loop import LearnedCommand
 
 # Least and usual length of a plan, h, and how much of the measurements it looks back at, days.
 _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
@@ -204,26 +203,6 @@ def plan_table(plan: Plan, ahead: Boundary, layout: Layout | None = None) -> pd.
         cost = cost - plan.power_W / np.maximum(power_W, 1e-9) * np.minimum(power_W, spare_W) / 1000.0 * hours * dearer
     table["cost"] = cost[machines].sum(axis=0) if machines.any() else np.nan
     return table
-
-
-def command_rows(plan: Plan, commands: Mapping[str, LearnedCommand]) -> list[dict[str, Any]]:
-    """The commands of a plan in the order of actuators and time, JSON types; `value` None: leave it to itself."""
-    from thermoforce_mpc.data.dataframes import stamps
-
-    rows, said = [], set()
-    for of_actuator, settings in zip(plan.names.actuators, plan.settings, strict=bool(plan.settings)):
-        machine = commands[of_actuator].machine if of_actuator in commands else ""
-        name = machine or of_actuator
-        if machine in said:  # one command for all that it feeds
-            continue
-        said |= {machine} - {""}
-        for one in settings:
-            begin, end = stamps(np.array([one.start_s, one.end_s]), plan.origin)
-            command = commands[of_actuator].command
-            text = "its own control" if one.value is None else command.in_words(one.value)
-            row = {"actuator": name, "kind": command.kind, "from": begin.isoformat(), "until": end.isoformat()}
-            rows.append(row | {"value": one.value, "unit": command.unit, "text": text})
-    return rows
 
 
 def _saving_json(plan: Plan) -> dict[str, float] | None:

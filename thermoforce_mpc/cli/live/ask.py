@@ -32,8 +32,8 @@ def ask(key: str, value: str, out: Path, zone: str | None) -> None:
     import pandas as pd
 
     from thermoforce_mpc.live import People
-    from thermoforce_mpc.live.people import KEYS
     from thermoforce_mpc.records.journal import NAME
+    from thermoforce_mpc.records.people import KEYS
     from thermoforce_mpc.records.run_folder import LOCK
 
     if key not in KEYS:

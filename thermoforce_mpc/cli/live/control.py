@@ -69,6 +69,13 @@ _SAID_AGAIN = timedelta(days=1)
     "not.",
 )  # fmt: skip
 @click.option("--out", type=PATH, default=Path("control"), help="Folder of journal, log and state.")
+@click.option(
+    "--page", metavar="HOST:PORT|ingress",
+    help="Serve a page that shows and asks; ingress: within an add-on of Home Assistant. Beyond 127.0.0.1 it needs a "
+    "token, in TF_MPC_PAGE_TOKEN or a file of mode 600.",
+)  # fmt: skip
+@click.option("--page-token-file", type=PATH, help="Where that token stands.")
+@click.option("--page-name", "page_names", multiple=True, help="Name by which browsers ask for the page; repeatable.")
 def control(
     mode: str,
     probe: bool,
@@ -82,6 +89,9 @@ def control(
     delay_s: float,
     grace_s: float,
     out: Path,
+    page: str | None,
+    page_token_file: Path | None,
+    page_names: tuple[str, ...],
 ) -> None:
     """Control a real building: every control step read its measurements and forecast, plan, and set what it says.
 
@@ -95,8 +105,8 @@ def control(
     again after a power failure: it goes on from what was measured, and from what it knew, which is kept in state.npz
     for a day (faults noticed, highest power, minimum times, levels set, a probing under way).
 
-    What people ask (`tf-mpc ask`, or over MQTT) counts from the next step on. A set-point that somebody changed at the
-    device is left alone for 4 h, and a note says so.
+    What people ask (`tf-mpc ask`, over MQTT, or on the page of --page) counts from the next step on. A set-point that
+    somebody changed at the device is left alone for 4 h, and a note says so.
 
     --connection is a name, or a YAML file with `name` and `options`, as `tf-mpc init --for` writes one.
 
@@ -120,11 +130,13 @@ def control(
     from thermoforce_mpc.live.shared import ACTING
     from thermoforce_mpc.measurements.map.mapping import load_map
     from thermoforce_mpc.model.thermal_model import load_model
+    from thermoforce_mpc.records.people import SHOWN
     from thermoforce_mpc.records.run_folder import sole_use
     from thermoforce_mpc.records.run_log import logging_to
     from thermoforce_mpc.report.display import RunDisplay
     from thermoforce_mpc.scenario.scenario import ProbingSpec
     from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
+    from thermoforce_mpc.service.page_process import Page, PageSettings
 
     chosen: Mapping[str, Any] = parse_overrides(assignments)
     if probe and mode not in ACTING:
@@ -141,6 +153,9 @@ def control(
         plan = ProbingPlan.of(spec, options, rules)
     if model is not None:
         thermal = load_model(model)
+    if page is None and (page_token_file or page_names):
+        raise ConfigError("--page-token-file, --page-name: are for --page HOST:PORT, which is missing")
+    shown = None if page is None else PageSettings.of(page, out, rules.time.zone, page_token_file, page_names)
     say = _until_lost(RunDisplay().say)
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -149,6 +164,9 @@ def control(
         held.enter_context(sole_use(out))
         building = held.enter_context(closing(build_connection(connection, settings)))
         held.enter_context(logging_to(out, say))
+        if shown is not None and not dry_run:
+            (out / SHOWN).unlink(missing_ok=True)  # of the run before
+            held.enter_context(closing(Page(shown, say)))
         sets, watchdog = set_by(building, connection, settings), None
         if mode in ACTING and not dry_run:
             watchdog = Watchdog(connection, settings, sets, grace_s, out / "watchdog.jsonl")
@@ -256,7 +274,7 @@ class _Run:
             kept=None if dry else KeptState(self.out / "state.npz", key),
             journal=None if dry else self.journal(model),
             told=shared_with(
-                self.building, people, told, lambda decision: in_words(decision, commands), self.out, mode
+                self.building, people, told, lambda decision: in_words(decision, commands), self.out, mode, commands
             ),
             acts=acts,
             **self.common,
@@ -276,8 +294,9 @@ def _advised(
             write_json(advice, _advice(decision), follow=True)
             if book is not None and (words := book.day_over(decision.instant)):
                 say(words)
-        except (ThermoForceError, ValueError) as error:
-            _LOG.warning("no account of what is not set: %s", error)
+        except Exception as error:  # what is not set ends no control, whatever is wrong with what it is compared with
+            expected = isinstance(error, ThermoForceError)
+            _LOG.warning("no account of what is not set: %s", error, exc_info=None if expected else error)
 
     return advised
 

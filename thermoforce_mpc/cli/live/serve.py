@@ -66,6 +66,8 @@ def serve(testcase: str, host: str, weather: str, prices: Path | None, token: st
     protocol. Stop with Ctrl-C.
     """
     try:
+        import flask  # noqa: F401
+
         from thermoforce_mpc.service.access import check_token, is_loopback
         from thermoforce_mpc.service.server import serve
     except ModuleNotFoundError as error:

@@ -1,14 +1,15 @@
-"""What a record says against itself: stamps, units, levels, meters and rooms left out, found by check."""
+"""What a record says against itself: stamps, units, levels, meters, rooms and commands, found by check."""
 
 from __future__ import annotations
 
 from thermoforce_mpc.data import Layout, Record
 from thermoforce_mpc.measurements.checks.common import Remark
 from thermoforce_mpc.measurements.checks.levels import level_remarks
+from thermoforce_mpc.measurements.checks.rooms import command_remarks, room_remarks
 from thermoforce_mpc.measurements.checks.timing import timing_remarks
 from thermoforce_mpc.measurements.checks.units import unit_remarks
 
-__all__ = ["Remark", "remarks"]
+__all__ = ["Remark", "command_remarks", "remarks"]
 
 
 def remarks(record: Record, layout: Layout) -> tuple[Remark, ...]:
@@ -21,4 +22,4 @@ def remarks(record: Record, layout: Layout) -> tuple[Remark, ...]:
     # A level that is none tells nothing of stamps, and a meter of two loads nothing of its unit.
     of_stamps = [] if "level is no level" in kinds else timing_remarks(record, layout)
     of_units = [one for one in unit_remarks(record, layout) if not (kinds and one.kind == "unit of power")]
-    return (*of_stamps, *of_levels, *of_units)
+    return (*of_stamps, *of_levels, *of_units, *room_remarks(record, layout))

@@ -16,6 +16,8 @@ Kind = Literal[
     "meter holds another load",
     "unit of power",
     "unit of temperature",
+    "rooms swapped",
+    "command is no command",
 ]
 # Steps over which residuals may go together.
 _LAGS = 4

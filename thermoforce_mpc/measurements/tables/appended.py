@@ -79,11 +79,12 @@ def read_appended(
     table: TableForm,
     latest: pd.Timestamp,
     notes: list[str],
+    absent: list[str] | None = None,
 ) -> list[RawTable]:
     """As `read_tables`, without the lines and cells that cannot be read; `notes` collects them.
 
     Of rows stamped after `latest` few are wrong, and many left as they are. Raises `DataError` where no row of a file
-    is left, or a column is missing.
+    is left, or a column is missing that `absent` does not collect.
     """
     found: list[RawTable] = []
     known: dict[str, None] = {}
@@ -96,7 +97,10 @@ def read_appended(
         if here is not None:
             found.append(here)
     for key in wanted:
-        known_column(key, pd.Index(list(known)), str(paths[0]))
+        if absent is not None and key not in known:
+            absent.append(key)
+        else:
+            known_column(key, pd.Index(list(known)), str(paths[0]))
     return found
 
 

@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.errors import DataError
 
 # Mean level asked for over an hour from which it can be refused, and levels measured: up to the first nothing came,
 # from the second on the actuator works.
@@ -199,6 +200,11 @@ class HourSeen(NamedTuple):
         """The hour of the day that was predicted."""
         return _hour(self.time_s - HOUR_S)
 
+    @property
+    def tells(self) -> bool:
+        """Whether it can be judged: all is finite, and something was promised."""
+        return all(map(math.isfinite, self)) and self.promise_K > 0.0
+
 
 @dataclass(frozen=True)
 class HourLaw:
@@ -219,8 +225,17 @@ class HourEffects:
     sign: int = 1
     seen: tuple[HourSeen, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Raise `DataError` for what cannot be judged, of a file that was edited."""
+        if wrong := [tuple(one) for one in self.seen if not one.tells]:
+            raise DataError(
+                f"hour_effects: {wrong[0]}: expected a time, s, error, effect and a promise above 0, K, all finite"
+            )
+
     def after(self, told: HourSeen) -> HourEffects:
-        """With one prediction more."""
+        """With one prediction more, where that can be judged."""
+        if not told.tells:
+            return self
         same = [one for one in self.seen if one.hour == told.hour and told.time_s - one.time_s < _KEPT_S]
         others = [one for one in self.seen if one.hour != told.hour]
         return replace(self, seen=(*others, *same[1 - _KEPT :], told))

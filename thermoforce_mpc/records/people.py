@@ -38,6 +38,9 @@ KEYS = ("lower", "upper", "away", "boost", "comfort", "mode")
 """What may be asked: `lower`, `upper` in °C, `away` until a time, `boost` in min; each, and `comfort`, also `off`;
 `mode`: one of `MODES`."""
 
+SHOWN = "now.json"
+"""Beside the file of wishes: what was decided last, in which mode, and what may be asked."""
+
 
 @dataclass(frozen=True)
 class Wishes:
@@ -217,4 +220,7 @@ def _checked(bound: float | None) -> None:
 
 
 def _passed(until: str | None, now: pd.Timestamp) -> bool:
-    return until is None or pd.Timestamp(until) <= now
+    at = None if until is None else pd.Timestamp(until)
+    if at is pd.NaT:
+        raise ConfigError(f"{until!r} is no time")
+    return at is None or at <= now

@@ -1,0 +1,388 @@
+"""`tf-mpc commission`: points checked against one another, trials that are put back however they end, what is next."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from click.testing import CliRunner
+from connected_home import SENSORS, TimedHome, rules_of
+from home_by_curve import RULES, SG_RULES, HomeByCurve
+from waiting import wait_for
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.live import LiveBuilding
+from thermoforce_mpc.live.commissioning import read_house
+from thermoforce_mpc.live.trial import planned_trials, tried
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.measurements.points import read_points
+
+COMMAND = {"kind": "setpoint", "resolution": 0.5, "minimum": 17, "maximum": 24, "hold_min": 0}
+TWO_ROOMS = {
+    "time": {"zone": "UTC"},
+    "step": "15min",
+    "outdoor": "out",
+    "zones": {
+        "living": {"temperature": "T_living", "lower": 20.0, "upper": 23.0, "floor_area_m2": 30.0},
+        "bath": {"temperature": "T_bath", "lower": 20.0, "upper": 25.0, "floor_area_m2": 8.0},
+    },
+    "actuators": {
+        room: {"zone": room, "level": f"u_{room}", "command": COMMAND | {"column": f"set_{room}"}}
+        for room in ("living", "bath")
+    },
+    "machines": {"boiler": {"power": "P", "price": 0.1}},
+}
+
+
+def table() -> pd.DataFrame:
+    """Two days of two rooms until now, a row in 5 min: rooms near their set-points, a boiler that heats them."""
+    now = pd.Timestamp.now("UTC").floor("1min")
+    time = pd.date_range(now - pd.Timedelta("2D"), now, freq="5min", name="time")
+    k = np.arange(time.size)
+    u = {"living": 0.5 + 0.3 * np.sin(k / 40.0), "bath": 0.4 + 0.2 * np.cos(k / 31.0)}
+    columns = {"out": 2.0 + 3.0 * np.sin(k / 46.0), "P": 4000.0 * (u["living"] + u["bath"])}
+    for room, own_C in (("living", 21.0), ("bath", 24.0)):
+        columns[f"T_{room}"] = np.round(own_C + 0.2 * np.sin(k / 25.0), 2)
+        columns[f"set_{room}"] = np.where(k % 288 < 200, own_C, own_C - 1.5)
+        columns[f"u_{room}"] = u[room]
+    return pd.DataFrame(columns, index=time)
+
+
+def written(folder: Path, rows: pd.DataFrame, rules=None) -> Path:
+    """A house of files in a folder; its connection."""
+    rows.to_csv(folder / "house.csv")
+    ahead = pd.date_range(rows.index[-1].floor("1h"), periods=30, freq="1h", name="time")
+    pd.DataFrame({"out": 2.0 + np.sin(np.arange(30) / 4.0)}, index=ahead).to_csv(folder / "tomorrow.csv")
+    (folder / "map.yaml").write_text(yaml.safe_dump(TWO_ROOMS if rules is None else rules, sort_keys=False))
+    names = {"measurements": "house.csv", "forecast": "tomorrow.csv", "levels": "levels.json"}
+    options = {key: str(folder / name) for key, name in names.items()}
+    (folder / "connection.yaml").write_text(yaml.safe_dump({"name": "files", "options": options}))
+    return folder / "connection.yaml"
+
+
+def told(folder: Path, *words: str):
+    """The command's result, and what it wrote as JSON."""
+    every = ["commission", str(folder / "connection.yaml"), "--out", str(folder / "out"), "--model", str(folder / "m")]
+    result = CliRunner().invoke(cli, [*every, "--json", str(folder / "said.json"), *words])
+    said = folder / "said.json"
+    return result, json.loads(said.read_text()) if said.exists() else {}
+
+
+def test_a_house_as_it_should_be_has_no_remark(tmp_path):
+    written(tmp_path, table())
+    result, said = told(tmp_path, "--dry-run")
+    assert (result.exit_code, said["problems"], said["doubts"]) == (0, [], [])
+    assert [stage["status"] for stage in said["stages"]] == ["done", "next", "later", "later", "later", "later"]
+    point = next(one for one in said["points"] if one["key"] == "zones.living.temperature")
+    assert (point["unit"], 20.7 < point["value"] < 21.3, point["age_s"] < 120, point["every_s"]) == (
+        "°C", True, True, 300.0
+    )  # fmt: skip
+    assert [plan["key"] for plan in said["planned"]] == ["living", "bath"]
+    assert not (tmp_path / "levels.json").exists()
+    assert not (tmp_path / "out").exists()
+
+
+def fahrenheit(rows):
+    return rows.assign(T_living=1.8 * rows["T_living"] + 32.0)
+
+
+def setpoint_fahrenheit(rows):
+    return rows.assign(set_bath=1.8 * rows["set_bath"] + 32.0)
+
+
+def swapped(rows):
+    return rows.assign(T_living=rows["T_bath"], T_bath=rows["T_living"])
+
+
+def measured_setpoint(rows):
+    return rows.assign(set_living=rows["T_living"])
+
+
+def gone(rows):
+    return rows.drop(columns="T_bath")
+
+
+def unavailable(rows):
+    late = rows.index > rows.index[-1] - pd.Timedelta("40min")
+    return rows.assign(T_bath=rows["T_bath"].where(~late))
+
+
+def stopped(rows):
+    return rows[rows.index < rows.index[-1] - pd.Timedelta("26h")]
+
+
+def kilowatts(rows):
+    return rows.assign(P=rows["P"] / 1000.0)
+
+
+def outdoor_fahrenheit(rows):
+    return rows.assign(out=1.8 * rows["out"] + 32.0)
+
+
+def by_another_wall(rows):
+    return rows.assign(out=rows["out"] + 12.5)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "where", "text"),
+    [
+        (fahrenheit, "problems", "zones.living.temperature (column T_living): 6"),
+        (fahrenheit, "problems", "unit: '°F'"),
+        (setpoint_fahrenheit, "problems", "°F is likelier (2"),
+        (swapped, "problems", "rooms swapped: living and bath"),
+        (measured_setpoint, "problems", "command is no command: command of living (column set_living)"),
+        (gone, "problems", "zones.bath.temperature (column T_bath): nothing came of it"),
+        (unavailable, "problems", "zones.bath.temperature (column T_bath): not available, for 4"),
+        (stopped, "problems", "the last reading is 26"),
+        (kilowatts, "doubts", "kW is likelier than W"),
+        (outdoor_fahrenheit, "problems", "°F is likelier, a median of"),
+        (by_another_wall, "doubts", "in the sun, at a warm wall"),
+    ],
+)
+def test_what_is_wrong_is_said_and_then_nothing_is_tried(spoil, where, text, tmp_path):
+    written(tmp_path, spoil(table()))
+    result, said = told(tmp_path, "--dry-run")
+    assert any(text in one for one in said[where]), (said["problems"], said["doubts"])
+    assert result.exit_code == (1 if where == "problems" else 0)
+    if where == "problems":
+        assert "Would try" not in result.output
+        assert said["stages"][0]["status"] == "mend"
+
+
+def test_columns_named_as_another_room_and_used_twice_are_said(tmp_path):
+    rows = table().rename(columns={"T_living": "Bath temperature", "T_bath": "Living temperature"})
+    rules = json.loads(json.dumps(TWO_ROOMS))
+    rules["zones"]["living"]["temperature"], rules["zones"]["bath"]["temperature"] = rows.columns[[2, 5]]
+    written(tmp_path, rows, rules)
+    _, said = told(tmp_path, "--dry-run")
+    assert sum("is named as room" in one for one in said["doubts"]) == 2
+    rules["zones"]["bath"]["temperature"] = rules["zones"]["living"]["temperature"]
+    written(tmp_path, rows, rules)
+    _, said = told(tmp_path, "--dry-run")
+    assert any("the same column as zones.living.temperature" in one for one in said["doubts"])
+
+
+def test_without_a_terminal_it_stops_with_what_to_do(tmp_path):
+    written(tmp_path, table())
+    result, said = told(tmp_path)
+    assert isinstance(result.exception, ConfigError)
+    assert "--yes" in str(result.exception)
+    assert said["trials"] == {}
+    assert not (tmp_path / "levels.json").exists()
+
+
+@pytest.mark.slow
+def test_trials_are_kept_shown_and_not_repeated(tmp_path, monkeypatch):
+    monkeypatch.setattr("thermoforce_mpc.live.trial.LEAST_S", 0.3)
+    monkeypatch.setattr("thermoforce_mpc.live.trial.LOOK_S", 0.1)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    written(tmp_path, table())
+    result, said = told(tmp_path, "--yes")
+    assert result.exit_code == 0, result.output
+    # What reads these files would set the house; nobody does, so nothing is read back.
+    assert {one["status"] for one in said["trials"].values()} == {"not read back"}
+    assert all("given back" in one["back"] for one in said["trials"].values())
+    assert json.loads((tmp_path / "levels.json").read_text())["levels"] == {"bath": None}
+    assert [stage["status"] for stage in said["stages"]][:3] == ["done", "done", "next"]
+    report = (tmp_path / "out" / "report.md").read_text()
+    assert "| zones.bath.temperature | T_bath |" in report
+    assert "**record**: next" in report
+    before = (tmp_path / "levels.json").stat().st_mtime_ns
+    again, said = told(tmp_path, "--yes")
+    assert (again.exit_code, again.output.count("Tried before")) == (0, 2)
+    assert (tmp_path / "levels.json").stat().st_mtime_ns == before
+    written(tmp_path, table(), TWO_ROOMS | {"step": "30min"})
+    anew, said = told(tmp_path, "--yes")
+    assert "tried anew" in anew.output
+    assert (tmp_path / "levels.json").stat().st_mtime_ns > before
+    _, said = told(tmp_path, "--dry-run")
+    assert len(said["trials"]) == 2
+
+
+class Held:
+    """A home whose devices say what they hold and can be put back to it."""
+
+    def __init__(self, home) -> None:
+        self.home, self.put, self.left, self.deaf = home, [], 0, False
+
+    def __getattr__(self, name):
+        return getattr(self.home, name)
+
+    def present(self, names):
+        return {} if self.deaf else dict.fromkeys(names, float(self.home.rows[-1][COLUMN_OF[type(self.home)]]))
+
+    def put_back(self, held) -> None:
+        self.put.append(dict(held))
+        self.home.told = None
+
+    def leave(self) -> None:
+        self.left += 1
+
+
+COLUMN_OF = {TimedHome: "set", HomeByCurve: "offset"}
+
+
+def of(home, rules):
+    """Building, plans and the reading of points."""
+    rules = MeasurementMap.model_validate(rules)
+    building = LiveBuilding(home, rules, 900.0)
+    found = read_house(building, rules, home.now())
+    assert not found.problems
+    plans = planned_trials(building, found.points, found.bounds_C, {})
+
+    def read(now):
+        return read_points(building.table(), rules, now)
+
+    return building, plans, read
+
+
+def by_setpoint():
+    return TimedHome(3), rules_of({name: name for name in SENSORS})
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (by_setpoint, "its set-point from 19 °C to 22 °C for 30 min"),
+        (lambda: (HomeByCurve(5, 3), RULES), "the offset of the heating curve from +2 K to +3 K for 30 min"),
+        (
+            lambda: (HomeByCurve(5, 3, contacts=True), SG_RULES),
+            "SG-Ready from 2 (normal) to 3 (recommended) for 10 min",
+        ),
+    ],
+)
+def test_a_command_is_moved_answered_and_put_back(made, words, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    home, rules = made()
+    building, (plan,), read = of(home, rules)
+    assert words in plan.in_words
+    outcome = tried(building, plan, read=read, clock=home, sets="home")
+    assert outcome.status == "answered", outcome.words
+    assert not outcome.doubts
+    assert [value for *_, value in home.written] == [plan.value, None]
+    assert home.told is None
+
+
+def test_a_command_of_another_room_is_noticed(tmp_path, monkeypatch):
+    """What moves the room is not what the map says moves it."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    home, rules = by_setpoint()
+    rules = json.loads(json.dumps(rules))
+    rules["zones"] = {"other": {"temperature": "still", "lower": 20.0, "upper": 23.0}, **rules["zones"]}
+    rules["actuators"]["actuator"] |= {"zone": "other", "level": "idle"}
+    rules["actuators"]["second"] = {"zone": "zone", "level": "u"}
+    measurements = home.measurements
+
+    def with_another():
+        rows = measurements()
+        k = np.arange(len(rows))
+        return rows.assign(still=21.0 + 0.1 * np.sin(k / 9.0), idle=np.where(k % 40 < 20, 0.3, 0.31))
+
+    home.measurements = with_another
+    building, plans, read = of(home, rules)
+    outcome = tried(building, plans[0], read=read, clock=home, sets="home")
+    assert any("actuators.second.level answered in its place" in one for one in outcome.doubts), outcome
+
+
+@pytest.mark.parametrize("how", [KeyboardInterrupt, SystemExit])
+def test_an_interrupt_puts_it_back(how, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    home, rules = by_setpoint()
+    held = Held(home)
+    building, (plan,), read = of(held, rules)
+
+    def stop(row):
+        if row["set"] == plan.value:
+            raise how
+
+    home.on_row = stop
+    with pytest.raises(how):
+        tried(building, plan, read=read, clock=home, sets="home")
+    assert held.put == [{"actuator": 19.0}]
+
+
+def test_what_somebody_sets_meanwhile_stays(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    home, rules = by_setpoint()
+    held = Held(home)
+    building, (plan,), read = of(held, rules)
+    home.on_row = lambda row: setattr(home, "told", 23.5)
+    outcome = tried(building, plan, read=read, clock=home, sets="home")
+    assert (held.put, held.left, home.told) == ([], 1, 23.5)
+    assert "23.5 °C was set by hand meanwhile" in outcome.back
+    assert any("somebody set it" in one for one in outcome.doubts)
+
+
+def test_one_that_is_not_taken_is_said_and_put_back(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    home, rules = by_setpoint()
+    building, (plan,), read = of(home, rules)
+    write, failed = home.write, []
+
+    def fails_once(levels, seconds):
+        if not failed:
+            failed.append(levels)
+            raise PlantError("climate.hall is off")
+        write(levels, seconds)
+
+    home.write = fails_once
+    outcome = tried(building, plan, read=read, clock=home, sets="home")
+    assert (outcome.status, outcome.is_done) == ("not taken", False)
+    assert "climate.hall is off" in outcome.words
+    assert [value for _, value in home.written] == [None]
+
+
+def test_one_that_cannot_be_put_back_is_said_with_what_to_set(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    home, rules = by_setpoint()
+    building, (plan,), read = of(home, rules)
+
+    def fails(levels, seconds):
+        raise PlantError("no route")
+
+    home.write = fails
+    with pytest.raises(PlantError, match="set it back to 19 °C by hand"):
+        tried(building, plan, read=read, clock=home, sets="home")
+
+
+_TRIES = """
+import sys
+sys.argv = ["tf-mpc", "commission", "connection.yaml", "--yes", "--out", "out", "--watchdog", "1"]
+import thermoforce_mpc.live.trial as trial
+trial.LEAST_S, trial.BEYOND_S = float({seconds}), 0.5
+from thermoforce_mpc.cli import main
+main()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGTERM])
+def test_killed_in_a_trial_the_command_is_given_back_and_the_next_start_says_so(sent, tmp_path):
+    written(tmp_path, table())
+    levels = tmp_path / "levels.json"
+    seconds = 2 if sent is signal.SIGKILL else 60
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    with subprocess.Popen(
+        [sys.executable, "-c", _TRIES.format(seconds=seconds)], cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL
+    ) as process:
+        wait_for("the trial", levels.exists)
+        assert 17.0 <= json.loads(levels.read_text())["levels"]["living"] <= 24.0
+        process.send_signal(sent)
+    wait_for("it is given back", lambda: json.loads(levels.read_text())["levels"]["living"] is None)
+    under_way = json.loads((tmp_path / "out" / "commission.json").read_text())["under_way"]
+    assert bool(under_way) == (sent is signal.SIGKILL)
+    if under_way:
+        levels.unlink()
+        result, _ = told(tmp_path)
+        assert "was not ended: given back to its own control" in result.output
+        assert json.loads(levels.read_text())["levels"] == {"living": None}
+        assert json.loads((tmp_path / "out" / "commission.json").read_text())["under_way"] == {}

@@ -1,0 +1,365 @@
+"""Taking a building into service step by step: points, trials, record, model, shadow; what is done and what is next.
+
+What was found is kept in a file, so that it goes on where it was interrupted; what can be seen anew is read anew.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from thermoforce_mpc.data.names import check_same_building
+from thermoforce_mpc.errors import ConfigError, DataError, InputError, PlantError, ThermoForceError
+from thermoforce_mpc.execution.keys import digest
+from thermoforce_mpc.execution.progress import duration
+from thermoforce_mpc.files import read_bounded, write_whole
+from thermoforce_mpc.identification.probing.operation import findings, telling_part
+from thermoforce_mpc.live.building import LiveBuilding
+from thermoforce_mpc.live.trial import Answered, TrialOutcome, TrialPlan
+from thermoforce_mpc.measurements.checks import command_remarks, remarks
+from thermoforce_mpc.measurements.load import Measurements, learned_commands, read_measurements
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.measurements.points import LivePoint, read_points
+from thermoforce_mpc.model.thermal_model import load_model
+from thermoforce_mpc.records.run_folder import plain_json
+from thermoforce_mpc.records.saving import MOST_BYTES, SHADOW
+
+_LOG = logging.getLogger(__name__)
+_FORMAT = 1
+# What a model is learned from at least, days (as `measurements.understood` says); whole days before a shadow says
+# what it would have saved.
+_LEAST_DAYS, _SHADOW_DAYS = 2.9, 7
+_AHEAD_S = 24 * 3600.0
+# Remarks on which nothing is tried: what would be set, or watched, is another thing.
+_BARS = ("rooms swapped", "command is no command", "unit of temperature")
+
+
+@dataclass(frozen=True, eq=False)
+class PointsFound:
+    """The points of a building, and what they say against one another.
+
+    `problems`: for which nothing is tried; `doubts`: to be looked at; `measured`: the record, None where there is none
+    yet; `bounds_C`: comfort bounds of rooms now.
+    """
+
+    points: tuple[LivePoint, ...]
+    problems: tuple[str, ...]
+    doubts: tuple[str, ...]
+    measured: Measurements | None
+    bounds_C: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class CommissioningStage:
+    """One stage: `status` 'done', 'next', 'mend' or 'later', what is known of it, and the command that does it."""
+
+    name: str
+    status: str
+    words: str
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class CommissioningFiles:
+    """Where things are, as commands are told: connection and map, table of measurements, model, folder of control."""
+
+    config: str
+    map_file: str
+    out: str
+    model: str
+    control: str
+    table: str
+    has_history: bool = False
+
+    def with_connection(self, command: str) -> str:
+        """`command` with map and connection."""
+        return f"tf-mpc {command} --map {self.map_file} --connection {self.config}"
+
+
+def read_house(building: LiveBuilding, rules: MeasurementMap, now: pd.Timestamp) -> PointsFound:
+    """Read all points and check them against one another, the map and the weather.
+
+    Raises:
+        PlantError: the connection failed.
+        ConfigError, DataError: nothing of its table can be read.
+    """
+    table = building.table()
+    points = read_points(table, rules, now)
+    problems = [f"{point.key} (column {point.column}): {point.problem}" for point in points if point.problem]
+    doubts = [f"{point.key} (column {point.column}): {doubt}" for point in points for doubt in point.doubts]
+    measured, bounds = None, dict[str, tuple[float, float]]()
+    if not any(not point.values.size for point in points):  # else it cannot be read as a whole
+        try:
+            measured = read_measurements(table, rules, now=now)
+            bounds = _bounds_now(measured)
+            told = _of_record(measured)
+            problems += [words for kind, words in told if kind in _BARS]
+            doubts += [words for kind, words in told if kind not in _BARS]
+        except (DataError, ConfigError) as error:
+            doubts.append(f"no record yet: {error}")
+    if measured is not None:
+        doubts += _of_forecast(building, now)
+    return PointsFound(points, tuple(problems), tuple(dict.fromkeys(doubts)), measured, bounds)
+
+
+def _of_record(measured: Measurements) -> list[tuple[str, str]]:
+    """Kind and words of what a record says against itself."""
+    record, layout, rules = measured.record, measured.layout, measured.map
+    commands = {name: found[1] for name in layout.names.actuators if (found := rules.command_of(name)) is not None}
+    every = [*remarks(record, layout), *command_remarks(record, layout, measured.commands, commands)]
+    return [(one.kind, one.in_words()) for one in every]
+
+
+def _bounds_now(measured: Measurements) -> dict[str, tuple[float, float]]:
+    conditions = measured.conditions
+    last = [
+        tuple(float(row[np.isfinite(row)][-1]) if np.isfinite(row).any() else math.nan for row in pair)
+        for pair in zip(conditions.lower_C, conditions.upper_C, strict=True)
+    ]
+    return {zone: (low, high) for zone, (low, high) in zip(measured.layout.names.zones, last, strict=True)}
+
+
+def _of_forecast(building: LiveBuilding, now: pd.Timestamp) -> list[str]:
+    """What weather and prices ahead say against what is measured, and what is wrong with them."""
+    try:
+        building.record(building.instant(now), now=now)
+        building.forecast(_AHEAD_S, building.step_s)
+        return list(building.left_out)
+    except (PlantError, InputError) as error:
+        return [*building.left_out, f"forecast: {error}"]
+
+
+class CommissioningBook:
+    """What came of trials so far, in a file; of another map or connection it is begun anew."""
+
+    def __init__(self, path: Path, of: Mapping[str, Any]) -> None:
+        """`of`: what the trials are of, such as the map and the connection's options."""
+        self._path, self._of = path, digest(dict(of))
+        self.trials: dict[str, TrialOutcome] = {}
+        self.under_way: dict[str, Any] = {}
+        self.begun_anew = ""
+        if not path.exists():
+            return
+        try:
+            told = json.loads(read_bounded(path, MOST_BYTES, InputError))
+            self.under_way = dict(told.get("under_way") or {})
+            if (told["format"], told["of"]) != (_FORMAT, self._of):
+                self.begun_anew = "the map or the connection changed since: its commands are tried anew"
+                return
+            self.trials = {key: _outcome(one) for key, one in told["trials"].items()}
+        except (InputError, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            self.begun_anew = f"{path} cannot be read ({error}): begun anew"
+
+    def begin(self, plan: TrialPlan, now: pd.Timestamp) -> None:
+        """Keep that a command is about to be tried, and what it was: should this process end in it."""
+        self.under_way = {
+            "key": plan.key, "actuator": plan.actuators[0], "value": plan.value, "before": plan.before,
+            "near": plan.near, "at": now.isoformat(),
+        }  # fmt: skip
+        self.save()
+
+    def end(self, outcome: TrialOutcome | None) -> None:
+        """Keep what came of it; None: it was put back."""
+        self.under_way = {}
+        if outcome is not None:
+            self.trials[outcome.key] = outcome
+        self.save()
+
+    def save(self) -> None:
+        """Write the file; raises `StorageError`."""
+        trials = {key: asdict(one) for key, one in self.trials.items()}
+        content = {"format": _FORMAT, "of": self._of, "trials": trials, "under_way": self.under_way}
+        write_whole(self._path, json.dumps(plain_json(content), indent=2, ensure_ascii=False) + "\n")
+
+
+def _outcome(told: Mapping[str, Any]) -> TrialOutcome:
+    answers = tuple(Answered(**one) for one in told["answers"])
+    numbers = {key: math.nan if told[key] is None else float(told[key]) for key in ("value", "before")}
+    return TrialOutcome(**{**told, **numbers, "answers": answers, "doubts": tuple(told["doubts"])})
+
+
+def stages(
+    found: PointsFound, plans: Sequence[TrialPlan], book: CommissioningBook, files: CommissioningFiles
+) -> list[CommissioningStage]:
+    """What is done of each stage, which one is next, and its command."""
+    again = f"tf-mpc commission {files.config} --map {files.map_file} --out {files.out}"
+    out = [_of_points(found, again), _of_trials(plans, book, again)]
+    model = _of_model(found, files)
+    record = _of_known(found, files) if model.status != "done" else None
+    out.append(record or CommissioningStage("record", "done", "there is a model of it"))
+    out += [model, _of_shadow(files)]
+    words = "sets what it plans; end it at any time: the building is given back"
+    out.append(CommissioningStage("control", "open", words, files.with_connection(f"control --model {files.model}")))
+    # The first one that is not done is next, and what comes after waits for it.
+    first = next((i for i, one in enumerate(out) if one.status == "open"), len(out))
+    blocked = any(one.status == "mend" for one in out[:first])
+    later = [replace(one, status="later") if one.status == "open" else one for one in out]
+    return [replace(one, status="next") if i == first and not blocked else one for i, one in enumerate(later)]
+
+
+def _of_points(found: PointsFound, again: str) -> CommissioningStage:
+    n, wrong = len(found.points), len(found.problems)
+    doubts = f", {len(found.doubts)} to be looked at" if found.doubts else ""
+    if wrong:
+        return CommissioningStage("points", "mend", f"{wrong} wrong of {n} points{doubts}: mend the map, then", again)
+    return CommissioningStage("points", "done", f"{n} points read{doubts}")
+
+
+def _of_trials(plans: Sequence[TrialPlan], book: CommissioningBook, again: str) -> CommissioningStage:
+    done = [plan.key for plan in plans if (one := book.trials.get(plan.key)) is not None and one.is_done]
+    failed = [key for key, one in book.trials.items() if one.status == "not taken" or one.doubts]
+    words = f"{len(done)} of {len(plans)} commands tried"
+    if failed:
+        return CommissioningStage("trials", "mend", f"{words}; look at {', '.join(failed)}, then", f"{again} --again")
+    if len(done) == len(plans):
+        return CommissioningStage("trials", "done", words)
+    return CommissioningStage("trials", "open", words, again)
+
+
+def _of_known(found: PointsFound, files: CommissioningFiles) -> CommissioningStage:
+    """Whether what was measured tells the effect of acting."""
+    measured = found.measured
+    record = f"tf-mpc record --map {files.map_file} --connection {files.config}"
+    record += f" --days 365 --out {files.table}" if files.has_history else ""
+    probe = files.with_connection(f"control --out {files.control}") + " --mode probe"
+    if measured is None:
+        return CommissioningStage("record", "open", "nothing is recorded yet: let it run for days", record)
+    days = measured.record.n_steps * measured.record.step_s / 86400.0
+    set_by_command = any(measured.map.command_of(name) for name in measured.layout.names.actuators)
+    try:
+        served = measured.served()
+        if days < _LEAST_DAYS:
+            raise DataError(f"{days:.1f} days: a model needs three days of trials, or weeks of operation")
+        part, _ = telling_part(served.record, served.layout)
+        unknown = [one for one in findings(part, served.layout) if not one.competent]
+        if unknown:
+            raise DataError("; ".join(f"{one.actuator} {one.words.partition(';')[0]}" for one in unknown))
+        learned_commands(served)
+    except DataError as error:
+        advice = (
+            f"change {'commands' if set_by_command else 'levels'} at the same hours of some days meanwhile"
+            if set_by_command
+            else f"or trials within the bounds find a model by themselves: {probe}"
+        )
+        return CommissioningStage(
+            "record", "open", f"{days:.1f} days do not tell the effect yet ({error}); {advice}", record
+        )
+    return CommissioningStage("record", "done", f"{days:.1f} days tell the effect of acting")
+
+
+def _of_model(found: PointsFound, files: CommissioningFiles) -> CommissioningStage:
+    command = f"tf-mpc identify --data {files.table} --map {files.map_file} --out {files.model}"
+    if files.has_history and not Path(files.table).exists():
+        history = f"tf-mpc record --map {files.map_file} --connection {files.config} --days 365 --out {files.table}"
+        command = f"{history} && {command}"
+    if not Path(files.model).exists():
+        return CommissioningStage("model", "open", "none yet", command)
+    try:
+        model = load_model(Path(files.model))
+        if found.measured is not None:
+            names = found.measured.served().record.names
+            check_same_building("the model", model.names, "the map", names)
+    except ThermoForceError as error:
+        return CommissioningStage("model", "open", f"{files.model}: {error}", command)
+    unfit = [
+        name
+        for name, card in zip(model.names.actuators, model.cards, strict=True)
+        if card.competence is None or not card.competence.competent
+    ]
+    if unfit:
+        return CommissioningStage(
+            "model", "open", f"it may not act on {', '.join(unfit)}: measure longer, then", command
+        )
+    return CommissioningStage("model", "done", f"{files.model} may act on {', '.join(model.names.actuators)}")
+
+
+def _of_shadow(files: CommissioningFiles) -> CommissioningStage:
+    command = files.with_connection(f"control --model {files.model} --out {files.control}") + " --mode shadow"
+    try:
+        told = json.loads(read_bounded(Path(files.control) / SHADOW, MOST_BYTES, InputError))
+        days, said = len(told["days"]), str(told["said"])
+    except (OSError, InputError, ValueError, KeyError, TypeError):
+        return CommissioningStage("shadow", "open", f"{_SHADOW_DAYS} days in which nothing is set", command)
+    if days < _SHADOW_DAYS:
+        return CommissioningStage("shadow", "open", f"{days} of {_SHADOW_DAYS} days; {said}", command)
+    return CommissioningStage("shadow", "done", f"{days} days; {said}")
+
+
+@dataclass(frozen=True, eq=False)
+class CommissioningReport:
+    """Everything that was found, to be shown."""
+
+    at: pd.Timestamp
+    found: PointsFound
+    plans: tuple[TrialPlan, ...]
+    trials: Mapping[str, TrialOutcome]
+    stages: tuple[CommissioningStage, ...]
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def is_well(self) -> bool:
+        """Whether nothing has to be mended."""
+        return not any(stage.status == "mend" for stage in self.stages)
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it as JSON values."""
+        points = [
+            {
+                **{
+                    key: getattr(p, key) for key in ("key", "column", "unit", "declared", "age_s", "every_s", "problem")
+                },
+                "value": p.last,
+                "least": p.values.min(initial=np.inf),
+                "most": p.values.max(initial=-np.inf),
+                "doubts": list(p.doubts),
+            }
+            for p in self.found.points
+        ]
+        told = {
+            "at": self.at.isoformat(),
+            "points": points,
+            "problems": list(self.found.problems),
+            "doubts": list(self.found.doubts),
+            "planned": [asdict(plan) for plan in self.plans],
+            "trials": {key: asdict(one) for key, one in self.trials.items()},
+            "stages": [asdict(stage) for stage in self.stages],
+            "notes": list(self.notes),
+        }
+        return dict(plain_json(told))
+
+    def to_markdown(self) -> str:
+        """A short report."""
+        lines = [f"# Commissioning, {self.at:%Y-%m-%d %H:%M %Z}", ""]
+        lines += ["| point | column | value | age | range of a day | |", "|---|---|---|---|---|---|"]
+        lines += [f"| {' | '.join(row)} |" for row in rows_of(self.found.points)]
+        for title, texts in (("To be mended", self.found.problems), ("To be looked at", self.found.doubts)):
+            lines += ["", f"## {title}", "", *(f"- {text}" for text in texts)] if texts else []
+        lines += ["", "## Trials", ""]
+        for plan in self.plans:
+            one = self.trials.get(plan.key)
+            lines.append(f"- {plan.in_words}" if one is None else f"- {one.key}: {one.words}; {one.back or 'not set'}")
+            lines += [f"  - {doubt}" for doubt in (one.doubts if one else ())]
+        lines += ["", "## Stages", ""]
+        for stage in self.stages:
+            lines.append(f"- **{stage.name}**: {stage.status}. {stage.words}")
+            lines += [f"  `{stage.command}`"] if stage.command else []
+        return "\n".join([*lines, *(["", *self.notes] if self.notes else []), ""])
+
+
+def rows_of(points: Sequence[LivePoint]) -> list[tuple[str, str, str, str, str, str]]:
+    """Rows of a table of points: key, column, value with unit, age, range of a day, whether it is well."""
+    out = []
+    for p in points:
+        span = f"{np.min(p.values):.4g} to {np.max(p.values):.4g}" if p.values.size else ""
+        value = f"{p.last:.4g} {p.unit}".strip() if math.isfinite(p.last) else "none"
+        age = duration(p.age_s) if math.isfinite(p.age_s) else ""
+        out.append((p.key, p.column, value, age, span, "wrong" if p.problem else "look" if p.doubts else "ok"))
+    return out
