@@ -42,7 +42,7 @@ def test_a_table_is_written_from_its_file_and_an_edit_is_found(pages, capsys):
 def test_the_rows_of_a_result_are_taken_with_its_command_and_today(pages):
     result = pages / "result.json"
     rows = [{"house": 2, "cost": 0.25, "tdis": 1.0, "more": 3}, {"summary": "another table's"}]
-    result.write_text(json.dumps({"command": "tf-mpc bench x --quick", "rows": rows}))
+    result.write_text(json.dumps({"command": "tf-mpc bench x --json here.json --quick", "rows": rows}))
     evidence.main(["--take", "houses", str(result)], pages)
     table = json.loads((pages / "tables" / "houses.json").read_text())
     assert table["rows"] == [{"house": 2, "cost": 0.25, "tdis": 1.0}]
