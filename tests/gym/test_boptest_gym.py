@@ -111,7 +111,7 @@ def test_service_and_emulator_give_the_same(service: str) -> None:
     far.close()
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("unhurried")
 def test_unknown_test_case_and_silent_service_are_named(service: str) -> None:
     with pytest.raises(ConfigError, match="bestest_hydronic_heat_pump"):
         BoptestGymEnv(service, "bestest_air")
