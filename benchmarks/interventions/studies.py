@@ -196,7 +196,7 @@ def _baselines(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> 
         for which, run in (("probe days", plain), ("and before", joined(training.probe.history, plain))):
             for note, model in candidates_of([run], horizon).items():
                 rows.append(_baseline_row(f"RC, {which}, {note}", None, [model], climate, days))
-        say(f"{climate.climate.label}: RC in {len(rows)} settings")
+                say(f"{climate.climate.label}: {rows[-1]['setting']}: sign {rows[-1]['sign']:.2f}")
         for rate in _RATES:
             found = [
                 list(
