@@ -91,6 +91,7 @@ def _bound(statements: Iterable[ast.stmt]) -> set[str]:
     return names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["how-it-works/code.md", "reference/words.md"])
 def test_every_name_on_the_page_is_one_of_the_code(place, trees):
     page = (ROOT / "docs" / place).read_text(encoding="utf-8")
@@ -106,6 +107,7 @@ def test_every_name_on_the_page_is_one_of_the_code(place, trees):
     assert unknown == []
 
 
+@pytest.mark.slow
 def test_the_page_says_who_imports_the_controllers(trees):
     page = PAGES[0].read_text(encoding="utf-8")
     (sentence,) = re.findall(r"`controllers` is known to ([^.]*) and the public names only", page)
@@ -117,6 +119,7 @@ def test_the_page_says_who_imports_the_controllers(trees):
     assert set(SPAN.findall(sentence)) == rooms
 
 
+@pytest.mark.slow
 def test_every_dotted_name_in_a_docstring_is_there(trees):
     """Such as `identification.pipeline`, or with a name in the module at its end; `prices.csv` is a file."""
     rooms = {name.split(".")[1] for name in trees if name.startswith("thermoforce_mpc.")}

@@ -18,6 +18,7 @@ def trees() -> dict[Path, ast.Module]:
     return {file: ast.parse(file.read_text(encoding="utf-8")) for top in tops for file in sorted(top.rglob("*.py"))}
 
 
+@pytest.mark.slow
 def test_no_public_class_name_stands_for_two_things(trees):
     where = defaultdict(list)
     for file, tree in trees.items():
@@ -37,6 +38,7 @@ BANNED = {
 KEPT = {"foreign_loads", "foreign_heat", "foreign"}
 
 
+@pytest.mark.slow
 def test_public_names_are_the_words_of_the_page(trees):
     found = set()
     for file, tree in trees.items():

@@ -157,6 +157,7 @@ def test_episodes_are_drawn(tmp_path: Path) -> None:
     assert (tmp_path / "episode_1.png").stat().st_size > 1000
 
 
+@pytest.mark.usefixtures("unhurried")
 def test_a_test_whose_points_cannot_be_read_is_stopped() -> None:
     with running_service() as service:
         service.faults.append(Fault("measurements/", "moved", times=99))
