@@ -198,8 +198,6 @@ RULES: tuple[Detector, ...] = (
     ),
     Detector("units", "nothing: it says so", lambda ran: list(ran.doubts)),
     # It acts in `thermoforce_mpc/live` alone, so that a week here goes on as if it had not claimed anything.
-    Detector(
-        "open window", "lower bound and readings of a room, for half an hour at a time", ControlledWeek.steep_falls
-    ),
+    Detector("open window", "bounds and readings of a room, for half an hour at a time", ControlledWeek.steep_falls),
 )
 """All of them, in the order of a step."""
