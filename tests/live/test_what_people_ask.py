@@ -107,11 +107,18 @@ def test_what_cannot_be_asked_is_refused_and_changes_nothing(people, key, word):
      '{"mode": "shadow"}', '{"mode": 1}',
      '{"by_hand": {"x": ["21", "2027-01-01T00:00Z"]}}', '{"by_hand": {"x": [NaN, "2027-01-01T00:00Z"]}}', "[" * 99_999],
 )  # fmt: skip
-def test_a_damaged_file_asks_for_nothing(people, tmp_path, text, caplog):
+def test_a_damaged_file_may_hold_that_nothing_is_set_and_nothing_is_until_it_is_mended(people, tmp_path, text, caplog):
     (tmp_path / "people.json").write_text(text)
     assert bounds(people)[2] == ()
     assert people.by_hand(NOW) == {}
-    assert "nothing is asked" in caplog.text
+    assert "nothing is set until mode control or advise is asked" in people.paused
+    assert people.paused in caplog.text
+    with pytest.raises(ConfigError, match="nothing is set until"):
+        people.ask("boost", "60", NOW)
+    people.set_by_hand("x", 21.0, NOW)
+    assert (tmp_path / "people.json").read_text() == text
+    people.ask("mode", "control", NOW)
+    assert not people.paused
 
 
 class AtTheWall(TimedHome):
