@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import socket
 import threading
@@ -257,12 +258,27 @@ def test_a_controller_without_a_decision_yet_and_one_that_sets_nothing(tmp_path)
     with paged(tmp_path) as (url, _):
         answer = requests.get(f"{url}view.json", timeout=LONG_S)
         assert answer.status_code == 500
-        assert "no such file" in answer.json()["error"]
+        assert "nothing is decided yet" in answer.json()["error"]
         assert asked(url, "boost", "60").status_code == 400, "nobody hears it"
         controlled(tmp_path, SimulatedBuilding(), 1, "shadow")
         people = requests.get(f"{url}view.json", timeout=LONG_S).json()["people"]
         assert (people["mode"], people["asks"]) == ("shadow", ["lower", "upper", "away", "boost"])
         assert asked(url, "mode", "control").status_code == 400
+
+
+@pytest.mark.slow
+def test_a_controller_that_stands_is_said_and_files_of_other_types_are_not_shown(folder, tmp_path):
+    there = tmp_path / "stands"
+    shutil.copytree(folder, there)
+    *lines, last = (there / "journal.jsonl").read_text().splitlines(keepends=True)
+    assert '"ended"' in last
+    (there / "journal.jsonl").write_text("".join(lines))
+    with paged(there) as (url, _):
+        for told in ({"asks": 5, "plan": {"commands": [1]}}, [1], {"plan": [], "mode": {}}):
+            (there / "now.json").write_text(json.dumps(told))
+            answer = requests.get(f"{url}view.json", timeout=LONG_S)
+            assert (answer.status_code, answer.json()["commands"], answer.json()["people"]["asks"]) == (200, [], [])
+            assert answer.json()["late"].startswith("nothing was decided for ")
 
 
 @pytest.mark.slow
