@@ -122,6 +122,12 @@ def test_what_other_pages_send_asks_for_nothing(status, request_of):
     assert hears.heard == []
 
 
+def test_a_name_that_is_not_known_is_said_with_the_option_that_adds_it():
+    asked = {"headers": {"Host": "evil.example"}}
+    assert "start it with --page-name" in client(PageAccess(option="--page-name")).get("/view.json", **asked).text
+    assert "start it" not in client().get("/view.json", **asked).text, "`watch` has none"
+
+
 def test_a_login_is_needed_for_all_that_tells_of_the_building():
     hears = Hears()
     page = client(PageAccess(SECRET), hears)

@@ -9,12 +9,15 @@ import json
 import logging
 import math
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from filelock import FileLock, Timeout
 
 from thermoforce_mpc.connections.discovery import MODES
 from thermoforce_mpc.data import Boundary
@@ -32,6 +35,8 @@ _RANGE_C = (5.0, 35.0)
 _BAND_K = 0.5
 # A file of wishes is a few hundred bytes.
 _MOST_BYTES = 100_000
+# It is written in some ms; who waits for so long, s, waits for one that stands.
+_ALONE_S = 3.0
 _LONGEST_BOOST_MIN, _LONGEST_AWAY = 480.0, pd.Timedelta("365D")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")
 KEYS = ("lower", "upper", "away", "boost", "comfort", "mode")
@@ -97,6 +102,10 @@ class People:
 
     def ask(self, key: str, text: str, now: pd.Timestamp) -> Wishes:
         """Ask for one of `KEYS`; raises `ConfigError` for what is none, and `StorageError`."""
+        with self._alone():
+            return self._asked(key, text, now)
+
+    def _asked(self, key: str, text: str, now: pd.Timestamp) -> Wishes:
         (wishes, wrong), word = self._as_said(), text.strip()
         if wrong and key != "mode":  # it would be written over, and with it what else was asked
             raise ConfigError(wrong)
@@ -137,13 +146,15 @@ class People:
 
     def set_by_hand(self, name: str, value: float, now: pd.Timestamp) -> pd.Timestamp:
         """Note that the command of an actuator was set by hand; until when that is respected."""
-        (wishes, wrong), until = self._as_said(), now + pd.Timedelta(hours=BY_HAND_H)
-        if wrong:  # nothing is set, so that nobody is overruled
-            return until
-        try:
-            self._keep(replace(wishes, by_hand={**(wishes.by_hand or {}), name: (value, until.isoformat())}))
-        except StorageError as error:
-            _LOG.warning("%s", error)
+        until = now + pd.Timedelta(hours=BY_HAND_H)
+        with self._alone():
+            wishes, wrong = self._as_said()
+            if wrong:  # nothing is set, so that nobody is overruled
+                return until
+            try:
+                self._keep(replace(wishes, by_hand={**(wishes.by_hand or {}), name: (value, until.isoformat())}))
+            except StorageError as error:
+                _LOG.warning("%s", error)
         return until
 
     @property
@@ -215,6 +226,22 @@ class People:
         if not now < at <= now + _LONGEST_AWAY:
             raise ConfigError(f"away {word!r}: a time in the next year, as 2026-12-27T18:00")
         return at.tz_convert("UTC").isoformat()
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Keep others (the page, a command, the controller) from writing between our reading and writing.
+
+        One that stands meanwhile holds up nobody for long.
+        """
+        lock = FileLock(self._path.with_suffix(".lock"), timeout=_ALONE_S)
+        try:
+            lock.acquire()
+        except (Timeout, OSError) as error:
+            _LOG.warning("%s: not locked (%s)", self._path, error)
+        try:
+            yield
+        finally:
+            lock.release()
 
     def _keep(self, wishes: Wishes) -> None:
         write_whole(self._path, json.dumps(asdict(wishes)) + "\n")

@@ -255,7 +255,7 @@ def serve(told: IO[str]) -> None:
     told_settings = json.loads(told.readline())
     settings = PageSettings(**told_settings | {"names": tuple(told_settings["names"])})
     shows = _Shows(Path(settings.folder), settings.zone)
-    access = PageAccess(settings.token or None, settings.names, settings.ingress)
+    access = PageAccess(settings.token or None, settings.names, settings.ingress, "--page-name")
     try:
         server = page_server(shows.view, settings.port, host=settings.host, hears=shows, access=access)
     except PlantError as error:
