@@ -97,6 +97,10 @@ def _change(constant: Constant) -> None:
             setattr(module, constant.name, by_a_third(before))
 
 
+def _kind(name: str) -> str:
+    return "effect" if name.startswith("step_response") and not name.endswith("_sd_K") else "model"
+
+
 def outcome(building: str, probing: Path) -> dict[str, float]:
     """What identification from a probing finds, and one day of control by it."""
     result = tf.run(
@@ -107,7 +111,7 @@ def outcome(building: str, probing: Path) -> dict[str, float]:
     for index, card in enumerate(model.cards):
         competent = card.competence is not None and card.competence.competent
         numbers = {**card.uncertainty, **card.scores, "competent": float(competent)}
-        found |= {f"model {index} {name}": float(value) for name, value in numbers.items()}
+        found |= {f"{_kind(name)} {index} {name}": float(value) for name, value in numbers.items()}
     levels = result.to_dataframe().filter(regex="^u")
     return found | {f"level {name} {row}": float(v) for name in levels for row, v in enumerate(levels[name])}
 
@@ -137,7 +141,7 @@ def _outcome_with(constant: Constant | None, building: str, probing: Path) -> di
 
 
 def moved(before: Mapping[str, float], after: Mapping[str, float] | str) -> dict[str, Any]:
-    """Largest change of the model and of levels, change of cost (shares) and of discomfort (K·h)."""
+    """Largest change of step responses, of the rest of the card and of levels, of cost (shares) and discomfort."""
     if isinstance(after, str):
         return {"failed": after}
 
@@ -147,6 +151,7 @@ def moved(before: Mapping[str, float], after: Mapping[str, float] | str) -> dict
         return max((abs(b - a) / max(abs(a), abs(b), 1e-3) for a, b in pairs if a != b), default=0.0)
 
     return {
+        "effect": largest("effect"),
         "model": largest("model"),
         "levels": largest("level"),
         "cost": after["cost"] / before["cost"] - 1.0,

@@ -17,7 +17,6 @@ from controllers.mpc.commanding import (
     MOST_SOLVES,
     NOT_BETTER,
     BuildingCommands,
-    effect_spread,
     with_command_states,
     with_commands,
 )
@@ -53,11 +52,13 @@ from controllers.optimisation.statement.terms import Terms, load_terms, of_contr
 from controllers.safety.deadline import BoundedCalls, Overdue
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
 from controllers.safety.overrides import (
+    ActsTogether,
     ComfortGuard,
     CompetenceGate,
     LostZone,
     Override,
     OverrideRule,
+    SharedCommands,
     Situation,
     UntoldCommand,
     WatchAlarm,
@@ -128,7 +129,9 @@ class ThermoForceMPC(ActuatedController):
         by_number = {a: learned[one] for a, one in enumerate(layout.names.actuators) if one in learned}
         actuations = [choice.actuation for choice in choices]
         super().__init__(name, model.operator.step_s, n_steps, layout, actuations, c.fallback, by_number)
-        self._commands = BuildingCommands(layout, by_number, [effect_spread(one.card) for one in zone_models])
+        cards = [zone.card for zone in zone_models]
+        self._commands = BuildingCommands(layout, by_number, cards)
+        self._shared = SharedCommands(layout, by_number, cards)
         reasons = (
             layout.names.of_actuator(a, by_number[a].in_words if a in by_number else choice.why)
             for a, choice in enumerate(choices)
@@ -158,7 +161,7 @@ class ThermoForceMPC(ActuatedController):
             )
             for a, zone in enumerate(zone_models)
         ]
-        self._gate = CompetenceGate(c.gate, [zone.card for zone in zone_models], self._fallbacks)
+        self._gate = CompetenceGate(c.gate, cards, self._fallbacks, self._shared)
         self._watched = WatchedPredictions(
             watches, self._planners.of, model, enabled=c.watch.enabled and not self._gate.closes_all
         )
@@ -258,14 +261,14 @@ class ThermoForceMPC(ActuatedController):
         readings, state = yield from self._clean(observation, state)
         state = yield from self._watch(readings, state)
         situation = Situation(readings.observation, readings.zones, state.watch)
-        overrides = decide(self._overrides, situation)
+        overrides, joined_in = self._shared.open(decide(self._overrides, situation))
         state = self._learn(readings, state)
         if len(overrides) == len(self._fallbacks):
             plan = self._realisation.stand_back(overrides, state)
         else:
             forecast = yield from self._prediction.predict(readings, state)
             instance = self._formulate(forecast, readings, state, overrides)
-            result = yield from self._solve(instance, forecast, readings, overrides)
+            result = yield from self._solve(instance, forecast, readings, overrides, joined_in)
             plan = self._realise(result, readings, overrides, situation)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
 
@@ -320,6 +323,7 @@ class ThermoForceMPC(ActuatedController):
         forecast: Forecast | Failure,
         readings: Readings,
         overrides: Mapping[int, Override],
+        joined_in: Mapping[int, ActsTogether],
     ) -> Computation[Solved | Failure]:
         if isinstance(forecast, Failure):
             return forecast
@@ -329,7 +333,12 @@ class ThermoForceMPC(ActuatedController):
         planner, seconds = forecast.planner, forecast.context.seconds
         guess = self._guess(forecast.state.good, readings.time_s)
         own = self._commands.begin(
-            planner.operator, instance.problem, forecast.context.boundary, overrides, readings.history.origin
+            planner.operator,
+            instance.problem,
+            forecast.context.boundary,
+            overrides,
+            readings.history.origin,
+            [a for a, one in joined_in.items() if one.held],
         )
         try:
             for again in range(MOST_SOLVES if own else 1):
@@ -375,6 +384,8 @@ class ThermoForceMPC(ActuatedController):
             plan = replace(plan, settings=own.settings(commanded, plan.time_s), saving=saving)
             if saving is not None and not saving.gain > 0.0:
                 plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
+            told = [self._layout.names.of_actuator(a, one.in_words) for a, one in joined_in.items()]
+            plan = replace(plan, why=joined([*told, plan.why]))
         return Solved(plan, instance.problem, limit, commanded)
 
     @property

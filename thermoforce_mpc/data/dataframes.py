@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data.clock import Array
+from thermoforce_mpc.data.clock import DAY_S, Array
 from thermoforce_mpc.errors import DataError, suggestion
 
 
@@ -98,6 +98,27 @@ def stamps(time_s: NDArray[np.float64], origin: pd.Timestamp | None) -> pd.Index
     if origin is None:
         return pd.Index(time_s, name="time_s")
     return pd.DatetimeIndex(origin + pd.to_timedelta(np.round(time_s, 3), unit="s"), name="time")
+
+
+def clock_s(time_s: NDArray[np.float64], origin: pd.Timestamp | None) -> NDArray[np.float64]:
+    """What the clock of the zone of `origin` shows at `time_s` (n,), s from `origin`: in summer time an hour more.
+
+    People and tariffs go by it. Where there is no zone, `time_s`.
+    """
+    if origin is None or origin.tz is None or not time_s.size:
+        return time_s
+    at = pd.DatetimeIndex(stamps(time_s, origin))
+    ahead = (at.tz_localize(None) - at.tz_convert("UTC").tz_localize(None)).total_seconds().to_numpy()
+    offset = origin.utcoffset()
+    assert offset is not None
+    return np.asarray(time_s + ahead - offset.total_seconds())
+
+
+def days_before_s(time_s: NDArray[np.float64], days: int, origin: pd.Timestamp | None) -> NDArray[np.float64]:
+    """When the clock showed the same as at `time_s` (n,), s from `origin`, `days` days before."""
+    then = time_s - days * DAY_S
+    moved = (clock_s(time_s, origin) - time_s) - (clock_s(then, origin) - then)
+    return np.asarray(then + moved)
 
 
 def table(time_s: NDArray[np.float64], origin: pd.Timestamp | None, **columns: NDArray[np.float64]) -> pd.DataFrame:

@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary
-from thermoforce_mpc.data.dataframes import seconds_since, stamps
+from thermoforce_mpc.data.dataframes import days_before_s, seconds_since, stamps
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H
 from thermoforce_mpc.data.series import at_instants
 from thermoforce_mpc.errors import DataError
@@ -77,7 +77,7 @@ def read_forecast(
     for signal, rows_of in values.items():
         past = past_price if signal == "price_per_kWh" else getattr(measured.conditions, signal)
         values[signal], guessed[signal] = _as_days_before(
-            grid_s, rows_of, measured.conditions.time_s, past, signal, back
+            grid_s, rows_of, measured.conditions.time_s, past, signal, back, measured.record.origin
         )
     names, n = measured.record.names, grid_s.size - back
     boundary = Boundary(
@@ -271,11 +271,12 @@ def _own_columns() -> Iterator[None]:
 
 
 def _as_days_before(
-    grid_s: Array, values: Array, past_s: Array, past: Array, name: str, back: int
+    grid_s: Array, values: Array, past_s: Array, past: Array, name: str, back: int, origin: pd.Timestamp
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Values (k, n + 1) from place `back` of `grid_s` on, what is not known as on days before, and which those are.
 
-    `values` (k, back + n + 1): of the forecast; `past` (k, m): of the measurements at `past_s`.
+    `values` (k, back + n + 1): of the forecast; `past` (k, m): of the measurements at `past_s`. Days are those of the
+    clock of `origin`, of 23 and 25 hours too.
     """
     known = values.copy()
     for row, measured in zip(known, past, strict=True):
@@ -285,7 +286,9 @@ def _as_days_before(
     missing = ~np.isfinite(out)
     for row, gaps, source in zip(out, missing, known, strict=True):
         if gaps.any():
-            days = np.stack([at_instants(time_s - day * DAY_S, grid_s, source, 1.0) for day in range(1, _DAYS + 1)])
+            days = np.stack(
+                [at_instants(days_before_s(time_s, day, origin), grid_s, source, 1.0) for day in range(1, _DAYS + 1)]
+            )
             there = np.isfinite(days)
             if name == "price_per_kWh":
                 same_hour = np.where(there, days, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1)

@@ -10,7 +10,7 @@ import pandas as pd
 
 from thermoforce_mpc.boundary.tariffs import Tariff, by_name, price_doubt, tariff_from_file
 from thermoforce_mpc.data import YEAR_S, Array
-from thermoforce_mpc.data.dataframes import new_year, seconds_since, stamps
+from thermoforce_mpc.data.dataframes import clock_s, new_year, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.readings import SignalReadings, durations_s, ends_s, held, held_means, longest_s
 from thermoforce_mpc.measurements.tables.clock import timed
@@ -39,7 +39,8 @@ def prices_over_steps(
     """
     if path.name in PRICES and not path.exists():
         words = "of the simulated buildings, per kWh" + (", synthetic" if path.name == "highly_dynamic" else "")
-        return _of_year(by_name()[path.name], str(path), origin, grid_s), f"tariff {path.name} {words}"
+        by_clock_s = clock_s(grid_s, origin)
+        return _of_year(by_name()[path.name], str(path), origin, grid_s, by_clock_s), f"tariff {path.name} {words}"
     form = guessed_form(path)
     head = head_of(path, _HEAD, form)
     names = [str(name) for name in head.columns]
@@ -111,11 +112,16 @@ def billed(bill: Bill, energy: Array, time_s: Array, origin: pd.Timestamp, step_
     return np.asarray(np.mean(each, axis=0))
 
 
-def _of_year(tariff: Tariff, name: str, origin: pd.Timestamp, grid_s: Array) -> Array:
-    """Prices by seconds since 1 January, at the same time of the year; its 366th day is the first again."""
+def _of_year(tariff: Tariff, name: str, origin: pd.Timestamp, grid_s: Array, by_clock_s: Array | None = None) -> Array:
+    """Prices by seconds since 1 January, at the same time of the year; its 366th day is the first again.
+
+    `by_clock_s` (n,): what a clock on the wall shows at `grid_s`, where the tariff goes by that.
+    """
     at = pd.DatetimeIndex(stamps(grid_s, origin))
     begins = {year: new_year(at[at.year == year], name) for year in dict.fromkeys(at.year)}
     of_year_s = np.array([(one - begins[one.year]).total_seconds() for one in at])
+    if by_clock_s is not None:
+        of_year_s += by_clock_s - grid_s
     try:
         return np.asarray(tariff(np.mod(of_year_s, YEAR_S)))
     except ConfigError:  # it ends within: what it has

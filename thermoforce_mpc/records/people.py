@@ -29,7 +29,7 @@ _LOG = logging.getLogger(__name__)
 # How long bounds that somebody asks for hold, as a thermostat's until its next change; and what was set by hand, h.
 COMFORT_H, BY_HAND_H = 12.0, 4.0
 # Bounds while nobody is there, and how much warmer a boost is, °C and K.
-_AWAY_C, _BOOST_K = (16.0, 28.0), 2.0
+AWAY_C, _BOOST_K = (16.0, 28.0), 2.0
 _RANGE_C = (5.0, 35.0)
 # Between the bounds at least, K: as in a schedule's, they are in order.
 _BAND_K = 0.5
@@ -193,8 +193,8 @@ class People:
                 upper[:, held] = wishes.upper_C
                 lower[:, held] = np.minimum(lower[:, held], wishes.upper_C - _BAND_K)
         if (held := until(wishes.away_until, "away")) is not None:
-            lower[:, held] = np.minimum(lower[:, held], _AWAY_C[0])
-            upper[:, held] = np.maximum(upper[:, held], _AWAY_C[1])
+            lower[:, held] = np.minimum(lower[:, held], AWAY_C[0])
+            upper[:, held] = np.maximum(upper[:, held], AWAY_C[1])
         if (held := until(wishes.boost_until, f"{_BOOST_K:g} K warmer")) is not None:
             lower[:, held] = np.minimum(lower[:, held] + _BOOST_K, _RANGE_C[1] - _BAND_K)
             upper[:, held] = np.maximum(upper[:, held], lower[:, held] + _BAND_K)

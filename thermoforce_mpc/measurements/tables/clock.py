@@ -46,6 +46,8 @@ _MOST_OFFSETS = 4
 _LEAST_FALLS, _FEW_RISE = 7, 0.005
 _HALF_A_YEAR = 5
 _AN_HOUR = pd.Timedelta("1h")
+# Rows that go on from one another are no farther apart than so many of their usual distances.
+_GOES_ON = 1.5
 _MOST_YEARS = 20
 # The clock of a table that is being written may be ahead of ours by so much.
 _AHEAD = pd.Timedelta("5min")
@@ -299,8 +301,9 @@ def _by_the_clock(table: RawTable, times: pd.Series, zone: str, notes: list[str]
     """Stamps of a table that is being written, whose order does not tell the hour that comes twice, by the time `now`.
 
     Rows from the last step back on are of its second pass. Without one they are of the first, which is the older, if
-    they go on from the row before and nothing came after them; what would lie after now is of the first anyway. Where
-    that does not tell it they are left out.
+    they go on from the row before and nothing came after them; a table that begins with them, such as a forecast made
+    in that hour, goes on from the second. What would lie after now is of the first anyway. Where that does not tell it
+    they are left out.
     """
     first, second = (times.dt.tz_localize(zone, ambiguous=np.full(len(times), summer)) for summer in (True, False))
     rows = np.flatnonzero((first != second).to_numpy())
@@ -309,6 +312,11 @@ def _by_the_clock(table: RawTable, times: pd.Series, zone: str, notes: list[str]
     later = np.zeros(len(times), dtype=bool)
     if back.size:
         later[rows[back[-1] + 1] :] = True
+    elif rows[0] == 0 and rows[-1] < len(times) - 1:
+        goes_on = second.iloc[rows[-1] + 1] - second.iloc[rows[-1]]
+        later[rows] = goes_on <= _GOES_ON * times.diff().median()
+        notes.append(f"{what}: told apart by what comes after")
+        return times.dt.tz_localize(zone, ambiguous=~later)
     elif rows[-1] < len(times) - 1:
         notes.append(f"{what}: left out, since their order does not tell which it is")
         local = times.dt.tz_localize(zone, ambiguous="NaT")
