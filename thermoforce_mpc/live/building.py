@@ -129,9 +129,9 @@ class LiveBuilding:
         return None if found is None else found[1]
 
     @property
-    def paused(self) -> bool:
-        """Whether people ask that nothing is set."""
-        return self._people is not None and self._people.paused
+    def paused(self) -> str:
+        """Why people want nothing set, '' where they do not."""
+        return "" if self._people is None else self._people.paused
 
     @property
     def layout(self) -> Layout:
@@ -176,8 +176,8 @@ class LiveBuilding:
         ).served()
         record = measured.record
         self.left_out = (*measured.left_out, *self._ahead(measured, now), *self._set_by_hand(measured, now))
-        if self.paused:
-            self.left_out = (*self.left_out, "mode advise was asked: nothing is set")
+        if paused := self.paused:
+            self.left_out = (*self.left_out, paused)
         self._origin = record.origin if self._origin is None else self._origin
         shift_s = (record.origin - self._origin).total_seconds()
         record = replace(record, time_s=record.time_s + shift_s, origin=self._origin)

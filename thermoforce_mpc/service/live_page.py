@@ -61,12 +61,13 @@ class Hears(Protocol):
 class PageAccess:
     """Who may see the page and ask by it: who has the `token`, if there is one, by `names`, addresses or localhost.
 
-    `ingress`: only whom Home Assistant lets through, and this machine.
+    `ingress`: only whom Home Assistant lets through, and this machine; `option`: of the command line, for `names`.
     """
 
     token: str | None = None
     names: Collection[str] = ()
     ingress: bool = False
+    option: str = ""
 
 
 def live_app(
@@ -79,7 +80,7 @@ def live_app(
     app.config["MAX_CONTENT_LENGTH"] = _MOST_BYTES
     page = files("thermoforce_mpc.service").joinpath("live_page.html").read_text(encoding="utf-8")
     lock, asking = threading.Lock(), threading.Lock()
-    own, rate, logins = HostNames(access.names), Rate(_PER_SECOND), Rate(1.0)
+    own, rate, logins = HostNames(access.names, access.option), Rate(_PER_SECOND), Rate(1.0)
     headers = _HEADERS | {"Content-Security-Policy": _POLICY + ("'self'" if access.ingress else "'none'")}
 
     @app.before_request
