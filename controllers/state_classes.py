@@ -16,6 +16,7 @@ from controllers.monitoring.zone_sensors import Anchor, SensorState
 from controllers.mpc.acting import NoModelState
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.margins import Innovations, LearnedMargin, Margins
+from controllers.mpc.mornings import DayBelieved, MorningState
 from controllers.mpc.state import MPCState
 from controllers.rules.pi import PIState
 from controllers.rules.thermostat import ThermostatState
@@ -55,6 +56,8 @@ STATE_CLASSES: tuple[type[Any], ...] = (
     Anchor,
     SunState,
     WatchState,
+    MorningState,
+    DayBelieved,
     BlockedHours,
     HourEffects,
     HourSeen,

@@ -7,14 +7,14 @@ from becoming too warm, by the curve's offset or by SG-Ready. It lives for 30 da
 trials: another value of the command for some hours. Heat is not metered. From this record a model and the maps are
 learned; then cold days are run twice, left alone and by planned commands, at a dynamic tariff, and the house of
 set-points once more with valves that take levels directly. No room is asked to be warmer than its own thermostat keeps
-it, so that comfort is equal where a machine is too small. What plans said that they would save is compared with what
-all of them saved.
+it, so that comfort is equal where a machine is too small, and heat that is missing in house and tank counts. What plans
+said that they would save is compared with what all of them saved.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -47,7 +47,7 @@ _START, _ORDINARY, _TRIALS = 36, 27, 3
 # Trials: a set-point or an offset that is higher or lower by so much, K, or another state, each for so long, h.
 _AWAY: dict[str, tuple[tuple[float, ...], int]] = {
     "set-points": ((-1.0, 0.0, 1.0), 4),
-    "curve offset": ((-2.0, 0.0, 2.0), 4),
+    "curve offset": ((-3.0, 0.0, 3.0), 4),
     "SG-Ready": ((1.0, 2.0, 3.0), 2),
 }
 # Where rooms follow the curve, thermostats stand above what they keep elsewhere, K, and the curve is moved by at most
@@ -62,12 +62,22 @@ _MORE_KH = 0.5
 
 @dataclass(frozen=True)
 class Lived:
-    """What days cost, in currency, their energy, kWh, and K·h below and above the bounds of all rooms."""
+    """What days cost, in currency, their energy, kWh, K·h below and above the bounds of all rooms, and heat, kWh.
+
+    `heat_kWh`: of the rooms; `stored_kWh`: in house and tank at their end.
+    """
 
     cost: float
     energy_kWh: float
     below_Kh: float
     above_Kh: float
+    heat_kWh: float
+    stored_kWh: float
+
+    def saved_by(self, other: Lived) -> float:
+        """Share of the cost that `other` saves; heat that it leaves less counts at its mean cost, more earns nought."""
+        missing_kWh = max(self.stored_kWh - other.stored_kWh, 0.0)
+        return 1.0 - (other.cost + missing_kWh * self.cost / self.heat_kWh) / self.cost
 
 
 def run_commands_bench(
@@ -116,11 +126,13 @@ def run_house(case: tuple[int, str, int]) -> Row:
     if said["not_acting"] == 24.0 * days:
         row["note"] = "left alone: no model may act"
     return row | {
+        # Per week, more than left alone.
+        "colder_Kh": (planned.below_Kh - own.below_Kh) * 7.0 / days,
         "cost_own": own.cost,
         "cost_planned": planned.cost,
         "cost_direct": direct and direct.cost,
-        "saved": 1.0 - planned.cost / own.cost,
-        "saved_direct": direct and 1.0 - direct.cost / own.cost,
+        "saved": own.saved_by(planned),
+        "saved_direct": direct and own.saved_by(direct),
         "energy_own_kWh": own.energy_kWh,
         "energy_planned_kWh": planned.energy_kWh,
         "below_own_Kh": own.below_Kh,
@@ -269,7 +281,7 @@ def _days(
     """
     plant = home.plant
     state, said = None, dict.fromkeys(("saved", "cost_alone", "changes", "not_planned", "not_acting"), 0.0)
-    cost = energy = below = above = 0.0
+    cost = energy = below = above = heat = 0.0
     before: tuple[Any, ...] = ()
     for k in range(round(days * DAY_S / _STEP_S)):
         ahead = priced(plant.forecast(_HORIZON_H * HOUR_S, _STEP_S))
@@ -292,11 +304,12 @@ def _days(
                 said["changes"] += sum(a != b for a, b in zip(told, before, strict=True)) if before else 0.0
                 before = told
             used = float(done.power_W[0]) * seconds / J_PER_KWH
+            heat += float(done.heat_W.sum()) * seconds / J_PER_KWH
             energy, cost = energy + used, cost + used * float(ahead.price_per_kWh[0, 0])
             # The bounds of the hour; of its end, a room that others set back may already be let cool.
             below += float(np.maximum(ahead.lower_C[:, :2].min(axis=1) - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S
             above += float(np.maximum(done.T_zone_C - ahead.upper_C[:, :2].max(axis=1), 0.0).sum()) * seconds / HOUR_S
-    return Lived(cost, energy, below, above), said
+    return Lived(cost, energy, below, above, heat, plant.stored_kWh()), said
 
 
 def priced(ahead: Boundary) -> Boundary:
@@ -314,7 +327,7 @@ def targets(rows: list[Row]) -> list[Target]:
         of_kind = [row for row in rows if row["by"] == kind]
         known = [row for row in of_kind if not row["note"]]
         dearer = np.mean([float(row["saved"] <= 0.0) for row in known] or [1.0])
-        colder = np.mean([float(_colder_Kh(row) > _MORE_KH) for row in known] or [1.0])
+        colder = np.mean([float(row["colder_Kh"] > _MORE_KH) for row in known] or [1.0])
         median = float(np.median([row["saved"] for row in known] or [np.nan]))
         out += [
             Target(
@@ -331,8 +344,3 @@ def targets(rows: list[Row]) -> list[Target]:
         *out,
         Target("median share saved by levels of the valves", float(np.median(direct or [np.nan])), 0.0, "at least"),
     ]
-
-
-def _colder_Kh(row: Mapping[str, Any]) -> float:
-    """How much more than left alone rooms were below their bounds, K·h a week."""
-    return float((row["below_planned_Kh"] - row["below_own_Kh"]) * 7.0 / row["days"])

@@ -176,6 +176,17 @@ RULES: tuple[Detector, ...] = (
         controller={"watch": {"enabled": False}},
     ),
     Detector(
+        "worse days",
+        "who acts for a day: native control or the rule",
+        lambda ran: ran.news("the last day cost"),
+        controller={"watch": {"mornings": False}},
+    ),
+    Detector(
+        "rule's levels",
+        "levels of a plan: the on/off rule's",
+        lambda ran: ran.reasons("the on/off rule's levels act"),
+    ),
+    Detector(
         "gate",
         "who acts, for the whole run",
         lambda ran: [ran.model] if isinstance(ran.model, str) else ran.spells(PlanStatus.GATE)[:1],
@@ -198,8 +209,6 @@ RULES: tuple[Detector, ...] = (
     ),
     Detector("units", "nothing: it says so", lambda ran: list(ran.doubts)),
     # It acts in `thermoforce_mpc/live` alone, so that a week here goes on as if it had not claimed anything.
-    Detector(
-        "open window", "lower bound and readings of a room, for half an hour at a time", ControlledWeek.steep_falls
-    ),
+    Detector("open window", "bounds and readings of a room, for half an hour at a time", ControlledWeek.steep_falls),
 )
 """All of them, in the order of a step."""

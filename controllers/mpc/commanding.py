@@ -106,7 +106,9 @@ class BuildingCommands:
         for a, learned in self._learned.items():
             time_s = learned.from_origin_s(boundary.time_s[:-1], origin)
             z, usual, age_s = self._layout.home[a], learned.usual_at(time_s), float(time_s[0]) - learned.last_s
-            low, high = learned.command.limits(boundary.lower_C[z, 1:], boundary.upper_C[z, 1:], usual)
+            low, high = learned.within_seen(
+                *learned.command.limits(boundary.lower_C[z, 1:], boundary.upper_C[z, 1:], usual)
+            )
             loops[a] = CommandedLoop(learned, low, high, usual, T_out_C, boundary.step_s, age_s)
         groups: dict[str | int, list[int]] = {}
         for a, learned in self._learned.items():

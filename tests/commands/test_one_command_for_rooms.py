@@ -117,6 +117,15 @@ def test_the_machine_is_set_once(home, measured):
     assert any(value is not None for _, value in building.written)
 
 
+def test_no_offset_is_planned_of_which_the_record_does_not_tell(home, measured):
+    """A plan took −3 K where 2 K had been tried, and counted on what −2 K does."""
+    table = home.measurements()
+    table["offset"] = table["offset"].clip(-2.0, 2.0)
+    tried = read_measurements(table, RULES, step_s=3600.0).served()
+    plan = controller(home, tried).plan(Observation(tried.record, read_forecast(home.forecast(), tried)))
+    assert {one.value for one in plan.settings[0]} <= {-2.0, -1.0, 0.0, 1.0, 2.0}
+
+
 def test_a_record_of_one_offset_does_not_tell_what_another_does():
     home = HomeByCurve(days=8, trials=0)
     measured = read_measurements(home.measurements(), RULES, step_s=3600.0).served()

@@ -9,7 +9,7 @@ from simulated_building import RULES, START, SimulatedBuilding, mpc
 
 from thermoforce_mpc.data import Boundary, Layout, Record
 from thermoforce_mpc.live import LiveBuilding, control
-from thermoforce_mpc.live.windows import PAUSE_S, needing_no_heat, open_windows, steep_falls, without
+from thermoforce_mpc.live.windows import PAUSE_S, as_if_empty, open_windows, steep_falls, without
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 
 STEP_S, DAYS = 900.0, 4
@@ -77,7 +77,7 @@ def test_the_pause_ends_after_half_an_hour_or_when_the_room_comes_back():
     assert "it fell 1.1 K in 15 min (0.5 K are steep)" in window.why
 
 
-def test_what_is_read_meanwhile_counts_as_not_measured_and_no_heat_is_needed():
+def test_what_is_read_meanwhile_counts_as_not_measured_and_nothing_is_needed():
     T, out_C, u = room()
     cut = record(aired(T, 300), out_C, u).slice(0, 302)
     windows = open_windows(cut, Layout.single())
@@ -86,8 +86,9 @@ def test_what_is_read_meanwhile_counts_as_not_measured_and_no_heat_is_needed():
     assert np.isfinite(masked[:301]).all()
     at_s = cut.time_s[-1] + STEP_S * np.arange(5)
     one, none = np.ones(5), np.zeros(5)
-    ahead = needing_no_heat(Boundary(at_s, none, none, none, 20.0 * one, 23.0 * one, one, none), windows)
+    ahead = as_if_empty(Boundary(at_s, none, none, none, 20.0 * one, 23.0 * one, one, none), windows)
     assert ahead.lower_C[0].tolist() == [16.0, 20.0, 20.0, 20.0, 20.0]
+    assert ahead.upper_C[0].tolist() == [28.0, 23.0, 23.0, 23.0, 23.0]
 
 
 def test_a_contact_says_it_and_nobody_guesses_there():
@@ -129,7 +130,7 @@ def test_what_a_controller_reads_and_is_asked_for_while_it_is_open():
         lower_C = building.forecast(6 * 3600.0, 3600.0).lower_C[0]
         assert lower_C[0] == (16.0 if is_open else 20.0)
         assert (lower_C[1:] == 20.0).all()
-        assert any("zone: a window is open; no heat is needed" in note for note in building.left_out) == is_open
+        assert any("zone: a window is open; nothing is needed" in note for note in building.left_out) == is_open
 
 
 @pytest.mark.slow
@@ -137,6 +138,6 @@ def test_a_controller_says_it_and_goes_on():
     house, decisions = WithContact(), []
     building = LiveBuilding(house, WINDOWED, 3600.0)
     control(building, mpc(), clock=house, steps=6, delay_s=0.0, told=decisions.append)
-    said = [any("a window is open; no heat is needed" in note for note in decision.notes) for decision in decisions]
+    said = [any("a window is open; nothing is needed" in note for note in decision.notes) for decision in decisions]
     assert said == [False, False, False, True, False, False]
     assert [str(decision.plan.status) for decision in decisions] == ["solved"] * 3 + ["bridged"] + ["solved"] * 2

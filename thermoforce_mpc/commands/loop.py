@@ -139,6 +139,16 @@ class LearnedCommand:
         """What is set, and what is known of its loop."""
         return f"set by {self.command.name_in_words}, whose map {self.loop.in_words}"
 
+    def within_seen(self, low: Array, high: Array) -> tuple[Array, Array]:
+        """Limits `low` and `high` (N,) no further than what the record holds: of more it does not say what comes of it.
+
+        Of a set-point it does, since the difference to the room counts.
+        """
+        if self.command.of_zone == -1.0:
+            return low, high
+        least, most = float(self.loop.values[0]), float(self.loop.values[-1])
+        return np.clip(low, least, most), np.clip(high, least, most)
+
     def from_origin_s(self, time_s: Array, origin: pd.Timestamp | None) -> Array:
         """`time_s` (N,), s from `origin`, counted from that of the record, which may have begun in another year."""
         if origin is None or self.origin is None:

@@ -31,7 +31,7 @@ from thermoforce_mpc.experiment.run_models import origin
 from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.identification.probing.excitation import RoomsState
 from thermoforce_mpc.identification.probing.probe import LevelsState, ProbingState
-from thermoforce_mpc.live.windows import OpenWindow, needing_no_heat, open_windows, without
+from thermoforce_mpc.live.windows import OpenWindow, as_if_empty, open_windows, without
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import Measurements, learned_commands, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
@@ -233,7 +233,7 @@ class LiveBuilding:
             if self._people is not None and self.now is not None:
                 ahead, asked = self._people.applied(ahead, self.origin, self.now)
                 self.left_out = (*self.left_out, *asked)
-            return needing_no_heat(ahead, self._windows).head(n)
+            return as_if_empty(ahead, self._windows).head(n)
         except (InputError, PlantError) as error:
             raise NoForecast(str(error)) from error
 
@@ -393,7 +393,7 @@ class LiveBuilding:
         zone = self._rules.time.zone or "UTC"
         until = {z: self.origin + pd.Timedelta(seconds=one.until_s) for z, one in self._windows.items()}
         return [
-            f"{names[z]}: {one.why}; no heat is needed and nothing is learned there until "
+            f"{names[z]}: {one.why}; nothing is needed and nothing is learned there until "
             f"{until[z].tz_convert(zone):%H:%M}, or until it comes back"
             for z, one in self._windows.items()
         ]

@@ -1,8 +1,8 @@
 """An open window: its contact says so, or the room falls as steeply as it does not by itself.
 
-For half an hour the room needs no heat then: its lower bound is that of an empty house, and its readings teach nothing
-(they count as not measured, and the model stands in). It is taken back sooner where the room comes back or the contact
-closes, and at the latest after two hours, from when on the cold room counts as it is.
+For half an hour the room needs neither heat nor cooling then: its bounds are those of an empty house, and its readings
+teach nothing (they count as not measured, and the model stands in). It is taken back sooner where the room comes back
+or the contact closes, and at the latest after two hours, from when on the cold room counts as it is.
 """
 
 from __future__ import annotations
@@ -93,13 +93,14 @@ def without(record: Record, windows: Mapping[int, OpenWindow]) -> Record:
     return replace(record, T_zone_C=T_C) if windows else record
 
 
-def needing_no_heat(ahead: Boundary, windows: Mapping[int, OpenWindow]) -> Boundary:
-    """The boundary conditions with the lower bound of an empty house where a window is open."""
-    lower_C = np.array(ahead.lower_C)
+def as_if_empty(ahead: Boundary, windows: Mapping[int, OpenWindow]) -> Boundary:
+    """The boundary conditions with the bounds of an empty house where a window is open."""
+    lower_C, upper_C = np.array(ahead.lower_C), np.array(ahead.upper_C)
     for z, window in windows.items():
         open_s = ahead.time_s < window.until_s
         lower_C[z, open_s] = np.minimum(lower_C[z, open_s], AWAY_C[0])
-    return replace(ahead, lower_C=lower_C) if windows else ahead
+        upper_C[z, open_s] = np.maximum(upper_C[z, open_s], AWAY_C[1])
+    return replace(ahead, lower_C=lower_C, upper_C=upper_C) if windows else ahead
 
 
 def _by_contact(time_s: Array, contact: Array) -> OpenWindow | None:

@@ -1,0 +1,136 @@
+"""Courses that a rule takes by the model of a plan: step by step, each level by what the model predicts until then.
+
+The same free response, weather, bounds and machines as the plan's; only the levels differ (paper eq:effect).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from controllers.optimisation.problem import EquipmentLayout, MPCProblem
+from controllers.safety.fallback_policy import FallbackPolicy
+from thermoforce_mpc.data import Array, Boundary, Layout
+from thermoforce_mpc.data.dataframes import compose
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.parameters import ZONE
+
+# Levels that a loop at the comfort bound is tried with.
+_LEVELS = 21
+# A law gives the level of an actuator (its number) in a step (its number) from the temperatures at its start (Z,), °C,
+# the forced state (Z, A, r), K, and the levels so far (A, N).
+Law = Callable[[int, int, Array, Array, Array], float]
+
+
+class Courses:
+    """Rolls out rules over N steps; `rules` (A,): the on/off rule of each actuator.
+
+    `boundary`: of the steps; `T_now_C` (Z,): temperatures now, °C.
+    """
+
+    def __init__(
+        self,
+        operator: BuildingOperator,
+        layout: Layout,
+        machinery: EquipmentLayout,
+        rules: Sequence[FallbackPolicy],
+        boundary: Boundary,
+        T_now_C: Array,
+        forced_K: Array,
+        features: Array,
+        T_free_C: Array,
+    ) -> None:
+        """In free response `T_free_C` (Z, N), with `features` (Z, N, 4) and `forced_K` (Z, A, r): forced state now."""
+        self._operator, self._layout, self._machinery = operator, layout, machinery
+        self._rules, self._boundary, self._T_now_C = tuple(rules), boundary, T_now_C
+        self._forced_K, self._features, self._T_free_C = forced_K, features, T_free_C
+        whole = np.ones((1, T_free_C.shape[1]))
+        self._lowest, self._highest = machinery.u_min[:, None] * whole, machinery.u_max[:, None] * whole
+        self._capacity: Array | None = None
+        self._comes = whole
+
+    @classmethod
+    def of_plan(
+        cls,
+        problem: MPCProblem,
+        operator: BuildingOperator,
+        layout: Layout,
+        rules: Sequence[FallbackPolicy],
+        boundary: Boundary,
+        T_zone_C: Array,
+    ) -> Courses:
+        """In the instance of a plan, from the temperatures (Z,), °C, that were read; NaN: what the model has."""
+        known_C = problem.features[:, 0, ZONE] + problem.forced_state_K.sum(axis=(1, 2))
+        T_now_C = np.where(np.isfinite(T_zone_C), T_zone_C, known_C)
+        state, machinery = problem.forced_state_K, problem.machinery
+        found = cls(operator, layout, machinery, rules, boundary, T_now_C, state, problem.features, problem.T_free_C)
+        found._lowest, found._highest = problem.level_bounds
+        found._capacity = problem.capacity
+        if problem.available is not None:
+            found._comes = problem.available
+        return found
+
+    def limited(self, u: Array, first: int = 0) -> Array:
+        """Levels (A, n) within limits, of which no more act together than may, and no machine beyond its capacity.
+
+        `first`: number of the step that they begin with.
+        """
+        m, steps = self._machinery, slice(first, first + u.shape[1])
+        u = np.clip(u, self._lowest[:, steps], self._highest[:, steps])
+        for k in range(u.shape[1] if m.exclusive else 0):
+            u[list(self._layout.excluded([float(abs(level)) for level in u[:, k]])), k] = 0.0
+        load = m.fed_by @ (m.share[:, None] * np.maximum(u, 0.0))
+        if self._capacity is not None:
+            load = load / self._capacity[:, steps]
+        return np.asarray(u / np.maximum(load, 1.0)[m.machine_of])
+
+    def follow(self, law: Law) -> Array:
+        """Levels (A, N) of a law that sees the predicted temperature at the start of each step."""
+        n = self._boundary.n_steps
+        u = np.zeros((self._machinery.u_max.size, n))
+        forced, T_C = self._forced_K, self._T_now_C
+        for k in range(n):
+            for a in range(u.shape[0]):
+                u[a, k] = law(a, k, T_C, forced, u)
+            u[:, k : k + 1] = self.limited(u[:, k : k + 1], k)
+            forced = self._after(forced, u[:, k : k + 1], k)
+            T_C = compose(self._T_free_C[:, k], forced.sum(axis=(1, 2)))
+        return u
+
+    def forced(self, u: Array) -> Array:
+        """Forced state at the end of each step under levels (A, N), (Z, A, N, r), K."""
+        if self._operator.of_actuator(0).feedback_active:
+            return self._operator.rollout(self._forced_K, u, self._features)
+        return self._operator.driven(self._forced_K, self._operator.drive(u, self._features) * self._comes)
+
+    def _after(self, forced: Array, u: Array, k: int) -> Array:
+        """Forced state (..., Z, A, r), K, after step `k` with levels (..., A, 1), of which what comes acts."""
+        features = self._features[:, k : k + 1]
+        if self._operator.of_actuator(0).feedback_active:
+            return self._operator.rollout(forced, u, features)[..., 0, :]
+        drive = self._operator.drive(u, features) * self._comes[:, k : k + 1]
+        return self._operator.driven(forced, drive)[..., 0, :]
+
+    def rule(self, a: int, k: int, T_C: Array, forced: Array, u: Array) -> float:
+        """Level of the on/off rule of the fallback; where loops of the building act, theirs."""
+        zone = self._layout.home[a]
+        level, _ = self._rules[a].rule_at(float(T_C[zone]), self._boundary, float(self._boundary.time_s[k]))
+        return self.loop(a, k, T_C, forced, u) if level is None else level
+
+    def loop(self, a: int, k: int, T_C: Array, forced: Array, u: Array) -> float:
+        """The least level that keeps the zone inside its bounds at the end of the step, as a good loop finds it."""
+        z, m = self._layout.home[a], self._machinery
+        levels = np.linspace(m.u_min[a], m.u_max[a], _LEVELS if m.u_min[a] == 0.0 else 2 * _LEVELS - 1)
+        levels = levels[np.argsort(np.abs(levels), kind="stable")]
+        tried = np.repeat(u[None, :, k : k + 1], levels.size, axis=0)
+        tried[:, a, 0] = levels
+        end = self._after(forced, tried, k)[:, z].sum(axis=(1, 2))
+        T_end_C = compose(self._T_free_C[z, k], end)
+        low, high = self._boundary.lower_C[z, k + 1], self._boundary.upper_C[z, k + 1]
+        # A heating loop does not act on the upper bound, nor a cooling loop on the lower.
+        mode = self._layout.mode(a)
+        below = np.maximum(low - T_end_C, 0.0) if mode != "cooling" else np.zeros(levels.size)
+        above = np.maximum(T_end_C - high, 0.0) if mode != "heating" else np.zeros(levels.size)
+        outside = np.round(below + above, 6)
+        return float(levels[int(np.argmin(outside))])
