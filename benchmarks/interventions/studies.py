@@ -46,9 +46,9 @@ _OPERATORS: dict[str, tuple[tuple[int, ...], Modulation, tuple[float, ...]]] = {
 _GAMMAS = (0.0, 0.25, 0.5, 0.75, 0.9)
 # Weight of the teacher's forecasts beside the measured runs, from what validation chooses to a teacher alone, and
 # weight decay; learning rates, of which ours is the first; how many seeds of each.
-_TEACHERS = ((0.05, 1e-4), (1.0, 0.0), (10.0, 0.0), (1e4, 0.0))
+TEACHERS = ((0.05, 1e-4), (1.0, 0.0), (10.0, 0.0), (1e4, 0.0))
 _RATES = (3e-3, 3e-2)
-_TEACHER_SEEDS = 3
+TEACHER_SEEDS = 3
 _DATA_METHODS = ("tsfm_covariates", "rc", "rc_probe", "surrogate", MONOTONE, BEST)
 
 
@@ -187,7 +187,7 @@ def _baselines(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> 
     """Whether the observational RC has the wrong sign, and the distilled network diverges, in any setting or seed.
 
     RC: each order and error, fitted to plain operation of the probe days, and of the days before as well. The network:
-    each weight of the teacher, `_TEACHER_SEEDS` seeds from `seed` on; the row has the means, and the worst of seeds.
+    each weight of the teacher, `TEACHER_SEEDS` seeds from `seed` on; the row has the means, and the worst of seeds.
     """
     rows: list[Row] = []
     for climate in data.climates.values():
@@ -199,12 +199,10 @@ def _baselines(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> 
                 say(f"{climate.climate.label}: {rows[-1]['setting']}: sign {rows[-1]['sign']:.2f}")
         for rate in _RATES:
             found = [
-                list(
-                    surrogates(training_of(climate, days, one), tsfm(backbone), settings=_TEACHERS, rate=rate).values()
-                )
-                for one in range(seed, seed + _TEACHER_SEEDS)
+                list(surrogates(training_of(climate, days, one), tsfm(backbone), settings=TEACHERS, rate=rate).values())
+                for one in range(seed, seed + TEACHER_SEEDS)
             ]
-            for (weight, _), models in zip(_TEACHERS, zip(*found, strict=True), strict=True):
+            for (weight, _), models in zip(TEACHERS, zip(*found, strict=True), strict=True):
                 setting = f"distillation, {models[0].note}, rate {rate:g}"
                 rows.append(_baseline_row(setting, weight, models, climate, days))
                 say(f"{climate.climate.label}: {setting}: sign {rows[-1]['sign']:.2f}")

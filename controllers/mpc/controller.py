@@ -21,10 +21,9 @@ from controllers.mpc.commanding import (
     with_commands,
 )
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.courses import Courses
+from controllers.mpc.courses import Courses, Mornings
 from controllers.mpc.formulation import Formulation, Instance
 from controllers.mpc.margins import Margins
-from controllers.mpc.mornings import Mornings
 from controllers.mpc.planner import (
     Planners,
     SolverBuilder,

@@ -12,8 +12,8 @@ from controllers.monitoring.meters import MeterState
 from controllers.monitoring.sun_on_sensors import SunState
 from controllers.monitoring.watch import ScaledModel, WatchState
 from controllers.monitoring.zone_sensors import SensorState
+from controllers.mpc.courses import MorningState
 from controllers.mpc.margins import Margins
-from controllers.mpc.mornings import MorningState
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import DAY_S, Array, Boundary, Names, Observation, Record, month_of
 from thermoforce_mpc.model.predictor import PredictorState

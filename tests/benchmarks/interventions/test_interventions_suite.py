@@ -16,9 +16,11 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.plants.energyplus.engine import is_available
 
-pytestmark = pytest.mark.slow
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed"),
+]
 
-pytestmark = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
 
 TINY = replace(QUICK, probe_days=(1,), validation_days=1, test_days=1, climates=("heating_chicago",))
 
@@ -142,13 +144,13 @@ def test_baselines_are_scored_in_every_setting_and_seed(simulated, folder, tmp_p
     from benchmarks.interventions import studies
 
     monkeypatch.setattr(interventions, "QUICK", TINY)
-    monkeypatch.setattr(studies, "_TEACHER_SEEDS", 2)
+    monkeypatch.setattr(studies, "TEACHER_SEEDS", 2)
     monkeypatch.setattr(studies, "surrogates", partial(studies.surrogates, epochs=2))
     rows = studies.run_study("baselines", folder, out=tmp_path, engine=LocalEngine(1), quick=True)["rows"]
     rc, network = ([row for row in rows if (row["teacher"] is None) == of_rc] for of_rc in (True, False))
     modes = len({row["mode"] for row in rows})
     assert len(rc) == 2 * 4 * 2 * modes, "plain operation with the days before and without, four orders, two errors"
-    assert [(row["teacher"], row["seeds"]) for row in network] == [(w, 2) for w, _ in studies._TEACHERS] * 2 * modes
+    assert [(row["teacher"], row["seeds"]) for row in network] == [(w, 2) for w, _ in studies.TEACHERS] * 2 * modes
     assert all(row["worst_sign"] <= row["sign"] and row["worst_effect_K"] >= row["effect_K"] for row in rows)
     assert any(row["worst_effect_K"] > row["effect_K"] for row in network), "seeds differ"
     assert (tmp_path / "baselines.json").is_file()

@@ -10,7 +10,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.mornings import DayBelieved, MorningState
+from controllers.mpc.courses import DayBelieved, MorningState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, PlanStatus
 
 N = 24
