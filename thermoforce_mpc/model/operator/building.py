@@ -20,9 +20,6 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.certificate import Certificate, certificate
 from thermoforce_mpc.model.operator.parameters import N_FEATURES, OperatorParameters
 
-# Values up to which the interpreter does, though it takes longer (144, a plan of a day by the hour: 40 µs): a process
-# that only controls a building then loads no compiler, which takes 80 MB and a third of a second.
-_INTERPRETED = 3000
 # What all pairs of one actuator have in common.
 _OF_ACTUATOR = (
     "hidden_weight", "hidden_bias", "output_weight", "output_bias", "feature_mean", "feature_scale", "gamma", "sign",
@@ -55,19 +52,7 @@ def driven_rollout(params: OperatorParameters, F0: Array, drive: Array) -> Array
     lead, n = np.broadcast_shapes(drive.shape[:-1], F0.shape[:-1]), drive.shape[-1]
     drives = np.ascontiguousarray(np.broadcast_to(drive, (*lead, n))).reshape(-1, n)
     states = np.ascontiguousarray(np.broadcast_to(F0, (*lead, params.order))).reshape(-1, params.order)
-    rolled = _modes_interpreted if states.size * n <= _INTERPRETED else _modes
-    return np.asarray(rolled(params.poles, params.gains, states, drives).reshape(*lead, n, params.order))
-
-
-def _modes_interpreted(poles: Array, gains: Array, F0: Array, drives: Array) -> Array:
-    """As `_modes`, equal to the last digit."""
-    out = np.empty((*drives.shape, poles.size))
-    for k, driven in enumerate(drives.tolist()):
-        for i, (a, g, state) in enumerate(zip(poles.tolist(), gains.tolist(), F0[k].tolist(), strict=True)):
-            for t, drive in enumerate(driven):
-                state = a * state + g * drive
-                out[k, t, i] = state
-    return out
+    return np.asarray(_modes(params.poles, params.gains, states, drives).reshape(*lead, n, params.order))
 
 
 @njit(cache=True)
