@@ -4,6 +4,7 @@
 # A real building, from the files of `tf-mpc init --for` (secrets: --env-file, mode 600):
 #   docker run -d --restart unless-stopped --init --stop-timeout 90 --env-file secrets -v "$PWD:/home/runner/work" \
 #     -w /home/runner/work tf-mpc control --model my_house --map map.yaml --connection connection.yaml
+# Its page: -p 8010:8010, --page 0.0.0.0:8010, and TF_MPC_PAGE_TOKEN among the secrets. Home Assistant: tools/addon.py.
 FROM python:3.12-slim
 COPY . /src
 # The files whose hashes requirements.txt has. torch is the CPU build, 200 MB instead of several GB, of an index of its own.

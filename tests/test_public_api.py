@@ -99,6 +99,7 @@ def test_a_prediction_is_free_plus_forced_with_its_band_and_times(tables, model)
     assert "2025-01-21 00:00:00+01:00 to 2025-01-25 00:00:00+01:00" in model.summary()
 
 
+@pytest.mark.slow
 def test_the_plan_is_that_of_the_registry_and_has_times(tables, model, tmp_path):
     from controllers.registry import build_controller
     from thermoforce_mpc.plants.testcases import load_testcase

@@ -4,11 +4,12 @@ revision.
     python -m tools.evidence                        (write the tables into the pages)
     python -m tools.evidence --check                (say which were edited by hand; exit code 1)
     python -m tools.evidence --take NAME RESULT     (take the rows of a bench's --json as those of a table)
-    python -m tools.evidence --stale REVISION       (run what is older than a revision, say how long it takes, take it)
+    python -m tools.evidence --stale REVISION       (list what is older than a revision, with minutes; run, take it)
 
 A page holds a table between `<!-- evidence NAME -->` and `<!-- /evidence -->`. Its file has `command`, `revision`,
 `date`, `minutes` (null where nobody timed it), `columns` (heading and key of the rows, or a format of several keys) and
-`rows`. A command that a bench's JSON does not answer is shown by --stale, not run.
+`rows`. With `across` (two keys, such as controller and window) rows of a first key become one, with the figures of each
+second key as `cost_tot 44`. A command that writes no JSON (of bench, compare or paper) is shown by --stale, not run.
 """
 
 from __future__ import annotations
@@ -97,19 +98,32 @@ def take(file: Path, result: Mapping[str, Any], minutes: float | None = None) ->
     An older bench's result names neither: then this revision and today.
     """
     table = json.loads(file.read_text(encoding="utf-8"))
-    needed = {name for key in table["columns"].values() for name in re.findall(r"{(\w+)", key) or [key]}
-    rows = [row for row in result["rows"] if needed <= row.keys()]
+    needed = {name for key in table["columns"].values() for name in re.findall(r"{([^{}:!]+)", key) or [key]}
+    found = _wide(result["rows"], *table["across"]) if "across" in table else result["rows"]
+    rows = [row for row in found if needed <= row.keys()]
     if not rows:
         raise SystemExit(f"{file.name}: no row of the result has {', '.join(sorted(needed))}")
     kept = [{key: value for key, value in row.items() if key in needed} for row in rows]
+    minutes = result.get("minutes") if minutes is None else minutes
     table |= {"rows": kept, "command": _plain(result["command"]), "minutes": minutes}
     table["revision"] = result.get("revision") or _git("rev-parse", "HEAD")
     table["date"] = result.get("date") or datetime.now(UTC).date().isoformat()
     file.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
+def _wide(rows: Sequence[Mapping[str, Any]], of: str, over: str) -> list[Mapping[str, Any]]:
+    """One row for each value of the key `of`, with the figures of each value of `over` named after it."""
+    wide: dict[Any, dict[str, Any]] = {}
+    for row in rows:
+        one = wide.setdefault(row[of], {of: row[of]})
+        one |= {f"{key} {row[over]}": value for key, value in row.items()}
+    return list(wide.values())
+
+
 def _plain(command: object) -> str:
-    return command if isinstance(command, str) else shlex.join(map(str, command if isinstance(command, list) else []))
+    """A command in words, without where it wrote its JSON."""
+    words = command if isinstance(command, str) else shlex.join(map(str, command if isinstance(command, list) else []))
+    return re.sub(r" --json \S+", "", words)
 
 
 def _git(*words: str) -> str:
@@ -122,29 +136,40 @@ def is_older(revision: str, than: str) -> bool:
     return subprocess.run(command, cwd=ROOT, check=False, capture_output=True).returncode != 0
 
 
+# The file in a command's folder that `take` reads, and the option that names the folder or file, by what is run.
+_ANSWERS = {"bench": ("--json", "result.json"), "compare": ("--out", "results.json"), "paper": ("--out", "tables.json")}
+
+
 def _run_stale(revision: str, pages: Path) -> int:
-    code = 0
-    for file in sorted((pages / "tables").glob("*.json")):
-        table = json.loads(file.read_text(encoding="utf-8"))
-        if not is_older(table["revision"], revision):
-            continue
+    files = sorted((pages / "tables").glob("*.json"))
+    tables = {file: json.loads(file.read_text(encoding="utf-8")) for file in files}
+    stale = {file: table for file, table in tables.items() if is_older(table["revision"], revision)}
+    for file, table in stale.items():
         took = "not timed" if table["minutes"] is None else f"{table['minutes']:.0f} min"
-        print(f"{file.stem}: {table['command']} ({took})", flush=True)
-        words = shlex.split(table["command"])
-        if words[:2] != ["tf-mpc", "bench"]:
-            print("  by hand: its result is no bench's JSON")
-            code = 1
+        by_hand = "" if _answer(table["command"]) else "; by hand: it writes no JSON"
+        print(f"{file.stem}: {table['command']} ({took}{by_hand})", flush=True)
+    code = int(any(not _answer(table["command"]) for table in stale.values()))
+    for file, table in stale.items():
+        if not (answer := _answer(table["command"])):
             continue
+        option, name = answer
         began = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
-            result = Path(folder) / "result.json"
-            ran = subprocess.run([*words, "--json", str(result)], cwd=ROOT, check=False)
-            if result.exists():
-                take(file, json.loads(result.read_text()), (time.monotonic() - began) / 60.0)
+            place = folder if option == "--out" else str(Path(folder) / name)
+            ran = subprocess.run([*shlex.split(table["command"]), option, place], cwd=ROOT, check=False)
+            if (result := Path(folder) / name).exists():
+                found = json.loads(result.read_text(encoding="utf-8"))
+                take(file, found | {"command": table["command"]}, (time.monotonic() - began) / 60.0)
             else:
-                print(f"  failed with exit code {ran.returncode}")
+                print(f"{file.stem}: failed with exit code {ran.returncode}")
                 code = 1
     return code
+
+
+def _answer(command: str) -> tuple[str, str] | None:
+    """The option and file by which a command answers in JSON; None of one that does not."""
+    program, *words = shlex.split(command)
+    return _ANSWERS.get(words[0]) if program == "tf-mpc" and words else None
 
 
 if __name__ == "__main__":

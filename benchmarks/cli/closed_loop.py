@@ -191,9 +191,10 @@ def detectors_command(
     """Count what each rule claims of clean plants and what that costs, what it finds of its fault and saves.
 
     Rules that change what the controller does because of what it believes of the plant: sun on a sensor, blocked hours,
-    other loads on meters, watch, gate, guard, sensors, units. Plants: the embedded house in four seasons, generated
-    houses, air units that heat and cool, offices and houses of rooms; each week probed, identified and controlled with
-    all defaults, and again without a rule that claimed something. A week takes about half a minute of a core.
+    other loads on meters, watch, gate, guard, sensors, units, open windows. Plants: the embedded house in four seasons,
+    generated houses, air units that heat and cool, offices and houses of rooms; each week probed, identified and
+    controlled with all defaults, and again without a rule that claimed something. A week takes about half a minute of a
+    core.
 
     \b
     Example:

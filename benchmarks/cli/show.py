@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from itertools import groupby
@@ -11,6 +12,7 @@ from typing import Any
 from benchmarks.cases import revision
 
 _WIDTH_OF_FILES = 160
+_BEGAN_S = time.monotonic()  # of the command, which imports this first
 
 
 def show(result: Mapping[str, Any], json_file: Path | None) -> None:
@@ -36,7 +38,12 @@ def show(result: Mapping[str, Any], json_file: Path | None) -> None:
         mark = "holds      " if target["holds"] else "DOES NOT HOLD"
         console.print(f"{mark}  {target['name']}: {_cell(target['value'])} ({target['sense']} {target['goal']:g})")
     if json_file:
-        write_json(json_file, dict(result) | {"revision": revision(), "date": datetime.now(UTC).date().isoformat()})
+        of = {
+            "revision": revision(),
+            "date": datetime.now(UTC).date().isoformat(),
+            "minutes": (time.monotonic() - _BEGAN_S) / 60,
+        }
+        write_json(json_file, dict(result) | of)
         console.print(f"JSON: {json_file}")
 
 

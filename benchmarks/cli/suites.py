@@ -103,10 +103,11 @@ def factual_command(
 @click.command("interventions")
 @click.option(
     "--study",
-    type=click.Choice(["validity", "ablation", "gamma", "data", "efficiency", "office"]),
+    type=click.Choice(["validity", "ablation", "gamma", "data", "efficiency", "baselines", "office"]),
     default="validity",
     show_default=True,
-    help="Table: interventional validity, operator ablation, gamma sweep, data efficiency, cost, or DOE small office.",
+    help="Table: interventional validity, operator ablation, gamma sweep, data efficiency, cost, baselines over "
+    "settings and seeds, or DOE small office.",
 )
 @click.option(
     "--days",

@@ -4,7 +4,8 @@ Offices follow, see `closed_loop.offices`.
 
 For each house and window the house is probed for three days, a model identified and the controller run, all with their
 defaults; then the thermostat and the house's own control run on the same house and weather, and the thermostat at the
-set-point at which it is as comfortable as the controller. Where identification refuses the record, the house's own
+set-point at which it is as comfortable as the controller: at equal wear, with the controller's minimum on and off
+times, and beside it one that switches at will. Where identification refuses the record, the house's own
 control stays, and the row says so.
 """
 
@@ -29,6 +30,7 @@ from benchmarks.closed_loop.offices import (
     office_targets,
     run_offices,
 )
+from controllers.actuation.actuator import ActuationConfig
 from controllers.registry import build_controller, choose
 from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, ZERO_C_K, Array, Period, PlanStatus
@@ -81,16 +83,18 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a case: KPIs by controller; `refused` or `failed` is the reason where there is one, else empty.
+    """Result of a case: KPIs by controller, and thermostats that are as comfortable.
 
-    `statuses`: plans of the MPC by status; `model`: scores of the identified model; `seconds`: wall time;
-    `plot`: PNG of the window.
+    `equal` keeps the controller's minimum on and off times, `at_will` switches at each of its steps; `refused` or
+    `failed` is the reason where there is one, else empty. `statuses`: plans of the MPC by status; `model`: scores of
+    the identified model; `seconds`: wall time; `plot`: PNG of the window.
     """
 
     case: Case
     house: str
     kpis: dict[str, dict[str, float]]
     equal: AsComfortable | None
+    at_will: AsComfortable | None
     statuses: dict[str, int]
     model: dict[str, float]
     refused: str
@@ -117,10 +121,18 @@ class Outcome:
 
         Also where no set-point is as comfortable and the one with the least discomfort costs less.
         """
-        if not self.heated or self.equal is None:
+        return self._saving(self.equal)
+
+    @property
+    def saving_against_one_at_will(self) -> float:
+        """The same beside a thermostat that switches at each of its steps, whatever it wears."""
+        return self._saving(self.at_will)
+
+    def _saving(self, thermostat: AsComfortable | None) -> float:
+        if not self.heated or thermostat is None:
             return float("nan")
         cost = self.kpis[CONTROLLER]["cost_tot"]
-        return self.equal.saving(cost) if self.equal.beaten(cost) is not None else float("nan")
+        return thermostat.saving(cost) if thermostat.beaten(cost) is not None else float("nan")
 
     @property
     def above_native(self) -> float:
@@ -140,7 +152,7 @@ class Outcome:
     def row(self) -> Row:
         """Table row: cost EUR/m² and discomfort K·h of MPC, thermostat, native control and a thermostat as comfortable.
 
-        `saving`: at equal comfort, and against the thermostat at its set-point.
+        `saving`: at equal comfort and wear, at equal comfort, and against the thermostat at its set-point.
         """
         row: Row = {"house": self.case.index, "week": self.case.week.removesuffix("_week"), "in words": self.house}
         for name in (CONTROLLER, THERMOSTAT, NATIVE):
@@ -151,7 +163,7 @@ class Outcome:
             found, less = self.equal.kpis, "" if self.equal.comparable else ", not as comfortable"
             where = f"{self.equal.shift_K:+.2f} K{less}"
             row["as comfortable"] = f"{found['cost_tot']:.3f} / {found['tdis_tot']:.2f} at {where}"
-        savings = [self.saving_at_equal_comfort, self.saving]
+        savings = [self.saving_at_equal_comfort, self.saving_against_one_at_will, self.saving]
         row["saving"] = ", ".join(f"{saving:.1%}" if np.isfinite(saving) else "–" for saving in savings)
         row["plans"] = self.failed or (
             f"refused: {self.refused}"
@@ -237,6 +249,7 @@ def run_case(
     house = draw_house(case.seed, case.index)
     kpis: dict[str, dict[str, float]] = {}
     equal: AsComfortable | None = None
+    at_will: AsComfortable | None = None
     statuses: dict[str, int] = {}
     scores: dict[str, float] = {}
     refused = failed = ""
@@ -249,8 +262,15 @@ def run_case(
         def looped(controller: Controller) -> RunResult:
             return run_closed_loop(plant, controller, period, allowed=limits_of(controller, house.floor_area_m2))
 
-        thermostat = choose(THERMOSTAT, {"step_s": THERMOSTAT_STEP_S}, plant.testcase)
-        shifted = run_shifted(thermostat, lambda controller: looped(controller).kpis)
+        limits = ActuationConfig()
+        kept = {"min_on_s": limits.min_on_s, "min_off_s": limits.min_off_s}
+        by_wear, at_will_by_shift = (
+            run_shifted(
+                choose(THERMOSTAT, {"step_s": THERMOSTAT_STEP_S} | more, plant.testcase),
+                lambda controller: looped(controller).kpis,
+            )
+            for more in (kept, {})
+        )
 
         def follow(name: str, model: Any = None) -> RunResult:
             options = {"step_s": THERMOSTAT_STEP_S} if name == THERMOSTAT else {}
@@ -271,14 +291,17 @@ def run_case(
             follow(name)
         if refused:  # the house's own control stays
             kpis[CONTROLLER], traces[CONTROLLER] = kpis[NATIVE], traces[NATIVE]
-        equal = as_comfortable(shifted, kpis[THERMOSTAT], kpis[CONTROLLER]["tdis_tot"])
+        discomfort = kpis[CONTROLLER]["tdis_tot"]
+        equal = as_comfortable(by_wear, by_wear(0.0), discomfort)
+        at_will = as_comfortable(at_will_by_shift, kpis[THERMOSTAT], discomfort)
         if case.draw:
             from benchmarks.closed_loop.buildings_plot import plot_case
 
             plot = plot_case(house, traces)
     except Exception as error:  # recorded as failure of this case; the others continue
         failed, kpis = f"{type(error).__name__}: {error}", {}
-    return Outcome(case, house.words, kpis, equal, statuses, scores, refused, failed, time.perf_counter() - began, plot)
+    seconds = time.perf_counter() - began
+    return Outcome(case, house.words, kpis, equal, at_will, statuses, scores, refused, failed, seconds, plot)
 
 
 def _too_cold_and_too_warm(house: House, trace: Mapping[str, Array]) -> dict[str, float]:
@@ -293,9 +316,13 @@ def _too_cold_and_too_warm(house: House, trace: Mapping[str, Array]) -> dict[str
 
 def targets(outcomes: Sequence[Outcome]) -> list[Target]:
     """Targets over all cases; a failed case is counted as such and misses the discomfort target."""
-    savings, at_its_own = (
+    savings, at_will, at_its_own = (
         [value for value in of if np.isfinite(value)]
-        for of in ((o.saving_at_equal_comfort for o in outcomes), (o.saving for o in outcomes))
+        for of in (
+            (o.saving_at_equal_comfort for o in outcomes),
+            (o.saving_against_one_at_will for o in outcomes),
+            (o.saving for o in outcomes),
+        )
     )
     worst = max((o.more_discomfort_KH for o in outcomes if not o.failed), default=float("nan"))
     above = sum(not o.more_discomfort_KH <= _MORE_DISCOMFORT_KH for o in outcomes)
@@ -311,7 +338,7 @@ def targets(outcomes: Sequence[Outcome]) -> list[Target]:
             _CHEAPER_SHARE,
             "at least",
         ),
-        Target("median saving at equal comfort", median(savings), _MEDIAN_SAVING, "at least"),
+        Target("median saving at equal comfort and wear", median(savings), _MEDIAN_SAVING, "at least"),
         Target("share cheaper than the thermostat at its set-point", _cheaper(at_its_own), _CHEAPER_SHARE, "at least"),
         Target("median saving against that", median(at_its_own), _MEDIAN_SAVING, "at least"),
         Target(
@@ -319,6 +346,7 @@ def targets(outcomes: Sequence[Outcome]) -> list[Target]:
             float(sum(o.above_native > _DEARER_THAN_NATIVE for o in outcomes)),
             0.0,
         ),
+        Target("median saving against one that switches at will", median(at_will), _MEDIAN_SAVING, "at least"),
     ]
 
 
@@ -373,6 +401,7 @@ def _write_outcomes(path: Path, outcomes: Sequence[Outcome]) -> None:
             "words": o.house,
             "kpis": o.kpis,
             "equal": None if o.equal is None else asdict(o.equal),
+            "at_will": None if o.at_will is None else asdict(o.at_will),
             "statuses": o.statuses,
             "model": o.model,
             "refused": o.refused,

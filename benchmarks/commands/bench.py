@@ -6,14 +6,15 @@ three ways: by the rooms' set-points (thermostats), or, where the rooms follow t
 from becoming too warm, by the curve's offset or by SG-Ready. It lives for 30 days, the last three of them with polite
 trials: another value of the command for some hours. Heat is not metered. From this record a model and the maps are
 learned; then cold days are run twice, left alone and by planned commands, at a dynamic tariff, and the house of
-set-points once more with valves that take levels directly. What plans said that they would save is compared with what
-all of them saved.
+set-points once more with valves that take levels directly. No room is asked to be warmer than its own thermostat keeps
+it, so that comfort is equal where a machine is too small, and heat that is missing in house and tank counts. What plans
+said that they would save is compared with what all of them saved.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -46,7 +47,7 @@ _START, _ORDINARY, _TRIALS = 36, 27, 3
 # Trials: a set-point or an offset that is higher or lower by so much, K, or another state, each for so long, h.
 _AWAY: dict[str, tuple[tuple[float, ...], int]] = {
     "set-points": ((-1.0, 0.0, 1.0), 4),
-    "curve offset": ((-2.0, 0.0, 2.0), 4),
+    "curve offset": ((-3.0, 0.0, 3.0), 4),
     "SG-Ready": ((1.0, 2.0, 3.0), 2),
 }
 # Where rooms follow the curve, thermostats stand above what they keep elsewhere, K, and the curve is moved by at most
@@ -61,12 +62,22 @@ _MORE_KH = 0.5
 
 @dataclass(frozen=True)
 class Lived:
-    """What days cost, in currency, their energy, kWh, and K·h below and above the bounds of all rooms."""
+    """What days cost, in currency, their energy, kWh, K·h below and above the bounds of all rooms, and heat, kWh.
+
+    `heat_kWh`: of the rooms; `stored_kWh`: in house and tank at their end.
+    """
 
     cost: float
     energy_kWh: float
     below_Kh: float
     above_Kh: float
+    heat_kWh: float
+    stored_kWh: float
+
+    def saved_by(self, other: Lived) -> float:
+        """Share of the cost that `other` saves; heat that it leaves less counts at its mean cost, more earns nought."""
+        missing_kWh = max(self.stored_kWh - other.stored_kWh, 0.0)
+        return 1.0 - (other.cost + missing_kWh * self.cost / self.heat_kWh) / self.cost
 
 
 def run_commands_bench(
@@ -96,7 +107,8 @@ def run_house(case: tuple[int, str, int]) -> Row:
     set_to = home.live(seed)
     try:
         model = identify(home.record(900.0), config=IdentificationConfig(), layout=home.plant.layout)
-        commands = learned(home.record(_STEP_S), kind, np.append(set_to, set_to[:, -1:], axis=1))
+        over_K = None if kind == "set-points" else home.water_over_rooms_K(_STEP_S)
+        commands = learned(home.record(_STEP_S), kind, np.append(set_to, set_to[:, -1:], axis=1), over_K)
     except DataError as error:
         return row | {"note": f"refused: {str(error)[:200]}"}
     fit = [card.competence is not None and card.competence.competent for card in model.cards]
@@ -104,18 +116,23 @@ def run_house(case: tuple[int, str, int]) -> Row:
         "competent": f"{sum(fit)} of {len(fit)}",
         "map_r2": float(np.mean([one.loop.r2 for one in commands.values()])),
     }
-    config = MPCConfig(step_s=_STEP_S, horizon_h=_HORIZON_H, gate={"enabled": any(fit)})
-    own, _ = _days(copy.deepcopy(home), None, days)
+    config = MPCConfig(step_s=_STEP_S, horizon_h=_HORIZON_H)
+    kept_C = _kept_C(copy.deepcopy(home), days)
+    own, _ = _days(copy.deepcopy(home), None, days, kept_C)
     direct = None
     if kind == "set-points":
-        direct, _ = _days(copy.deepcopy(home), ThermoForceMPC(model, config), days, levels=True)
-    planned, said = _days(home, ThermoForceMPC(model, config, commands=commands), days)
+        direct, _ = _days(copy.deepcopy(home), ThermoForceMPC(model, config), days, kept_C, levels=True)
+    planned, said = _days(home, ThermoForceMPC(model, config, commands=commands), days, kept_C)
+    if said["not_acting"] == 24.0 * days:
+        row["note"] = "left alone: no model may act"
     return row | {
+        # Per week, more than left alone.
+        "colder_Kh": (planned.below_Kh - own.below_Kh) * 7.0 / days,
         "cost_own": own.cost,
         "cost_planned": planned.cost,
         "cost_direct": direct and direct.cost,
-        "saved": 1.0 - planned.cost / own.cost,
-        "saved_direct": direct and 1.0 - direct.cost / own.cost,
+        "saved": own.saved_by(planned),
+        "saved_direct": direct and own.saved_by(direct),
         "energy_own_kWh": own.energy_kWh,
         "energy_planned_kWh": planned.energy_kWh,
         "below_own_Kh": own.below_Kh,
@@ -126,6 +143,7 @@ def run_house(case: tuple[int, str, int]) -> Row:
         "days": days,
         "changes_a_day": said["changes"] / days,
         "not_planned": said["not_planned"] / days / 24.0,
+        "not_acting": said["not_acting"] / days / 24.0,
         "said": said["saved"] / max(said["cost_alone"], 1e-9),
     }
 
@@ -187,7 +205,7 @@ class Home:
             self.advance(tuple(told.tolist()), HOUR_S)
             out[:, k] = told
         if self.kind != "set-points":
-            over = self._water_over_rooms_K(HOUR_S)
+            over = self.water_over_rooms_K(HOUR_S)
             self._over_K = np.maximum(np.nanpercentile(over, 99.0, axis=1), 1.0)
         return out
 
@@ -196,10 +214,11 @@ class Home:
         record = self.plant.past(step_s)
         u = record.u
         if self.kind != "set-points":
-            u = np.clip(u * self._water_over_rooms_K(step_s) / self._over_K[:, None], 0.0, 1.0)
+            u = np.clip(u * self.water_over_rooms_K(step_s) / self._over_K[:, None], 0.0, 1.0)
         return replace(record, u=u, heat_W=np.full_like(record.heat_W, np.nan))
 
-    def _water_over_rooms_K(self, step_s: float) -> Array:
+    def water_over_rooms_K(self, step_s: float) -> Array:
+        """What the water is above each room (Z, n), K."""
         record = self.plant.past(step_s)
         T_C = 0.5 * (record.T_zone_C[:, 1:] + record.T_zone_C[:, :-1])
         return np.maximum(self.plant.supply_C(record.time_s) - T_C, 0.0)
@@ -220,12 +239,17 @@ class Home:
         return self._curve_K
 
 
-def learned(record: Record, kind: str, set_to: Array) -> dict[str, LearnedCommand]:
-    """The commands of a house, by name of the valve, from a record and what was set at its last boundaries (Z, m)."""
+def learned(record: Record, kind: str, set_to: Array, over_K: Array | None) -> dict[str, LearnedCommand]:
+    """The commands of a house, by name of the valve, from a record and what was set at its last boundaries (Z, m).
+
+    `over_K` (Z, n): what the water is above the rooms; None where levels are not made of it.
+    """
     out: dict[str, LearnedCommand] = {}
     record, shared = record.last(set_to.shape[1] - 1), kind != "set-points"
     for a, name in enumerate(record.names.actuators):
         was = CommandRecord(set_to[a], set_to[a, :-1])
+        if over_K is not None:
+            was = replace(was, over_K=over_K[a, -record.n_steps :])
         signals = record.T_zone_C[a], record.T_out_C, record.u[a], record.time_s
         out[name] = learn_command(_command(kind, name), was, *signals, f"{kind} of {name}", may_be_untold=True)
         if shared:
@@ -242,21 +266,33 @@ def _command(kind: str, name: str) -> Command:
     return SGReady(kind="sg_ready", column="contact")
 
 
+def _kept_C(home: Home, days: int) -> Array:
+    """Temperatures of the rooms at the ends of all hours of `days` and one horizon more, left alone, (Z, n), °C."""
+    hours = round(24 * days + _HORIZON_H) + 1
+    return np.stack([home.advance((None,) * ROOMS, HOUR_S).T_zone_C for _ in range(hours)], axis=1)
+
+
 def _days(
-    home: Home, controller: ThermoForceMPC | None, days: int, levels: bool = False
+    home: Home, controller: ThermoForceMPC | None, days: int, kept_C: Array, levels: bool = False
 ) -> tuple[Lived, dict[str, float]]:
-    """Days under planned commands (or levels), or left alone without a `controller`; and what the plans said."""
+    """Days under planned commands (or levels), or left alone without a `controller`; and what the plans said.
+
+    At equal comfort: no room is asked to be warmer than it is when the house is left alone (`kept_C`, see `_kept_C`).
+    """
     plant = home.plant
-    state, said = None, {"saved": 0.0, "cost_alone": 0.0, "changes": 0.0, "not_planned": 0.0}
-    cost = energy = below = above = 0.0
+    state, said = None, dict.fromkeys(("saved", "cost_alone", "changes", "not_planned", "not_acting"), 0.0)
+    cost = energy = below = above = heat = 0.0
     before: tuple[Any, ...] = ()
     for k in range(round(days * DAY_S / _STEP_S)):
         ahead = priced(plant.forecast(_HORIZON_H * HOUR_S, _STEP_S))
+        kept = kept_C[:, k : k + ahead.time_s.size - 1]
+        ahead = replace(ahead, lower_C=np.minimum(ahead.lower_C, np.column_stack([kept[:, :1], kept])))
         blocks: tuple[Block, ...] = (Block.native(ROOMS, _STEP_S),)
         if controller is not None:
             plan = controller.plan(Observation(home.record(_STEP_S), ahead), state)
             state, blocks = plan.state, plan.blocks
             said["not_planned"] += all(one is None for one in blocks[0].told)
+            said["not_acting"] += plan.saving is None
             if k % 24 == 0 and plan.saving is not None:
                 said["saved"] += plan.saving.saved
                 said["cost_alone"] += plan.saving.cost_alone
@@ -268,11 +304,12 @@ def _days(
                 said["changes"] += sum(a != b for a, b in zip(told, before, strict=True)) if before else 0.0
                 before = told
             used = float(done.power_W[0]) * seconds / J_PER_KWH
-            bounds = plant.forecast(_STEP_S, _STEP_S)
+            heat += float(done.heat_W.sum()) * seconds / J_PER_KWH
             energy, cost = energy + used, cost + used * float(ahead.price_per_kWh[0, 0])
-            below += float(np.maximum(bounds.lower_C[:, 0] - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S
-            above += float(np.maximum(done.T_zone_C - bounds.upper_C[:, 0], 0.0).sum()) * seconds / HOUR_S
-    return Lived(cost, energy, below, above), said
+            # The bounds of the hour; of its end, a room that others set back may already be let cool.
+            below += float(np.maximum(ahead.lower_C[:, :2].min(axis=1) - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S
+            above += float(np.maximum(done.T_zone_C - ahead.upper_C[:, :2].max(axis=1), 0.0).sum()) * seconds / HOUR_S
+    return Lived(cost, energy, below, above, heat, plant.stored_kWh()), said
 
 
 def priced(ahead: Boundary) -> Boundary:
@@ -294,7 +331,7 @@ def targets(rows: list[Row]) -> list[Target]:
         of_kind = [row for row in rows if row["by"] == kind]
         known = [row for row in of_kind if not row["note"]]
         dearer = np.mean([float(row["saved"] <= 0.0) for row in known] or [1.0])
-        colder = np.mean([float(_colder_Kh(row) > _MORE_KH) for row in known] or [1.0])
+        colder = np.mean([float(row["colder_Kh"] > _MORE_KH) for row in known] or [1.0])
         median = float(np.median([row["saved"] for row in known] or [np.nan]))
         out += [
             Target(
@@ -311,8 +348,3 @@ def targets(rows: list[Row]) -> list[Target]:
         *out,
         Target("median share saved by levels of the valves", float(np.median(direct or [np.nan])), 0.0, "at least"),
     ]
-
-
-def _colder_Kh(row: Mapping[str, Any]) -> float:
-    """How much more than left alone rooms were below their bounds, K·h a week."""
-    return float((row["below_planned_Kh"] - row["below_own_Kh"]) * 7.0 / row["days"])

@@ -7,15 +7,18 @@ counted with the rule that it belongs to.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from thermoforce_mpc.data import DAY_S, PlanStatus
+import numpy as np
+
+from thermoforce_mpc.data import DAY_S, Array, PlanStatus
+from thermoforce_mpc.live.windows import steep_falls
 from thermoforce_mpc.loop.closed_loop import RunResult
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
-_UNUSED = "unused_capacity"
+_UNUSED, _STEP_S = "unused_capacity", 900.0
 # Share of a shared machine from which what is left unused is a claim.
 _LEFT = 0.02
 
@@ -72,6 +75,29 @@ class ControlledWeek:
             if holds and not before:
                 found.append(f"{self.day(step.time_s)}: {step.plan.why[:160]}")
             before = holds
+        return found
+
+    def steep_falls(self) -> list[str]:
+        """Falls of a room that would count as an open window at a real building."""
+        layout = getattr(self.model, "layout", None)
+        samples = [one for step in self.result.steps for one in step.samples]
+        if layout is None or not samples:
+            return []
+        ends_s = np.array([self.first_s, *(one.start_s + one.duration_s for one in samples)])
+        grid_s = np.arange(ends_s[0], ends_s[-1] + 1.0, _STEP_S)
+
+        def sampled(values: Sequence[float]) -> Array:
+            return np.interp(grid_s, ends_s, values)
+
+        T_out_C = sampled([samples[0].T_out_C, *(one.T_out_C for one in samples)])
+        levels = np.nan_to_num([one.u_measured for one in samples]).T * np.array(layout.signs)[:, None]
+        given = np.cumsum(np.diff(ends_s) * levels, axis=1)
+        u = np.array([np.diff(sampled([0.0, *row])) / _STEP_S for row in given])
+        found = []
+        for z, zone in enumerate(layout.names.zones):
+            T_C = sampled([self.result.steps[0].T_zone_C[z], *(one.T_zone_C[z] for one in samples)])
+            steep, _ = steep_falls(T_C, T_out_C, u[list(layout.actuators_of(z))], _STEP_S)
+            found += [f"{self.day(grid_s[k])}: {zone} fell {T_C[k] - T_C[k + 1]:.2f} K" for k in np.flatnonzero(steep)]
         return found
 
     def left_unused(self) -> list[str]:
@@ -150,6 +176,17 @@ RULES: tuple[Detector, ...] = (
         controller={"watch": {"enabled": False}},
     ),
     Detector(
+        "worse days",
+        "who acts for a day: native control or the rule",
+        lambda ran: ran.news("the last day cost"),
+        controller={"watch": {"mornings": False}},
+    ),
+    Detector(
+        "rule's levels",
+        "levels of a plan: the on/off rule's",
+        lambda ran: ran.reasons("the on/off rule's levels act"),
+    ),
+    Detector(
         "gate",
         "who acts, for the whole run",
         lambda ran: [ran.model] if isinstance(ran.model, str) else ran.spells(PlanStatus.GATE)[:1],
@@ -171,5 +208,7 @@ RULES: tuple[Detector, ...] = (
         controller={"meter": {"enabled": False}},
     ),
     Detector("units", "nothing: it says so", lambda ran: list(ran.doubts)),
+    # It acts in `thermoforce_mpc/live` alone, so that a week here goes on as if it had not claimed anything.
+    Detector("open window", "bounds and readings of a room, for half an hour at a time", ControlledWeek.steep_falls),
 )
 """All of them, in the order of a step."""

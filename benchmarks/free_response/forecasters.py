@@ -30,7 +30,12 @@ from thermoforce_mpc.model.free_response.backbones.loading import load_backbone
 NAMES = ("shipped", "shipped_weather", "fracast", *MAKERS)
 HOURS, AHEAD = 512, 24
 # Two forecasts are the same up to this share of the series' spread: single precision through dozens of layers.
-SAME = 1e-3
+SAME = 3e-3
+# Longest history that is read, as the packages, or the names of the weights, say; of the others only the weights know.
+CONTEXT = {
+    **{"shipped": 512, "shipped_weather": 512, "chronos-bolt-small": 2048, "chronos-2": 8192, "timesfm": 16384},
+    **{"timesfm-3": 15360, "ttm": 512, "flowstate": 2048},
+}
 _FEW = (1, 2, 4, 8, 16)
 _OF_NAME = {model.name: model for model in known.KNOWN}
 
@@ -128,7 +133,8 @@ def one(name: str) -> dict[str, Any]:
             "backbone": name,
             "weights": "random" if name in MAKERS else "its own",
             "licence": _OF_NAME[name].licence,
-            "covariates": _OF_NAME[name].covariates,
+            "weather": "read" if _OF_NAME[name].covariates == known.WEATHER else "no",
+            "context": CONTEXT.get(name),
             "parameters_M": (graph.parameters if graph is not None else size) / 1e6,
             "ms": 1e3 * min(took[1:]),
             "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,

@@ -11,11 +11,13 @@ from matplotlib.figure import Figure
 
 from benchmarks.interventions.bench import data_for
 from benchmarks.interventions.cost import REPEATS, efficiency
-from benchmarks.interventions.dataset import Dataset
-from benchmarks.interventions.methods.base import Training
+from benchmarks.interventions.dataset import ClimateData, Dataset
+from benchmarks.interventions.methods.base import Predictor, Training, joined
 from benchmarks.interventions.methods.curve import EXPONENTS
+from benchmarks.interventions.methods.grey_box import candidates_of
 from benchmarks.interventions.methods.registry import BEST, METHODS, MONOTONE
 from benchmarks.interventions.methods.remembering import tsfm
+from benchmarks.interventions.methods.surrogate import surrogates
 from benchmarks.interventions.methods.thermoforce import Modulation, build_thermoforce
 from benchmarks.interventions.office import PROBE_DAYS as PROBE_DAYS_OFFICE
 from benchmarks.interventions.office import office_data
@@ -42,6 +44,11 @@ _OPERATORS: dict[str, tuple[tuple[int, ...], Modulation, tuple[float, ...]]] = {
     "two-state, curve": ((2,), "linear", EXPONENTS),
 }
 _GAMMAS = (0.0, 0.25, 0.5, 0.75, 0.9)
+# Weight of the teacher's forecasts beside the measured runs, from what validation chooses to a teacher alone, and
+# weight decay; learning rates, of which ours is the first; how many seeds of each.
+TEACHERS = ((0.05, 1e-4), (1.0, 0.0), (10.0, 0.0), (1e4, 0.0))
+_RATES = (3e-3, 3e-2)
+TEACHER_SEEDS = 3
 _DATA_METHODS = ("tsfm_covariates", "rc", "rc_probe", "surrogate", MONOTONE, BEST)
 
 
@@ -60,7 +67,7 @@ def run_study(
     gains: Sequence[str] = (),
     progress: Say = lambda line: None,
 ) -> dict[str, Any]:
-    """Run one study: 'ablation', 'gamma', 'data', 'efficiency' or 'office'.
+    """Run one study: 'ablation', 'gamma', 'data', 'efficiency', 'baselines' or 'office'.
 
     Writes `<name>.json`, figure and page into `out`. Arguments as in `run_interventions_bench`; `days` are by default
     all simulated numbers (ablation, data) or 3; `repeats` of each timing (efficiency); `gains` to compare (ablation),
@@ -70,12 +77,12 @@ def run_study(
         DataError: unknown study, or unusable data.
         PlantError: the engine is missing or failed.
     """
-    if name not in ("ablation", "gamma", "data", "efficiency", "office"):
-        raise DataError(f"unknown study '{name}': ablation, gamma, data, efficiency or office")
+    if name not in ("ablation", "gamma", "data", "efficiency", "baselines", "office"):
+        raise DataError(f"unknown study '{name}': ablation, gamma, data, efficiency, baselines or office")
     if name == "office":
         return _office(out, quick, backbone, seed, draw, engine, progress)
     several = name in ("ablation", "data")
-    default = ((1, 3) if quick else PROBE_DAYS) if several else (3,)
+    default = ((1, 3) if quick else PROBE_DAYS) if several else (1,) if quick and name == "baselines" else (3,)
     days = tuple(days) or default
     data = data_for(data_folder, quick=quick, days=days, draw=draw, engine=engine, say=progress)
     targets: list[Target] = []
@@ -89,6 +96,10 @@ def run_study(
     elif name == "data":
         rows = _data_efficiency(data, days, backbone, seed, engine, progress)
         figure = curves_figure(_curves(rows, "method", "days", "effect_K"), "probe days", log=True)
+    elif name == "baselines":
+        rows = _baselines(data, days[0], backbone, seed, progress)
+        taught = [row for row in rows if row["setting"].endswith(f"rate {_RATES[0]:g}")]
+        figure = curves_figure(_curves(taught, "mode", "teacher", "effect_K"), "teacher's weight", log=True)
     else:
         rows, targets = efficiency(data, days[0], backbone, seed, progress, repeats)
         measured = {row["component"]: (row["here"], row["paper"]) for row in rows if row["unit"] == "ms"}
@@ -170,6 +181,47 @@ def _ablation(
                     }
                 )
     return rows
+
+
+def _baselines(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> list[Row]:
+    """Whether the observational RC has the wrong sign, and the distilled network diverges, in any setting or seed.
+
+    RC: each order and error, fitted to plain operation of the probe days, and of the days before as well. The network:
+    each weight of the teacher, `TEACHER_SEEDS` seeds from `seed` on; the row has the means, and the worst of seeds.
+    """
+    rows: list[Row] = []
+    for climate in data.climates.values():
+        training = training_of(climate, days, seed)
+        plain, horizon = training.probe.pair.b, training.validation[0].factual.n_steps
+        for which, run in (("probe days", plain), ("and before", joined(training.probe.history, plain))):
+            for note, model in candidates_of([run], horizon).items():
+                rows.append(_baseline_row(f"RC, {which}, {note}", None, [model], climate, days))
+                say(f"{climate.climate.label}: {rows[-1]['setting']}: sign {rows[-1]['sign']:.2f}")
+        for rate in _RATES:
+            found = [
+                list(surrogates(training_of(climate, days, one), tsfm(backbone), settings=TEACHERS, rate=rate).values())
+                for one in range(seed, seed + TEACHER_SEEDS)
+            ]
+            for (weight, _), models in zip(TEACHERS, zip(*found, strict=True), strict=True):
+                setting = f"distillation, {models[0].note}, rate {rate:g}"
+                rows.append(_baseline_row(setting, weight, models, climate, days))
+                say(f"{climate.climate.label}: {setting}: sign {rows[-1]['sign']:.2f}")
+    return rows
+
+
+def _baseline_row(
+    setting: str, teacher: float | None, models: Sequence[Predictor], climate: ClimateData, days: int
+) -> Row:
+    scores = [score_cells(setting, model, climate, days) for model in models]
+    effects, signs, factual = (
+        [float(np.mean([getattr(cell, key) for cell in cells])) for cells in scores]
+        for key in ("effect_rmse_K", "sign_accuracy", "factual_rmse_K")
+    )
+    return {
+        **{"mode": climate.climate.label, "setting": setting, "teacher": teacher, "seeds": len(models)},
+        **{"factual_K": float(np.mean(factual)), "effect_K": float(np.mean(effects)), "worst_effect_K": max(effects)},
+        **{"sign": float(np.mean(signs)), "worst_sign": min(signs)},
+    }
 
 
 def _kept_by_auto(training: Training, free: FreeResponse) -> bool:

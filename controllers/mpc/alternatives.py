@@ -6,26 +6,21 @@ one course costs and brings more than another is the model's own answer.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from controllers.mpc.controller import ThermoForceMPC
+from controllers.mpc.courses import Courses
 from controllers.mpc.margins import Margins
 from controllers.optimisation.plan_model import Evaluation
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, FreeForecast, Observation, Plan
 from thermoforce_mpc.data.dataframes import compose
-from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.operator.parameters import ZONE, feature_matrix
+from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext
 
-# Levels that a loop at the comfort bound is tried with.
-_LEVELS = 21
-# A law gives the level of an actuator (its number) in a step (its number) from the temperatures at its start (Z,), °C,
-# the forced state (Z, A, r), K, and the levels so far (A, N).
-_Law = Callable[[int, int, Array, Array, Array], float]
 # The saved model and the one that planned are the same where its forced response is within this, K.
 _SAME_K = 0.2
 # Sums that differ by less are the same, currency: solvers stop there.
@@ -124,15 +119,16 @@ def alternatives(
                 "record otherwise: only the differences to the plan are the saved one's"
             )
         courses.append(model.course("plan", planned.u))
+    ruled = model.courses
     for name, u in model.constant().items():
         courses.append(model.course(name, u))
     last = history.u[:, -1] if history.n_steps else np.full(len(controller.rules), np.nan)
     if np.isfinite(last).all():
-        courses.append(model.course("levels of the step before", model.limited(np.repeat(last[:, None], n, axis=1))))
+        courses.append(model.course("levels of the step before", ruled.limited(np.repeat(last[:, None], n, axis=1))))
     else:
         notes.append("the levels of the step before are not known: the building's own control acted")
-    courses.append(model.course("thermostat rule", model.follow(model.rule)))
-    courses.append(model.course("loops at the bounds", model.follow(model.loop)))
+    courses.append(model.course("thermostat rule", ruled.follow(ruled.rule)))
+    courses.append(model.course("loops at the bounds", ruled.follow(ruled.loop)))
     notes += [f"{course.name}: {course.broken}" for course in courses if course.broken]
     if planned is not None and model.own:
         notes.append(
@@ -171,14 +167,16 @@ class _Model:
         self._problem: MPCProblem = controller.instance(context, observation.history, margins, peak_W)
         if planned is not None:
             self._problem = replace(self._problem, lower_C=planned.lower_C, upper_C=planned.upper_C)
-        self._operator: BuildingOperator = controller.planning_operator
         self._layout, self._machinery = controller.model.layout, self._problem.machinery
-        self._T_now_C = np.where(
-            np.isfinite(observation.T_zone_C),
-            observation.T_zone_C,
-            self._problem.features[:, 0, ZONE] + context.forced_K.sum(axis=(1, 2)),
-        )
+        self._T_zone_C = observation.T_zone_C
         self.own = controller.evaluator.own_names
+
+    @property
+    def courses(self) -> Courses:
+        """Rules in this instance."""
+        return self._controller.courses(
+            self._controller.planning_operator, self._problem, self._boundary, self._T_zone_C
+        )
 
     def correct(self, planned: Plan) -> float:
         """Move the free response by what the plan's forced response was beyond that of this model; K at most."""
@@ -216,54 +214,4 @@ class _Model:
         if cooling.any() or (u_min < 0.0).any():
             courses["full cooling" if heating.any() else "full"] = np.where(cooling, u_max, u_min)
         n = self._boundary.n_steps
-        return {name: self.limited(np.repeat(levels[:, None], n, axis=1)) for name, levels in courses.items()}
-
-    def limited(self, u: Array, first: int = 0) -> Array:
-        """Levels (A, n) within limits, of which no more act together than may, and no machine beyond its capacity.
-
-        `first`: number of the step that they begin with.
-        """
-        m = self._machinery
-        u = np.clip(u, m.u_min[:, None], m.u_max[:, None])
-        for k in range(u.shape[1] if m.exclusive else 0):
-            u[list(self._layout.excluded([float(abs(level)) for level in u[:, k]])), k] = 0.0
-        load = m.fed_by @ (m.share[:, None] * np.maximum(u, 0.0))
-        if self._problem.capacity is not None:
-            load = load / self._problem.capacity[:, first : first + u.shape[1]]
-        return np.asarray(u / np.maximum(load, 1.0)[m.machine_of])
-
-    def follow(self, law: _Law) -> Array:
-        """Levels (A, N) of a law that sees the predicted temperature at the start of each step."""
-        features, n = self._problem.features, self._boundary.n_steps
-        u = np.zeros((self._machinery.u_max.size, n))
-        forced, T_C = self._context.forced_K, self._T_now_C
-        for k in range(n):
-            for a in range(u.shape[0]):
-                u[a, k] = law(a, k, T_C, forced, u)
-            u[:, k : k + 1] = self.limited(u[:, k : k + 1], k)
-            forced = self._operator.rollout(forced, u[:, k : k + 1], features[:, k : k + 1])[:, :, 0]
-            T_C = compose(self._problem.T_free_C[:, k], forced.sum(axis=(1, 2)))
-        return u
-
-    def rule(self, a: int, k: int, T_C: Array, forced: Array, u: Array) -> float:
-        """Level of the on/off rule of the fallback; where loops of the building act, theirs."""
-        zone = self._layout.home[a]
-        level, _ = self._controller.rules[a].rule_at(float(T_C[zone]), self._boundary, float(self._boundary.time_s[k]))
-        return self.loop(a, k, T_C, forced, u) if level is None else level
-
-    def loop(self, a: int, k: int, T_C: Array, forced: Array, u: Array) -> float:
-        """The least level that keeps the zone inside its bounds at the end of the step, as a good loop finds it."""
-        z, m = self._layout.home[a], self._machinery
-        levels = np.linspace(m.u_min[a], m.u_max[a], _LEVELS if m.u_min[a] == 0.0 else 2 * _LEVELS - 1)
-        levels = levels[np.argsort(np.abs(levels), kind="stable")]
-        tried = np.repeat(u[None, :, k : k + 1], levels.size, axis=0)
-        tried[:, a, 0] = levels
-        end = self._operator.rollout(forced, tried, self._problem.features[:, k : k + 1])[:, z, :, 0].sum(axis=(1, 2))
-        T_end_C = compose(self._problem.T_free_C[z, k], end)
-        low, high = self._boundary.lower_C[z, k + 1], self._boundary.upper_C[z, k + 1]
-        # A heating loop does not act on the upper bound, nor a cooling loop on the lower.
-        mode = self._layout.mode(a)
-        below = np.maximum(low - T_end_C, 0.0) if mode != "cooling" else np.zeros(levels.size)
-        above = np.maximum(T_end_C - high, 0.0) if mode != "heating" else np.zeros(levels.size)
-        outside = np.round(below + above, 6)
-        return float(levels[int(np.argmin(outside))])
+        return {name: self.courses.limited(np.repeat(levels[:, None], n, axis=1)) for name, levels in courses.items()}

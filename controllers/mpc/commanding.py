@@ -27,8 +27,9 @@ from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving, PlanStatus
+from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.dataframes import compose
-from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.card import MOST_ERROR_K, ModelCard
 from thermoforce_mpc.model.machine.change import weight_of_demand
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR, ZONE
@@ -37,9 +38,11 @@ from thermoforce_mpc.model.operator.parameters import OUTDOOR, ZONE
 _BEYOND, MOST_SOLVES = 0.05, 3
 NOT_BETTER = "commands that were found are not better than leaving the building alone: its own control acts"
 """What a plan says that is not carried out."""
-# Rounds in which level and temperature of a step are made to agree.
-_ROUNDS, _CLOSE = 8, 2e-3
+# Rounds in which level and temperature of a step are made to agree, and levels of a table of their heat.
+_ROUNDS, _CLOSE, _TABLE = 20, 5e-4, 65
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
+# Lead time whose error counts of rooms that are not known, h.
+_ERROR_H = 6.0
 # What a change of a command must save, as a share of what the building costs when it is left alone.
 _PER_CHANGE = 0.002
 # What the scatter of a level costs, as a share of that level's cost: a search takes what is judged too well (see
@@ -78,9 +81,10 @@ class Commanded:
 class BuildingCommands:
     """The commands of a building's actuators."""
 
-    def __init__(self, layout: Layout, learned: Mapping[int, LearnedCommand], spread: Sequence[float]) -> None:
-        """`learned`: by number of the actuator; `spread` (A,): standard error of each one's effect, as a share."""
-        self._layout, self._learned, self._spread = layout, dict(learned), np.array(spread)
+    def __init__(self, layout: Layout, learned: Mapping[int, LearnedCommand], cards: Sequence[ModelCard]) -> None:
+        """`learned`: by number of the actuator; `cards` (A,): of each actuator's model."""
+        self._layout, self._learned, self._cards = layout, dict(learned), tuple(cards)
+        self._spread = np.array([_effect_spread(card) for card in cards])
 
     def begin(
         self,
@@ -89,10 +93,12 @@ class BuildingCommands:
         boundary: Boundary,
         left_alone: Collection[int],
         origin: Any,
+        unknown: Collection[int] = (),
     ) -> CommandedPlan | None:
         """What is needed for one plan, None without commands.
 
-        `left_alone`: actuators that will not follow it; `origin`: what the boundary's seconds count from, if known.
+        `left_alone`: actuators that will not follow it; `origin`: what the boundary's seconds count from, if known;
+        `unknown`: actuators that follow it though what they do to their rooms is not known.
         """
         if not self._learned:
             return None
@@ -100,7 +106,9 @@ class BuildingCommands:
         for a, learned in self._learned.items():
             time_s = learned.from_origin_s(boundary.time_s[:-1], origin)
             z, usual, age_s = self._layout.home[a], learned.usual_at(time_s), float(time_s[0]) - learned.last_s
-            low, high = learned.command.limits(boundary.lower_C[z, 1:], boundary.upper_C[z, 1:], usual)
+            low, high = learned.within_seen(
+                *learned.command.limits(boundary.lower_C[z, 1:], boundary.upper_C[z, 1:], usual)
+            )
             loops[a] = CommandedLoop(learned, low, high, usual, T_out_C, boundary.step_s, age_s)
         groups: dict[str | int, list[int]] = {}
         for a, learned in self._learned.items():
@@ -108,14 +116,31 @@ class BuildingCommands:
         # What sets several is left alone as a whole.
         alone = {a for group in groups.values() if set(group) & set(left_alone) for a in group} | set(left_alone)
         together = tuple(tuple(group) for group in groups.values())
-        return CommandedPlan(operator, problem, boundary, loops, together, frozenset(alone), self._spread)
+        held = {self._layout.home[a]: _HeldRoom.of(self._cards[a]) for a in unknown if a not in alone}
+        return CommandedPlan(operator, problem, boundary, loops, together, frozenset(alone), self._spread, held)
+
+
+@dataclass(frozen=True)
+class _HeldRoom:
+    """A room that is not known: how far off predictions are, K, and what a plan changes there, as a share."""
+
+    error_K: float
+    relative_sd: float
+
+    @classmethod
+    def of(cls, card: ModelCard) -> _HeldRoom:
+        """By the errors 6 h ahead, and what all actuators do there together, as `card` has it."""
+        scores = () if card.competence is None else card.competence.horizons
+        errors_K = [score.model_K for score in scores if score.hours == _ERROR_H and np.isfinite(score.model_K)]
+        return cls(max(errors_K, default=MOST_ERROR_K[_ERROR_H]), min(card.together_sd, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
 class CommandedPlan:
     """One plan in commands: `loops` by number of the actuator, of which those `left_alone` keep their usual commands.
 
-    `together`: the actuators of each command; `spread` (A,): see `BuildingCommands`.
+    `together`: the actuators of each command; `spread` (A,): standard error of each one's effect, as a share; `held`:
+    the rooms that are not known, by number of the zone.
     """
 
     operator: BuildingOperator
@@ -125,6 +150,7 @@ class CommandedPlan:
     together: tuple[tuple[int, ...], ...]
     left_alone: frozenset[int]
     spread: Array
+    held: Mapping[int, _HeldRoom]
 
     def within_reach(self, guess: Array | None) -> MPCProblem:
         """The problem with the levels that commands bring at the temperatures of a plan `guess` (A, N).
@@ -184,7 +210,8 @@ class CommandedPlan:
                 more_K = found.forced_K - self._alone.forced_K
                 worth = np.minimum(_worth(self.operator, self.problem, more_K, dearest), 0.0)
                 unsure = _SCATTER * dearest.per_used * found.scatter
-                return np.asarray(each - worth + unsure + _PER_CHANGE * dearest.cost * changes)
+                held_out = self._held_cost(found.T_C)
+                return np.asarray(each - worth + unsure + held_out + _PER_CHANGE * dearest.cost * changes)
 
             rows, _ = better_commands([knob for _, knob in knobs], self._starts(u, knobs), cost)
             values = {a: rows[i] for i, (members, _) in enumerate(knobs) for a in members}
@@ -321,8 +348,24 @@ class CommandedPlan:
             energy_alone_kWh=float(energy_alone[0]),
             outside_Kh=float(outside[0].sum()),
             outside_alone_Kh=float(outside[1].sum()),
-            gain=float(saved[0]) + comfort,
+            gain=float(saved[0]) + comfort - float(self._held_cost(with_plan.T_C)[0]),
         )
+
+    def _held_cost(self, T_C: Array) -> Array:
+        """What rooms that are not known are expected to cost beyond what is said of them, (S,), in houses with zones
+        at (S, Z, N + 1), °C.
+
+        Predictions err there, and what a plan changes may be more or less than is said: discomfort is what it is on
+        average over both. It counts where it is more than left alone; where it is less, nothing is earned.
+        """
+        cost, problem, alone_C = np.zeros(len(T_C)), self.problem, self._alone.T_bounds_C
+        for z, room in self.held.items():
+            both_C = np.stack([*T_C[:, z, 1:], alone_C[z, 1:]])
+            sd_K = np.hypot(room.error_K, room.relative_sd * (both_C - alone_C[z, 1:]))
+            out_K = _beyond(problem.lower_C[z] - both_C, sd_K) + _beyond(both_C - problem.upper_C[z], sd_K)
+            worse_K = np.maximum(out_K[:-1] - out_K[-1], 0.0)
+            cost += problem.comfort_price[z] * np.nansum(worse_K, axis=1)
+        return cost
 
     @cached_property
     def _alone(self) -> _Followed:
@@ -361,7 +404,7 @@ def with_commands(config: MPCConfig, commands: Collection[str]) -> MPCConfig:
     return config.model_copy(update={"actuations": {**config.actuations, **dict.fromkeys(commands, any_level)}})
 
 
-def effect_spread(card: ModelCard) -> float:
+def _effect_spread(card: ModelCard) -> float:
     """Standard error of an actuator's effect of a day on its home zone, as a share; 0 where its card has none."""
     effect, sd = (card.uncertainty.get(f"step_response_24h{what}_K", 0.0) for what in ("", "_sd"))
     return min(sd / abs(effect), 1.0) if effect else 0.0
@@ -386,15 +429,19 @@ def with_command_states(plan: Plan, commanded: Commanded) -> Plan:
 class _Followed:
     """S houses under commands: levels (S, A, N), and forced states at the end (S, Z, A, r), K.
 
-    `scatter` (S,): of the levels, summed like `CommandedPlan._used`.
-
-    `T_bounds_C` (Z, N + 1): temperatures of the zones of the first house, now and at the end of each step.
+    `T_C` (S, Z, N + 1): temperatures of the zones, now and at the end of each step; `scatter` (S,): of the levels,
+    summed like `CommandedPlan._used`.
     """
 
     levels: Array
-    T_bounds_C: Array
+    T_C: Array
     forced_K: Array
     scatter: Array
+
+    @property
+    def T_bounds_C(self) -> Array:
+        """`T_C` of the first house, (Z, N + 1)."""
+        return np.asarray(self.T_C[0])
 
 
 def _followed(
@@ -419,39 +466,146 @@ def _followed(
     old, new = problem.forced_state_K, np.zeros((S, *problem.forced_state_K.shape))
     T = np.repeat((problem.features[:, 0, ZONE] + old.sum(axis=(1, 2)))[None], S, axis=0)
     last = np.zeros(A) if problem.last_u is None else problem.last_u
-    before, levels, course = np.repeat(last[None], S, axis=0), np.empty((S, A, n)), [T[0]]
-    nothing, scatter, per_u = np.zeros(A), np.zeros(S), _per_u(problem)
+    before, levels, course = np.repeat(last[None], S, axis=0), np.empty((S, A, n)), [T]
+    nothing, scatter = np.zeros(A), np.zeros(S)
+    tables = _LoopTables(operator, problem, loops) if loops else None
     for k in range(n):
         values = {a: values_of(a, k, T, before) for a in loops}
         faded = operator.advance(old, nothing)
         at_rest = T_free[:, k] + faded.sum(axis=(1, 2)) + (operator.poles * new).sum(axis=(2, 3))
-        per_drive = operator.gains.sum(axis=2)  # (Z, A), K in this step
         seen = old + new[0]
         modulation = operator.modulated(np.ones(A), problem.features[:, k], seen)
         level = np.repeat(u[None, :, k], S, axis=0)
-        for a in loops:
-            level[:, a] = before[:, a]
-        for _ in range(_ROUNDS if loops else 1):
-            heat = _heat(operator, problem, level, k)
-            drive = modulation * heat * gain
-            T_end = at_rest + drive @ per_drive.T
-            moved = level.copy()
-            for a, loop in loops.items():
-                home = operator.home[a]
-                answer = loop.answer(values[a], k, T[:, home], T_end[:, home], before[:, a], z)
-                moved[:, a] = 0.5 * (level[:, a] + answer)
-            if np.abs(moved - level).max(initial=0.0) < _CLOSE:
-                break
-            level = moved
+        if tables is not None:
+            tables.settle(k, values, level, before, z, T, at_rest, modulation * gain, scatter)
         drive = modulation * _heat(operator, problem, level, k) * gain
         old, new = faded, operator.poles * new + operator.gains * drive[:, None, :, None]
-        T_begin, T = T, T_free[:, k] + old.sum(axis=(1, 2)) + new.sum(axis=(2, 3))
-        for a, loop in loops.items():
-            z_a = operator.home[a]
-            scatter += per_u[a] * loop.scatter(values[a], k, T_begin[:, z_a], T[:, z_a])
+        T = T_free[:, k] + old.sum(axis=(1, 2)) + new.sum(axis=(2, 3))
         levels[:, :, k], before = level, level
-        course.append(T[0])
-    return _Followed(levels, np.stack(course, axis=1), old + new, scatter)
+        course.append(T)
+    return _Followed(levels, np.stack(course, axis=2), old + new, scatter)
+
+
+class _LoopTables:
+    """Loops and heat by level as arrays, for `_settle`."""
+
+    def __init__(self, operator: BuildingOperator, problem: MPCProblem, loops: Mapping[int, CommandedLoop]) -> None:
+        maps = [loop.learned.loop for loop in loops.values()]
+        self._operator, self._problem, self._loops = operator, problem, loops
+        m = max(one.knots.size for one in maps)
+
+        def filled(of: Sequence[Array]) -> Array:
+            return np.array([np.append(one, np.full(m - one.size, one[-1])) for one in of])
+
+        self._of_loop = (
+            np.array(list(loops), dtype=np.int64),
+            np.array([operator.home[a] for a in loops], dtype=np.int64),
+            np.array([one.zone for one in maps]),
+            np.array([one.carry for one in maps]),
+            np.array([one.knots.size for one in maps], dtype=np.int64),
+            *(filled([getattr(one, of) for one in maps]) for of in ("knots", "levels", "uncertain", "spread")),
+        )
+        self._per_u, self._per_drive = _per_u(problem), np.ascontiguousarray(operator.gains.sum(axis=2))
+
+    def settle(
+        self,
+        k: int,
+        values: Mapping[int, Array],
+        level: Array,
+        before: Array,
+        z: Array,
+        T_C: Array,
+        at_rest_C: Array,
+        factor: Array,
+        scatter: Array,
+    ) -> None:
+        """Set what loops answer in step `k` in `level` (S, A), and add to `scatter` (S,), see `_Followed`.
+
+        `values`: commands of the parts of the step (S or 1, n) by actuator; `before` (S, A): the last levels; `z` (S,):
+        see `LoopMap.level`; `T_C`, `at_rest_C` (S, Z): zones now, and at the end without heat in this step; `factor`
+        (S, A): drive per unit of heat.
+        """
+        S = len(level)
+        asked = np.stack(
+            [
+                np.broadcast_to(loop.learned.loop.index(values[a], 0.0, loop.T_out_C[k]), (S, np.shape(values[a])[1]))
+                for a, loop in self._loops.items()
+            ]
+        )
+        table = np.linspace(0.0, 1.0, _TABLE)[:, None]
+        heat = _heat(self._operator, self._problem, np.repeat(table, level.shape[1], axis=1), k)
+        arrays = (before, z, T_C, at_rest_C, np.broadcast_to(factor, level.shape))
+        numbers = [np.ascontiguousarray(one, dtype=np.float64) for one in (asked, *arrays, heat)]
+        _settle(level, scatter, *numbers, self._per_drive, self._per_u, *self._of_loop)
+
+
+@njit(cache=True)
+def _between(x: float, count: int, knots: np.ndarray, values: np.ndarray) -> float:
+    """`np.interp` of one number, in the first `count` of `knots`."""
+    if x <= knots[0]:
+        return float(values[0])
+    if x >= knots[count - 1]:
+        return float(values[count - 1])
+    low, high = 0, count - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if knots[middle] <= x:
+            low = middle
+        else:
+            high = middle
+    return float(values[low] + (values[high] - values[low]) * (x - knots[low]) / (knots[high] - knots[low]))
+
+
+@njit(cache=True)
+def _settle(
+    level: np.ndarray, scatter: np.ndarray, asked: np.ndarray, before: np.ndarray, z: np.ndarray, T_C: np.ndarray,
+    at_rest_C: np.ndarray, factor: np.ndarray, heat: np.ndarray, per_drive: np.ndarray, per_u: np.ndarray,
+    acts: np.ndarray, homes: np.ndarray, zone: np.ndarray, carry: np.ndarray, count: np.ndarray, knots: np.ndarray,
+    levels: np.ndarray, uncertain: np.ndarray, spread: np.ndarray,
+) -> None:  # fmt: skip
+    """Levels and temperatures of a step that agree, house by house: half way to what the loops answer, again and again.
+
+    `asked` (L, S, n): s of the commands but for the room; `heat` (V, A): of levels from 0 to 1; the others as in
+    `_LoopTables`. Writes `level` (S, A) and adds to `scatter` (S,).
+    """
+    S, A = level.shape
+    Z, n, last = T_C.shape[1], asked.shape[2], heat.shape[0] - 1
+    T_end, moved = np.empty(Z), np.empty(A)
+    for s in range(S):
+        for i in range(acts.size):
+            level[s, acts[i]] = before[s, acts[i]]
+        for _ in range(_ROUNDS):
+            for j in range(Z):
+                T_end[j] = at_rest_C[s, j]
+            for a in range(A):
+                at = min(max(level[s, a], 0.0), 1.0) * last
+                low = min(int(at), last - 1)
+                drive = factor[s, a] * (heat[low, a] + (at - low) * (heat[low + 1, a] - heat[low, a]))
+                for j in range(Z):
+                    T_end[j] += per_drive[j, a] * drive
+            worst = 0.0
+            for i in range(acts.size):
+                a, home = acts[i], homes[i]
+                mean = 0.0
+                for part in range(n):
+                    room = T_C[s, home] + (part + 0.5) / n * (T_end[home] - T_C[s, home])
+                    x = asked[i, s, part] - zone[i] * room
+                    up = _between(x, count[i], knots[i], levels[i])
+                    if z[s] != 0.0:
+                        up += z[s] * _between(x, count[i], knots[i], uncertain[i])
+                    mean += min(max(carry[i] * before[s, a] + up, 0.0), 1.0) / n
+                moved[i] = 0.5 * (level[s, a] + mean)
+                worst = max(worst, abs(moved[i] - level[s, a]))
+            if worst < _CLOSE:
+                break
+            for i in range(acts.size):
+                level[s, acts[i]] = moved[i]
+        for i in range(acts.size):
+            home = homes[i]
+            for part in range(n):
+                room = T_C[s, home] + (part + 0.5) / n * (T_end[home] - T_C[s, home])
+                x = asked[i, s, part] - zone[i] * room
+                scatter[s] += per_u[acts[i]] * _between(x, count[i], knots[i], spread[i]) / n
 
 
 def _heat(operator: BuildingOperator, problem: MPCProblem, level: Array, k: int) -> Array:
@@ -483,6 +637,15 @@ class _MeanCost:
     def per_used(self) -> Array:
         """Mean cost of a level, (S,)."""
         return np.where(self.used > 1e-6, self.cost / np.maximum(self.used, 1e-6), 0.0)
+
+
+def _beyond(out_K: Array, sd_K: Array) -> Array:
+    """How far beyond a bound a room is on average, K, more than by `out_K` (negative inside) itself; error `sd_K`."""
+    from scipy.special import ndtr
+
+    sd_K = np.maximum(sd_K, 1e-6)
+    density = np.exp(-0.5 * (out_K / sd_K) ** 2) / np.sqrt(2.0 * np.pi)
+    return np.asarray(out_K * ndtr(out_K / sd_K) + sd_K * density - np.maximum(out_K, 0.0))
 
 
 def _per_u(problem: MPCProblem) -> Array:

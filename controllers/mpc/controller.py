@@ -17,11 +17,11 @@ from controllers.mpc.commanding import (
     MOST_SOLVES,
     NOT_BETTER,
     BuildingCommands,
-    effect_spread,
     with_command_states,
     with_commands,
 )
 from controllers.mpc.config import MPCConfig
+from controllers.mpc.courses import Courses, Mornings
 from controllers.mpc.formulation import Formulation, Instance
 from controllers.mpc.margins import Margins
 from controllers.mpc.planner import (
@@ -53,26 +53,36 @@ from controllers.optimisation.statement.terms import Terms, load_terms, of_contr
 from controllers.safety.deadline import BoundedCalls, Overdue
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
 from controllers.safety.overrides import (
+    ActsTogether,
     ComfortGuard,
     CompetenceGate,
     LostZone,
     Override,
     OverrideRule,
+    SharedCommands,
     Situation,
     UntoldCommand,
     WatchAlarm,
+    WorseDays,
     decide,
 )
 from thermoforce_mpc.commands.loop import LearnedCommand, left_alone
-from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
+# The rule acts where it costs less by this share of what the plan costs, and by more than so many K·h: what solvers and
+# moves leave is well below (bestest_air, mix_day, 2026-11-28: the plan's cost was lower by 7 or more in all 96 hours).
+_CLEARLY, _LEAST_KH = 0.05, 0.1
 # Solvers that did not return and were replaced, before no more are started; besides a forecaster of each zone.
 _SOLVERS_ABANDONED = 3
+
+
+# A plan acts, or guards do within it.
+_PLANNED = (PlanStatus.SOLVED, PlanStatus.BRIDGED, PlanStatus.ACCEPTABLE, PlanStatus.GUARD)
 
 
 class ThermoForceMPC(ActuatedController):
@@ -128,7 +138,9 @@ class ThermoForceMPC(ActuatedController):
         by_number = {a: learned[one] for a, one in enumerate(layout.names.actuators) if one in learned}
         actuations = [choice.actuation for choice in choices]
         super().__init__(name, model.operator.step_s, n_steps, layout, actuations, c.fallback, by_number)
-        self._commands = BuildingCommands(layout, by_number, [effect_spread(one.card) for one in zone_models])
+        cards = [zone.card for zone in zone_models]
+        self._commands = BuildingCommands(layout, by_number, cards)
+        self._shared = SharedCommands(layout, by_number, cards)
         reasons = (
             layout.names.of_actuator(a, by_number[a].in_words if a in by_number else choice.why)
             for a, choice in enumerate(choices)
@@ -158,7 +170,7 @@ class ThermoForceMPC(ActuatedController):
             )
             for a, zone in enumerate(zone_models)
         ]
-        self._gate = CompetenceGate(c.gate, [zone.card for zone in zone_models], self._fallbacks)
+        self._gate = CompetenceGate(c.gate, cards, self._fallbacks, self._shared)
         self._watched = WatchedPredictions(
             watches, self._planners.of, model, enabled=c.watch.enabled and not self._gate.closes_all
         )
@@ -166,7 +178,10 @@ class ThermoForceMPC(ActuatedController):
         self._prediction = PlanPredictor(
             self._planners, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
         )
-        alarms = (WatchAlarm(self._fallbacks),) if self._watched.enabled else ()
+        self.mornings = Mornings(
+            model.operator, layout, self._formulation.machinery, self._fallbacks, self._formulation.power
+        )
+        alarms = (WatchAlarm(self._fallbacks), WorseDays(self._fallbacks)) if self._watched.enabled else ()
         untold = UntoldCommand(left_alone(by_number), self._fallbacks)
         self._overrides: tuple[OverrideRule, ...] = (*alarms, self._gate, untold, LostZone(self._fallbacks))
         guard = ComfortGuard(c.guard, layout, [actuation.highest for actuation in self._actuators.each])
@@ -209,6 +224,10 @@ class ThermoForceMPC(ActuatedController):
     def evaluator(self) -> Evaluator:
         """What any levels cost and bring, step by step, by `planning_operator`."""
         return self._planners.base.evaluator
+
+    def courses(self, operator: BuildingOperator, problem: MPCProblem, boundary: Boundary, T_zone_C: Array) -> Courses:
+        """Rules in the instance of a plan, see `Courses.of_plan`."""
+        return Courses.of_plan(problem, operator, self._layout, self._fallbacks, boundary, T_zone_C)
 
     def instance(
         self, context: PredictionContext, history: Record, margins: Margins | None = None, peak_W: float = 0.0
@@ -257,17 +276,27 @@ class ThermoForceMPC(ActuatedController):
         """One control step: each line a station, from what is believed to what is applied."""
         readings, state = yield from self._clean(observation, state)
         state = yield from self._watch(readings, state)
-        situation = Situation(readings.observation, readings.zones, state.watch)
-        overrides = decide(self._overrides, situation)
+        state = self._compare_day(readings, state)
+        situation = Situation(
+            readings.observation, readings.zones, state.watch, days=state.mornings.stands_back(readings.time_s)
+        )
+        overrides, joined_in = self._opened(decide(self._overrides, situation), situation)
         state = self._learn(readings, state)
         if len(overrides) == len(self._fallbacks):
             plan = self._realisation.stand_back(overrides, state)
         else:
             forecast = yield from self._prediction.predict(readings, state)
             instance = self._formulate(forecast, readings, state, overrides)
-            result = yield from self._solve(instance, forecast, readings, overrides)
+            result = yield from self._solve(instance, forecast, readings, overrides, joined_in)
             plan = self._realise(result, readings, overrides, situation)
+        plan = self._believe(plan, readings, state)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
+
+    def _opened(
+        self, overrides: dict[int, Override], situation: Situation
+    ) -> tuple[dict[int, Override], dict[int, ActsTogether]]:
+        """The overrides without those of actuators that act together, and these; none while all plans stand back."""
+        return (overrides, {}) if situation.days else self._shared.open(overrides)
 
     def _clean(self, observation: Observation, state: MPCState) -> Computation[tuple[Readings, MPCState]]:
         """What is believed; a model that may not act says nothing of readings."""
@@ -285,6 +314,29 @@ class ThermoForceMPC(ActuatedController):
             return state
         ahead = self._prediction.ahead(readings.observation)
         return (yield from within(self.config.deadline.forecast_s, self._watched.predict_in_background(ahead, state)))
+
+    def _compare_day(self, readings: Readings, state: MPCState) -> MPCState:
+        """The state with the day that ended now beside what was believed of it and what the rule would have had."""
+        if not self._watched.enabled or not self.config.watch.mornings:
+            return state
+        try:
+            return replace(state, mornings=self.mornings.validate(state.mornings, readings.history, readings.forced_K))
+        except Exception as error:  # what compares must not stop what it compares
+            news = f"the last day could not be compared ({message_of(error)})"
+            return replace(state, mornings=replace(state.mornings, believed=None, news=news))
+
+    def _believe(self, plan: Plan, readings: Readings, state: MPCState) -> Plan:
+        """The plan, its state with what it believes of the day; of a day in which something else acts nothing is."""
+        assert isinstance(plan.state, MPCState)
+        if not self._watched.enabled or not self.config.watch.mornings:
+            return plan
+        mornings = state.mornings
+        if any(status not in _PLANNED for status in plan.acting):
+            mornings = replace(mornings, believed=None)
+        elif plan.u.size:
+            mornings = self.mornings.believing(mornings, plan, readings.observation.boundary)
+        news = [f"watch: {mornings.news}"] if mornings.news else []
+        return replace(plan.with_news(*news), state=replace(plan.state, mornings=replace(mornings, news="")))
 
     def _learn(self, readings: Readings, state: MPCState) -> MPCState:
         """The state with what the last step taught of bounds, predictions, capacities and peak power."""
@@ -320,6 +372,7 @@ class ThermoForceMPC(ActuatedController):
         forecast: Forecast | Failure,
         readings: Readings,
         overrides: Mapping[int, Override],
+        joined_in: Mapping[int, ActsTogether],
     ) -> Computation[Solved | Failure]:
         if isinstance(forecast, Failure):
             return forecast
@@ -329,7 +382,12 @@ class ThermoForceMPC(ActuatedController):
         planner, seconds = forecast.planner, forecast.context.seconds
         guess = self._guess(forecast.state.good, readings.time_s)
         own = self._commands.begin(
-            planner.operator, instance.problem, forecast.context.boundary, overrides, readings.history.origin
+            planner.operator,
+            instance.problem,
+            forecast.context.boundary,
+            overrides,
+            readings.history.origin,
+            [a for a, one in joined_in.items() if one.held],
         )
         try:
             for again in range(MOST_SOLVES if own else 1):
@@ -366,6 +424,9 @@ class ThermoForceMPC(ActuatedController):
         if beyond := beyond_rooms(instance.problem, brought, readings.observation.names.zones):
             return Failure(beyond, forecast.state, solution.status, seconds)
         solution = solution if commanded is None else replace(solution, u=commanded.u)
+        if commanded is None:
+            solution, brought, ruled = self._by_rule(instance.problem, solution, brought, forecast, readings)
+            forecast = replace(forecast, state=replace(forecast.state, ruled=bool(ruled)))
         if self.config.whole_runs and not overrides.keys() >= set(self._in_runs):
             solution, brought = self._with_runs(instance, solution, brought, forecast, list(overrides))
         limit = power_limit(instance, solution, brought, planner.evaluator)
@@ -375,7 +436,42 @@ class ThermoForceMPC(ActuatedController):
             plan = replace(plan, settings=own.settings(commanded, plan.time_s), saving=saving)
             if saving is not None and not saving.gain > 0.0:
                 plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
+            told = [self._layout.names.of_actuator(a, one.in_words) for a, one in joined_in.items()]
+            plan = replace(plan, why=joined([*told, plan.why]))
         return Solved(plan, instance.problem, limit, commanded)
+
+    def _by_rule(
+        self,
+        problem: MPCProblem,
+        solution: Solution,
+        brought: Evaluation,
+        forecast: Forecast,
+        readings: Readings,
+    ) -> tuple[Solution, Evaluation, str]:
+        """The solution and what it brings, or the on/off rule's where the same statement prices these clearly lower.
+
+        It is looked at each hour, and while the rule acts. The text says what was found, empty where nothing was.
+        """
+        if not forecast.state.ruled and round(readings.time_s) % round(HOUR_S):
+            return solution, brought, ""
+        planner, T_C = forecast.planner, readings.zones.T_C
+        courses = self.courses(planner.operator, problem, forecast.context.boundary, T_C)
+        u = planner.stated.shape.in_moves(courses.follow(courses.rule))
+        numbers = planner.stated.numbers(problem)
+        planned, by_rule = (planner.stated.evaluate(numbers, levels, solution.own_values) for levels in (solution.u, u))
+        dearer = planned.cost - by_rule.cost
+        clearly = max(_CLEARLY * abs(planned.cost), _LEAST_KH * float(np.max(problem.weights.comfort)))
+        if by_rule.broken or dearer <= clearly:
+            return solution, brought, ""
+        parts = {name: by_rule.parts[name] - cost for name, cost in planned.parts.items()}
+        told = ", ".join(f"{name} {more:+.2f}" for name, more in parts.items() if abs(more) > 0.1 * dearer)
+        why = (
+            f"the on/off rule's levels act: by the same model and prices they cost {dearer:.3g} less than the solver's "
+            f"({planned.cost:.3g} over the horizon; {told})"
+        )
+        evaluated = planner.evaluator.brings(problem, u, solution.own_values)
+        found = replace(solution, u=u, optimal=False, evaluation=by_rule, problem=joined([solution.problem, why]))
+        return found, evaluated, why
 
     @property
     def _in_runs(self) -> list[int]:

@@ -247,7 +247,8 @@ class Planners:
         )
         operator = known_part(model, operator)
         predictor, shape = Predictor(model.operator, self._free_responses), self._shape(operator)
-        return Planner(model, predictor, operator, self._solver(operator, shape), Evaluator(operator, shape).by_steps)
+        stated = Evaluator(operator, shape)
+        return Planner(model, predictor, operator, self._solver(operator, shape), stated.by_steps, stated)
 
 
 @dataclass(frozen=True)
@@ -256,7 +257,7 @@ class Planner:
 
     `operator`: the model's, adjusted to the actuation, with what is known of its effects between zones.
 
-    `evaluator`: what levels bring, step by step, whatever solver they are from.
+    `evaluator`: what levels bring, step by step, whatever solver they are from; `stated`: in the moves that are solved.
     """
 
     model: ThermalModel
@@ -264,3 +265,4 @@ class Planner:
     operator: BuildingOperator
     solver: Solver
     evaluator: Evaluator
+    stated: Evaluator

@@ -32,6 +32,14 @@ _LADDER = (
 _FIRST_NAMED = (PlanStatus.WATCH, PlanStatus.GATE, PlanStatus.NATIVE, PlanStatus.THERMOSTAT)
 
 
+# How far from off and full the level counts that a command inside its limits is answered with.
+_NOT_AN_END = 0.01
+
+
+def _told(blocks: Sequence[Block]) -> set[object]:
+    return {block.command[0] for block in blocks}
+
+
 class Realisation:
     """Turns what is decided into a plan with blocks; it holds no state. `fallbacks` (A,): of each actuator."""
 
@@ -65,6 +73,10 @@ class Realisation:
             for a, demand in enumerate(demands)
             if a not in overrides and (isinstance(demand, float) or a in by_command)  # own control acts on the bounds
         }
+        for a, ends in by_command.items():
+            if a in planned and not any({block.command[a] for block in begun.blocks} == _told(end) for end in ends):
+                # Its loop may give all there is at another command too, as long as the room stays as it is.
+                planned[a] = min(max(planned[a], _NOT_AN_END), 1.0 - _NOT_AN_END)
         guarded = self._guard.overrides(replace(situation, planned=planned))
         if not guarded:
             return begun

@@ -176,6 +176,11 @@ class ProblemShape:
         """Number of moves."""
         return int(self.move_of_step[-1]) + 1
 
+    def in_moves(self, u: Array) -> Array:
+        """Levels (A, N), each move at the mean of its steps."""
+        means = np.add.reduceat(u, self.first_steps, axis=-1) / self.lengths
+        return np.asarray(means[..., self.move_of_step])
+
     @property
     def first_steps(self) -> NDArray[np.intp]:
         """The first step of each move, shape (n_moves,)."""

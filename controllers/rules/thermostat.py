@@ -52,6 +52,8 @@ class ThermostatConfig(StrictModel):
     deadband_K: float = Field(0.1, gt=0, le=5, description="half-width of the dead band, K")
     level: float = Field(1.0, gt=0, le=1, description="level while on")
     step_s: float = Field(900.0, ge=60, le=86400, description="control step, s")
+    min_on_s: float = Field(0.0, ge=0, le=86400, description="shortest time for which a machine stays on, s")
+    min_off_s: float = Field(0.0, ge=0, le=86400, description="shortest time for which it stays off, s")
     mode: Literal["heating", "cooling"] = Field(
         "heating", description="heating: on below the dead band; cooling: on above it; counts for one actuator"
     )
@@ -110,9 +112,10 @@ def shifted(config: ThermostatConfig, layout: Layout, shift_K: float) -> Thermos
 
 @dataclass(frozen=True)
 class ThermostatState:
-    """Whether each actuator is on (A,)."""
+    """Whether each actuator is on (A,), and when it was last switched (A,), s; empty: long ago."""
 
     on: tuple[bool, ...]
+    since_s: tuple[float, ...] = ()
 
     @property
     def rows(self) -> dict[str, int]:
@@ -154,7 +157,8 @@ class Thermostat:
                 reasons.append(f"{actuator}: loops keep {low:g} to {high:g} °C")
                 continue
             T_zone_C = float(observation.T_zone_C[self.layout.home[a]])
-            is_on, why = self._switch(a, T_zone_C, observation.time_s, last.on[a])
+            held_s = observation.time_s - last.since_s[a] if last.since_s else math.inf
+            is_on, why = self._switch(a, T_zone_C, observation.time_s, last.on[a], held_s)
             levels.append(None if is_on is None else self.config.level * is_on)
             on.append(last.on[a] if is_on is None else is_on)
             reasons.append(names.of_actuator(a, why))
@@ -164,9 +168,22 @@ class Thermostat:
             on[a] = False
             reasons.append(f"{names.actuators[a]}: excluded by {names.actuators[by]}")
         block = Block(levels, self.step_s, bands)
-        return Plan((block,), PlanStatus.RULE, "; ".join(reasons), names=names, state=ThermostatState(tuple(on)))
+        before_s = last.since_s or (-math.inf,) * len(on)
+        since_s = tuple(
+            before if now == was else observation.time_s for before, now, was in zip(before_s, on, last.on, strict=True)
+        )
+        kept = ThermostatState(tuple(on), since_s)
+        return Plan((block,), PlanStatus.RULE, "; ".join(reasons), names=names, state=kept)
 
-    def _switch(self, a: int, T_zone_C: float, time_s: float, was_on: bool) -> tuple[bool | None, str]:
+    def _switch(self, a: int, T_zone_C: float, time_s: float, was_on: bool, held_s: float) -> tuple[bool | None, str]:
+        """Whether actuator `a`, as it has been for `held_s`, is on, and why."""
+        wanted, why = self._wanted(a, T_zone_C, time_s, was_on)
+        shortest_s = self.config.min_on_s if was_on else self.config.min_off_s
+        if wanted is None or wanted == was_on or held_s >= shortest_s - 1.0:
+            return wanted, why
+        return was_on, f"{why}; stays {'on' if was_on else 'off'} for {shortest_s:g} s"
+
+    def _wanted(self, a: int, T_zone_C: float, time_s: float, was_on: bool) -> tuple[bool | None, str]:
         c = self.config
         if not math.isfinite(T_zone_C):
             return None, "zone temperature missing: native control"

@@ -8,17 +8,19 @@ outside its band at the planned level.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import numpy as np
 from pydantic import Field
 
 from controllers.monitoring.watch import WatchState
 from controllers.monitoring.zone_sensors import Zones
 from controllers.safety.fallback_policy import FallbackPolicy
+from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import Layout, Observation, PlanStatus
-from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.card import MOST_RELATIVE_SD, ModelCard
 from thermoforce_mpc.scenario.settings import StrictModel
 
 
@@ -49,13 +51,15 @@ class Situation:
     """What overrides decide from.
 
     `zones`: each zone now; `watch` (A,): the watch over each actuator's predictions; `planned`: mean
-    level of actuators over the step by their number, empty before there is a plan.
+    level of actuators over the step by their number, empty before there is a plan; `days`: why the last days say that
+    plans are to stand back, or ''.
     """
 
     observation: Observation
     zones: Zones
     watch: tuple[WatchState, ...]
     planned: Mapping[int, float] = field(default_factory=dict)
+    days: str = ""
 
 
 class OverrideRule(Protocol):
@@ -88,20 +92,122 @@ class WatchAlarm:
         return {a: backup_override(self._fallbacks[a], situation, PlanStatus.WATCH, why) for a, why in alarms.items()}
 
 
+class WorseDays:
+    """Days that were dearer and less comfortable than the on/off rule's, and other than planned (`mpc.mornings`)."""
+
+    def __init__(self, fallbacks: Sequence[FallbackPolicy]) -> None:
+        self._fallbacks = tuple(fallbacks)
+
+    def overrides(self, situation: Situation) -> dict[int, Override]:
+        """Of all actuators, since they share the plan that was believed."""
+        if not situation.days:
+            return {}
+        return {
+            a: backup_override(fallback, situation, PlanStatus.WATCH, f"watch: {situation.days}")
+            for a, fallback in enumerate(self._fallbacks)
+        }
+
+
+@dataclass(frozen=True)
+class ActsTogether:
+    """An actuator that acts with others by one command, of which all together `relative_sd` is known.
+
+    `held`: what is done to its room is not known, so that the room is kept away from its bounds.
+    """
+
+    relative_sd: float
+    held: bool
+
+    @property
+    def in_words(self) -> str:
+        """Why it acts."""
+        known = f"acts with the others, since their one command is known to ± {100 * self.relative_sd:.0f} % together"
+        return known + (", and its room is held away from its bounds" if self.held else "")
+
+
+class SharedCommands:
+    """One command of several actuators acts where what it does to their rooms together is known.
+
+    Each room counts by the heat that the command moves there. Of a room whose model may act it is known as well as the
+    card says, of its own actuator or of all together; of another one not at all, unless its model only cannot tell its
+    own actuator from the others. All together it must be known as well as an effect that may act
+    (`card.MOST_RELATIVE_SD`).
+    """
+
+    def __init__(self, layout: Layout, learned: Mapping[int, LearnedCommand], cards: Sequence[ModelCard]) -> None:
+        """`learned`: by number of the actuator; `cards` (A,): of each actuator's model."""
+        self._layout, self._cards = layout, tuple(cards)
+        self._moves = {a: float(layout.weights[a]) * one.loop.moves for a, one in learned.items()}
+        groups: dict[str, list[int]] = {}
+        for a, one in learned.items():
+            if one.machine:
+                groups.setdefault(one.machine, []).append(a)
+        self._groups = [
+            tuple(group) for group in groups.values() if len(group) > 1 and not all(learned[a].untold for a in group)
+        ]
+
+    def together(self, closed: Collection[int]) -> dict[int, float]:
+        """The actuators, of those `closed` by themselves, that act with others, and how well their sum is known."""
+        out: dict[int, float] = {}
+        for group in self._groups:
+            sd = self._relative_sd(group, closed)
+            if sd <= MOST_RELATIVE_SD:
+                out |= {a: sd for a in group if a in closed}
+        return out
+
+    def open(self, overrides: Mapping[int, Override]) -> tuple[dict[int, Override], dict[int, ActsTogether]]:
+        """`overrides` without those of actuators that act together, and these, by number.
+
+        Models that may not act, or whose predictions did not come true, are no hindrance; whatever else is.
+        """
+        closed = {a for a, one in overrides.items() if one.status in (PlanStatus.GATE, PlanStatus.WATCH)}
+        lost = overrides.keys() - closed
+        acting = self.together(closed)
+        for group in self._groups:
+            if lost.intersection(group):
+                acting = {a: sd for a, sd in acting.items() if a not in group}
+        left = {a: one for a, one in overrides.items() if a not in acting}
+        return left, {a: ActsTogether(sd, not self._told(a, closed)) for a, sd in acting.items()}
+
+    def _told(self, a: int, closed: Collection[int]) -> bool:
+        """Whether what all actuators do to the room of `a` is known."""
+        return a not in closed or (self._cards[a].only_not_apart and self._own_sd(a) <= MOST_RELATIVE_SD)
+
+    def _own_sd(self, a: int) -> float:
+        card = self._cards[a]
+        own = 0.0 if card.competence is None else card.competence.relative_sd
+        return min(own, card.together_sd)
+
+    def _relative_sd(self, group: Sequence[int], closed: Collection[int]) -> float:
+        """Relative standard deviation of the heat that one command moves: of rooms not known, all of it at once."""
+        moves = np.array([self._moves[a] for a in group])
+        told = np.array([self._told(a, closed) for a in group])
+        sd = np.array([min(self._own_sd(a), 1.0) for a in group])
+        spread = float(np.hypot(np.linalg.norm((moves * sd)[told]), moves[~told].sum()))
+        return spread / float(moves.sum()) if moves.sum() > 0.0 else math.inf
+
+
 class CompetenceGate:
     """A model that is not competent, or was identified but not judged, does not act.
 
-    `cards` (A,): of each actuator's model; `fallbacks` (A,) act instead.
+    `cards` (A,): of each actuator's model; `fallbacks` (A,) act instead. Those that `shared` commands set may act
+    together all the same.
     """
 
-    def __init__(self, config: GateConfig, cards: Sequence[ModelCard], fallbacks: Sequence[FallbackPolicy]) -> None:
-        self._fallbacks = tuple(fallbacks)
+    def __init__(
+        self,
+        config: GateConfig,
+        cards: Sequence[ModelCard],
+        fallbacks: Sequence[FallbackPolicy],
+        shared: SharedCommands,
+    ) -> None:
+        self._fallbacks, self._shared = tuple(fallbacks), shared
         self._reasons = {a: f"gate: {card.unfit}" for a, card in enumerate(cards) if config.enabled and card.unfit}
 
     @property
     def closes_all(self) -> bool:
         """Whether no actuator may be planned for."""
-        return len(self._reasons) == len(self._fallbacks)
+        return len(self._reasons) == len(self._fallbacks) and not self._shared.together(self._reasons)
 
     def overrides(self, situation: Situation) -> dict[int, Override]:
         """Of the actuators whose model is not competent."""

@@ -108,6 +108,7 @@ def test_out_of_memory_is_one_message_and_exit_code_6(error):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["run", "resume", "report", "identify", "inspect", "init", "doctor", "control"])
 def test_help_of_a_command_loads_nothing_that_it_would_need_to_run(name):
     code = (
@@ -338,6 +339,7 @@ def test_prices_that_end_before_the_window_does_are_refused_before_a_step(simple
     assert not (tmp_path / "out" / "steps.csv").exists()
 
 
+@pytest.mark.slow
 def test_validate_names_what_is_wrong(tmp_path):
     good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
     good.write_text(f"testcase: {TESTCASE}\n")

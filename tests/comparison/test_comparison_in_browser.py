@@ -196,6 +196,7 @@ def test_a_drawing_can_be_saved_as_it_is_seen(seen):
     assert waiting.value.suggested_filename == "day_16_constant_tariff.svg"
 
 
+@pytest.mark.slow
 def test_a_sweep_is_a_line_in_its_order(browser, tmp_path):
     values = {f"w={value}": str(value) for value in (1, 5, 20)}
     records = [record(name, 0.6 + 0.01 * k, 2.0 - k, needs_model=True) for k, name in enumerate(values)]

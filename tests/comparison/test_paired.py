@@ -49,6 +49,22 @@ def test_one_window_has_no_interval_and_no_table(tmp_path):
     assert "95 % interval" not in (tmp_path / "table.md").read_text()
 
 
+def test_seeds_that_change_nothing_are_one_window():
+    """A rule beside a rule is the same with each seed: three copies would be an interval of no width."""
+    costs = {"44": (0.50, 0.58), "16": (0.55, 0.65)}
+    copies = {f"{window}, seed {seed}": both for window, both in costs.items() for seed in (1, 2, 3)}
+    (pair,) = pairs(outcome_rows(same_comfort(copies)), "thermostat")
+    assert pair.windows == ("44, seed 1", "16, seed 1")
+    assert pair.cost_percent.half is None
+    copies["44, seed 3"] = (0.51, 0.58)
+    (pair,) = pairs(outcome_rows(same_comfort(copies)), "thermostat")
+    assert pair.windows == ("44, seed 1", "44, seed 3", "16, seed 1")
+
+
+def same_comfort(windows):
+    return [found | {"kpis": {**found["kpis"], "tdis_tot": 0.1}} for found in records(windows)]
+
+
 def test_tariffs_are_not_taken_for_windows():
     both = [*records(), *(found | {"price": "dynamic"} for found in records())]
     assert [(pair.price, len(pair.windows)) for pair in pairs(outcome_rows(both), "thermostat")] == [

@@ -54,6 +54,7 @@ def model():
     return replace(simple_model(), free=(rc,))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REGISTRY.own)
 def test_the_state_of_every_controller_is_kept(name, tmp_path):
     testcase = load_testcase("bestest_hydronic_heat_pump")

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import thermoforce_mpc
-from thermoforce_mpc.data.compiled import sources_of
+from thermoforce_mpc.data.compiled import sources_hash, sources_of
 
 PACKAGE = Path(thermoforce_mpc.__file__).parent
 LAW = """
@@ -72,6 +72,14 @@ def test_sources_are_those_of_all_modules_that_are_imported():
     names = {path.relative_to(PACKAGE).as_posix() for path in sources_of(PACKAGE / "plants" / "embedded" / "kernel.py")}
     assert {"plants/embedded/kernel.py", "plants/embedded/heat_pump.py", "data/record.py"} <= names
     assert not any(name.startswith(("cli/", "identification/")) for name in names)
+
+
+def test_the_version_of_a_package_whose_functions_are_taken_in_counts(monkeypatch):
+    taking, without = (str(PACKAGE / file) for file in ("service/points.py", "plants/embedded/kernel.py"))
+    ask = sources_hash.__wrapped__
+    before = ask(taking), ask(without)
+    monkeypatch.setattr("thermoforce_mpc.data.compiled.version", lambda package: f"another {package}")
+    assert (ask(taking) == before[0], ask(without) == before[1]) == (False, True)
 
 
 def test_only_one_module_knows_numba():

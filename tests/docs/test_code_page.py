@@ -67,7 +67,8 @@ def test_every_room_of_the_controllers_is_on_the_map():
 PRODUCT = ("thermoforce_mpc", "controllers", "boptest_client")
 
 
-def _modules() -> dict[str, ast.Module]:
+@pytest.fixture(scope="module")
+def trees() -> dict[str, ast.Module]:
     """The product's modules by their dotted names."""
     files = [file for top in (*PRODUCT, "benchmarks") for file in (ROOT / top).rglob("*.py")]
     named = {".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file for file in files}
@@ -90,10 +91,10 @@ def _bound(statements: Iterable[ast.stmt]) -> set[str]:
     return names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["how-it-works/code.md", "reference/words.md"])
-def test_every_name_on_the_page_is_one_of_the_code(place):
+def test_every_name_on_the_page_is_one_of_the_code(place, trees):
     page = (ROOT / "docs" / place).read_text(encoding="utf-8")
-    trees = _modules()
     known = {part for name in trees for part in name.split(".")} | set(KPIS)
     for tree in trees.values():
         for node in ast.walk(tree):
@@ -106,20 +107,21 @@ def test_every_name_on_the_page_is_one_of_the_code(place):
     assert unknown == []
 
 
-def test_the_page_says_who_imports_the_controllers():
+@pytest.mark.slow
+def test_the_page_says_who_imports_the_controllers(trees):
     page = PAGES[0].read_text(encoding="utf-8")
     (sentence,) = re.findall(r"`controllers` is known to ([^.]*) and the public names only", page)
     rooms = set()
-    for name, tree in _modules().items():
+    for name, tree in trees.items():
         of = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
         if name.startswith("thermoforce_mpc.") and any(module.partition(".")[0] == "controllers" for module in of):
             rooms.add(name.split(".")[1])
     assert set(SPAN.findall(sentence)) == rooms
 
 
-def test_every_dotted_name_in_a_docstring_is_there():
+@pytest.mark.slow
+def test_every_dotted_name_in_a_docstring_is_there(trees):
     """Such as `identification.pipeline`, or with a name in the module at its end; `prices.csv` is a file."""
-    trees = _modules()
     rooms = {name.split(".")[1] for name in trees if name.startswith("thermoforce_mpc.")}
     bound = {name: _bound(tree.body) for name, tree in trees.items()}
 

@@ -42,7 +42,7 @@ def test_a_table_is_written_from_its_file_and_an_edit_is_found(pages, capsys):
 def test_the_rows_of_a_result_are_taken_with_its_command_and_today(pages):
     result = pages / "result.json"
     rows = [{"house": 2, "cost": 0.25, "tdis": 1.0, "more": 3}, {"summary": "another table's"}]
-    result.write_text(json.dumps({"command": "tf-mpc bench x --quick", "rows": rows}))
+    result.write_text(json.dumps({"command": "tf-mpc bench x --json here.json --quick", "rows": rows}))
     evidence.main(["--take", "houses", str(result)], pages)
     table = json.loads((pages / "tables" / "houses.json").read_text())
     assert table["rows"] == [{"house": 2, "cost": 0.25, "tdis": 1.0}]
@@ -61,3 +61,37 @@ def test_the_rows_of_a_result_are_taken_with_its_command_and_today(pages):
 def test_what_a_revision_does_not_hold_is_stale():
     assert evidence.is_older("0" * 40, "HEAD"), "a revision that is not known"
     assert not evidence.is_older("HEAD", "HEAD")
+
+
+def test_rows_of_controllers_and_windows_become_a_row_of_each_controller(pages):
+    file = pages / "tables" / "houses.json"
+    table = json.loads(file.read_text())
+    table |= {"across": ["controller", "window"], "columns": {"": "controller", "day 44": "{cost_tot 44:.2f}"}}
+    file.write_text(json.dumps(table))
+    rows = [
+        {"controller": name, "window": window, "cost_tot": cost}
+        for name, window, cost in (("ours", "44", 0.5), ("ours", "16", 0.6), ("pi", "44", 0.7), ("pi", "16", 0.8))
+    ]
+    evidence.take(file, {"command": "tf-mpc compare", "rows": rows, "minutes": 3.4})
+    evidence.main([], pages)
+    assert "||day 44|\n|---|---|\n|ours|0.50|\n|pi|0.70|\n" in (pages / "page.md").read_text()
+    assert ", 3 min." in (pages / "page.md").read_text()
+
+
+def test_what_is_stale_is_listed_with_its_time_then_run(pages, capfd, monkeypatch, tmp_path):
+    """A command that answers in JSON is run and taken; one that does not is named, and the exit code says so."""
+    tables = pages / "tables"
+    by_hand = json.loads((tables / "houses.json").read_text()) | {"command": "python x.py", "minutes": None}
+    (tables / "by_hand.json").write_text(json.dumps(by_hand))
+    program = tmp_path / "bin" / "tf-mpc"
+    program.parent.mkdir()
+    answer = json.dumps({"command": "?", "rows": [{"house": 7, "cost": 0.125, "tdis": 1.5}]})
+    program.write_text(f"#!/bin/sh\nfor last; do :; done\necho '{answer}' > \"$last\"\necho ran\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(program.parent), prepend=":")
+    assert evidence.main(["--stale", "HEAD"], pages) == 1
+    said = capfd.readouterr().out
+    assert said.index("by_hand: python x.py (not timed; by hand: it writes no JSON)") < said.index("ran")
+    assert said.index("houses: tf-mpc bench x (2 min)") < said.index("ran")
+    assert "|7|0.125 / 1.50|" in (pages / "page.md").read_text()
+    assert json.loads((tables / "houses.json").read_text())["command"] == "tf-mpc bench x"

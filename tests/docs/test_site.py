@@ -57,6 +57,7 @@ def test_the_python_reference_has_every_public_name(site):
     assert 'id="thermoforce_mpc.Plan"' in page
 
 
+@pytest.mark.slow
 def test_the_scenario_reference_has_every_key_with_default_and_limits(site):
     from thermoforce_mpc.scenario.scenario import Scenario
 
@@ -67,6 +68,7 @@ def test_the_scenario_reference_has_every_key_with_default_and_limits(site):
     assert 'href="#scenario-plantspec"' in page
 
 
+@pytest.mark.slow
 def test_formulas_are_mathml_and_equations_carry_the_labels_of_the_paper(site):
     page = (site / "how-it-works" / "index.html").read_text(encoding="utf-8")
     for label in ("eq:compose", "eq:operator", "eq:mod", "eq:paired", "eq:effect"):

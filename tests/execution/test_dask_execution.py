@@ -96,6 +96,7 @@ def test_a_worker_that_is_lost_is_mentioned_while_others_work(dask_cluster, engi
     assert re.match(r"1 worker gone \(tcp://[^,]*\), \d workers? left; what was under way there is begun", lines[0])
 
 
+@pytest.mark.slow
 def test_a_poisoned_task_is_left_out_and_the_others_are_done(engine, tmp_path):
     tasks = [task(1, tmp_path, functions.die), *(task(n, tmp_path) for n in range(2, 6))]
     outcomes = {o.task.key: o for o in execute(tasks, engine)}
@@ -192,6 +193,7 @@ def test_a_port_that_accepts_and_stays_silent_is_refused():
     wait_for("no client's thread is left", lambda: _loops() <= before)
 
 
+@pytest.mark.slow
 def test_why_nothing_goes_on_is_told_on_stderr_also_where_all_else_is_silent(monkeypatch):
     from distributed import LocalCluster
 

@@ -88,6 +88,7 @@ def test_a_weather_file_that_is_a_device_is_not_read(tmp_path):
         load_weather(tmp_path / "year.epw")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pack", [gzip.open, bz2.open, lzma.open], ids=["gz", "bz2", "xz"])
 def test_what_a_file_unpacks_to_counts(tmp_path, pack, request):
     """A file of some kilobytes that unpacks to 200 MB, where 20 MB are read at most."""

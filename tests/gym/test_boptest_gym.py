@@ -111,7 +111,7 @@ def test_service_and_emulator_give_the_same(service: str) -> None:
     far.close()
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("unhurried")
 def test_unknown_test_case_and_silent_service_are_named(service: str) -> None:
     with pytest.raises(ConfigError, match="bestest_hydronic_heat_pump"):
         BoptestGymEnv(service, "bestest_air")
@@ -157,6 +157,7 @@ def test_episodes_are_drawn(tmp_path: Path) -> None:
     assert (tmp_path / "episode_1.png").stat().st_size > 1000
 
 
+@pytest.mark.usefixtures("unhurried")
 def test_a_test_whose_points_cannot_be_read_is_stopped() -> None:
     with running_service() as service:
         service.faults.append(Fault("measurements/", "moved", times=99))

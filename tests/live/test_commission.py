@@ -86,6 +86,7 @@ def test_a_house_as_it_should_be_has_no_remark(tmp_path):
     assert (point["unit"], 20.7 < point["value"] < 21.3, point["age_s"] < 120, point["every_s"]) == (
         "°C", True, True, 300.0
     )  # fmt: skip
+    assert said["stages"][2]["command"].startswith("tf-mpc commission"), "files record nothing by themselves"
     assert [plan["key"] for plan in said["planned"]] == ["living", "bath"]
     assert not (tmp_path / "levels.json").exists()
     assert not (tmp_path / "out").exists()
@@ -128,6 +129,10 @@ def outdoor_fahrenheit(rows):
     return rows.assign(out=1.8 * rows["out"] + 32.0)
 
 
+def of_another_zone(rows):
+    return rows.shift(freq="3h")
+
+
 def by_another_wall(rows):
     return rows.assign(out=rows["out"] + 12.5)
 
@@ -143,6 +148,7 @@ def by_another_wall(rows):
         (gone, "problems", "zones.bath.temperature (column T_bath): nothing came of it"),
         (unavailable, "problems", "zones.bath.temperature (column T_bath): not available, for 4"),
         (stopped, "problems", "the last reading is 26"),
+        (of_another_zone, "problems", "h after the clock"),
         (kilowatts, "doubts", "kW is likelier than W"),
         (outdoor_fahrenheit, "problems", "°F is likelier, a median of"),
         (by_another_wall, "doubts", "in the sun, at a warm wall"),

@@ -190,8 +190,42 @@ SHADOW_DAY = {
 def test_an_account_of_a_shadow_that_makes_no_sense_is_begun_anew(tmp_path, change, caplog):
     """Else every day that comes could not be added up with it."""
     days = [SHADOW_DAY, SHADOW_DAY | {"day": "2025-01-12"} | change]
-    (tmp_path / "shadow.json").write_text(json.dumps({"said": "", "days": days[:1]}))
-    assert len(ShadowBook(tmp_path, simple_model(), mpc()).days) == 1
-    (tmp_path / "shadow.json").write_text(json.dumps({"said": "", "days": days}))
-    assert ShadowBook(tmp_path, simple_model(), mpc()).days == []
+    (tmp_path / "shadow.json").write_text(json.dumps({"said": "", "of": "k", "days": days[:1]}))
+    assert len(ShadowBook(tmp_path, simple_model(), mpc(), key="k").days) == 1
+    (tmp_path / "shadow.json").write_text(json.dumps({"said": "", "of": "k", "days": days}))
+    assert ShadowBook(tmp_path, simple_model(), mpc(), key="k").days == []
     assert f"{tmp_path}/shadow.json: begun anew" in caplog.text
+
+
+def test_days_of_another_model_are_not_added_up_and_stay(tmp_path, caplog):
+    path = tmp_path / "shadow.json"
+    path.write_text(json.dumps({"said": "", "of": "k", "days": [SHADOW_DAY]}))
+    assert len(ShadowBook(tmp_path, simple_model(), mpc(), key="k").days) == 1
+    assert ShadowBook(tmp_path, simple_model(), mpc(), key="another").days == []
+    assert "its days are of another model" in caplog.text
+    assert not path.exists()
+    assert json.loads((tmp_path / "shadow-before.json").read_text())["of"] == "k"
+
+
+@pytest.mark.parametrize("cause", ["the state", "the controller"])
+def test_a_controller_that_its_state_makes_fail_begins_anew_after_a_step(cause, caplog):
+    house, controller, seen = SimulatedBuilding(), mpc(), []
+    plan = controller.plan
+
+    def fails(observation, state=None):
+        seen.append(state is not None)
+        if (len(seen) > 2 and state is not None) if cause == "the state" else (3 <= len(seen) <= 5):
+            raise IndexError("well typed, and wrong")
+        return plan(observation, state)
+
+    controller.plan, told = fails, []
+    building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0)
+    control(building, controller, clock=house, steps=5 if cause == "the controller" else 4, told=told.append)
+    status = [decision.plan.status for decision in told]
+    if cause == "the state":
+        assert status == ["solved", "solved", "native", "solved"]
+        assert seen == [False, True, True, True, False]
+    else:  # it goes on from what it knew
+        assert status == ["solved", "solved", "native", "native", "solved"]
+        assert seen == [False, True, True, True, False, True]
+    assert "begins anew" in caplog.text

@@ -45,6 +45,7 @@ def controlled(house, steps, rules=RULES, **settings):
     return told
 
 
+@pytest.mark.slow
 def test_the_building_is_kept_warm_and_given_back():
     house = SimulatedBuilding()
     told = controlled(house, 48)
@@ -509,6 +510,7 @@ def killed_and_run_again(tmp_path, at_h, again_h, of="this model", **options):
     return runs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("at_h", "again_h", "then"), [(4.1, 4.1, 4), (4.999, 5.0, 5)])
 def test_a_run_that_was_killed_goes_on_as_if_it_had_not_been(tmp_path, at_h, again_h, then):
     """Killed early in a step, the new run decides it once more; killed at its end, the new one begins with the next."""
@@ -563,6 +565,7 @@ def test_a_damaged_or_old_state_stops_no_control(tmp_path, caplog):
     assert "a restart begins anew" in caplog.text
 
 
+@pytest.mark.slow
 def test_the_command_keeps_its_state_where_its_log_is(files, monkeypatch):
     monkeypatch.setattr(WallClock, "wait_until", lambda self, at: None)
     words = ["control", "--model", "model", "--map", "map.yaml", "--steps", "1", "--delay", "0", *OPTIONS]
@@ -574,6 +577,7 @@ def test_the_command_keeps_its_state_where_its_log_is(files, monkeypatch):
         assert said in (files / "control" / "log.jsonl").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [OSError(5, "Input/output error"), SystemExit(1)])
 def test_an_output_that_is_lost_ends_no_control(files, monkeypatch, error):
     """A terminal under nohup that was closed, and a pipe that nobody reads any more."""

@@ -55,6 +55,7 @@ def at(hour):
     return f"{START + hour * HOUR:%Y-%m-%d %H:%M}"
 
 
+@pytest.mark.slow
 def test_what_the_controller_saw_is_told_again_though_readings_came_late(tmp_path):
     """The logger gives the temperature of the last hour an hour late, and once a wrong one that it corrects."""
     house = SimulatedBuilding()

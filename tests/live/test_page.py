@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import socket
 import threading
@@ -119,6 +120,12 @@ def test_what_other_pages_send_asks_for_nothing(status, request_of):
     hears = Hears()
     assert client(hears=hears).post("/ask", **request_of).status_code == status
     assert hears.heard == []
+
+
+def test_a_name_that_is_not_known_is_said_with_the_option_that_adds_it():
+    asked = {"headers": {"Host": "evil.example"}}
+    assert "start it with --page-name" in client(PageAccess(option="--page-name")).get("/view.json", **asked).text
+    assert "start it" not in client().get("/view.json", **asked).text, "`watch` has none"
 
 
 def test_a_login_is_needed_for_all_that_tells_of_the_building():
@@ -257,12 +264,27 @@ def test_a_controller_without_a_decision_yet_and_one_that_sets_nothing(tmp_path)
     with paged(tmp_path) as (url, _):
         answer = requests.get(f"{url}view.json", timeout=LONG_S)
         assert answer.status_code == 500
-        assert "no such file" in answer.json()["error"]
+        assert "nothing is decided yet" in answer.json()["error"]
         assert asked(url, "boost", "60").status_code == 400, "nobody hears it"
         controlled(tmp_path, SimulatedBuilding(), 1, "shadow")
         people = requests.get(f"{url}view.json", timeout=LONG_S).json()["people"]
         assert (people["mode"], people["asks"]) == ("shadow", ["lower", "upper", "away", "boost"])
         assert asked(url, "mode", "control").status_code == 400
+
+
+@pytest.mark.slow
+def test_a_controller_that_stands_is_said_and_files_of_other_types_are_not_shown(folder, tmp_path):
+    there = tmp_path / "stands"
+    shutil.copytree(folder, there)
+    *lines, last = (there / "journal.jsonl").read_text().splitlines(keepends=True)
+    assert '"ended"' in last
+    (there / "journal.jsonl").write_text("".join(lines))
+    with paged(there) as (url, _):
+        for told in ({"asks": 5, "plan": {"commands": [1]}}, [1], {"plan": [], "mode": {}}):
+            (there / "now.json").write_text(json.dumps(told))
+            answer = requests.get(f"{url}view.json", timeout=LONG_S)
+            assert (answer.status_code, answer.json()["commands"], answer.json()["people"]["asks"]) == (200, [], [])
+            assert answer.json()["late"].startswith("nothing was decided for ")
 
 
 @pytest.mark.slow

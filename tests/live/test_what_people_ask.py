@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import threading
+import time
 
 import numpy as np
 import pandas as pd
@@ -16,6 +18,7 @@ from simulated_building import SimulatedBuilding, mpc
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Block, Boundary, Plan, PlanStatus
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.live import Decision, LiveBuilding, People, control
 from thermoforce_mpc.live.shared import shared_with
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
@@ -107,11 +110,42 @@ def test_what_cannot_be_asked_is_refused_and_changes_nothing(people, key, word):
      '{"mode": "shadow"}', '{"mode": 1}',
      '{"by_hand": {"x": ["21", "2027-01-01T00:00Z"]}}', '{"by_hand": {"x": [NaN, "2027-01-01T00:00Z"]}}', "[" * 99_999],
 )  # fmt: skip
-def test_a_damaged_file_asks_for_nothing(people, tmp_path, text, caplog):
+def test_a_damaged_file_may_hold_that_nothing_is_set_and_nothing_is_until_it_is_mended(people, tmp_path, text, caplog):
     (tmp_path / "people.json").write_text(text)
     assert bounds(people)[2] == ()
     assert people.by_hand(NOW) == {}
-    assert "nothing is asked" in caplog.text
+    assert "nothing is set until mode control or advise is asked" in people.paused
+    assert people.paused in caplog.text
+    with pytest.raises(ConfigError, match="nothing is set until"):
+        people.ask("boost", "60", NOW)
+    people.set_by_hand("x", 21.0, NOW)
+    assert (tmp_path / "people.json").read_text() == text
+    people.ask("mode", "control", NOW)
+    assert not people.paused
+
+
+def test_what_two_ask_at_once_is_both_kept(tmp_path, monkeypatch):
+    """Such as the controller, which notes what is set by hand, and the page."""
+    both, whole = threading.Barrier(2), write_whole
+
+    def slowly(path, text):
+        time.sleep(0.1)
+        whole(path, text)
+
+    monkeypatch.setattr("thermoforce_mpc.records.people.write_whole", slowly)
+
+    def by_hand():
+        both.wait()
+        People(tmp_path / "people.json").set_by_hand("x", 21.0, NOW)
+
+    noting = threading.Thread(target=by_hand)
+    noting.start()
+    both.wait()
+    people = People(tmp_path / "people.json")
+    people.ask("mode", "advise", NOW)
+    noting.join()
+    assert people.paused
+    assert people.by_hand(NOW)["x"][0] == 21.0
 
 
 class AtTheWall(TimedHome):

@@ -93,6 +93,7 @@ def test_a_day_without_weather_readings_is_controlled_all_the_same(run, clean):
     assert "of them from the same hour of the nearest day" in result.steps[-1].plan.why
 
 
+@pytest.mark.slow
 def test_where_u_is_not_reported_what_was_applied_counts(run, clean):
     result = run(dict.fromkeys(range(4, 28), reads(u=NAN, heat_W=NAN)))
     assert result.fallback_levels()["solved"] == len(result.steps)

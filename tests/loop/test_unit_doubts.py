@@ -65,6 +65,7 @@ def noted(model, currency="EUR", **changes) -> dict[int, str]:
 PRICES = ("price_per_kWh", "heating_price_per_kWh")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("says", "changes"),
     [

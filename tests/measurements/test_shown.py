@@ -77,6 +77,19 @@ def test_a_starting_map_reads_what_excel_writes(tmp_path, encoding):
     np.testing.assert_allclose(found.record.power_W, 500.0)
 
 
+def test_rooms_that_are_called_as_a_watt_are_rooms(tmp_path):
+    row = np.arange(400)
+    df = pd.DataFrame({"time": pd.date_range("2025-01-10", periods=400, freq="15min"), "Temp WC": 20 + row % 7 / 4})
+    df["Ventil WC"], df["WZ_Temp"], df["WZ_Ventil"] = 50.0 * (row // 8 % 3), 21 + row % 5 / 4, 50.0 * (row // 6 % 3)
+    df["Außentemperatur"], df["Leistung W"] = 4.5 - row / 300, 500.0 + 10.0 * (row // 8 % 3)
+    df.to_csv(tmp_path / "home.csv", index=False)
+    found = yaml.safe_load(starting_map(tmp_path / "home.csv"))
+    rooms = {room: one["temperature"]["column"] for room, one in found["zones"].items()}
+    valves = {found["actuators"][name]["level"]["column"] for name in found["actuators"]}
+    assert sorted(rooms.values()) == ["Temp WC", "WZ_Temp"]
+    assert valves == {"Ventil WC", "WZ_Ventil"}
+
+
 def test_a_thermostat_that_writes_on_and_off_has_a_level(tmp_path):
     row = np.arange(200)
     df = pd.DataFrame(

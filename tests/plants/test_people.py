@@ -92,6 +92,7 @@ def test_people_change_the_building_and_nobody_announces_them(name):
     assert np.abs(usual.past(HOUR_S).T_zone_C - lively.past(HOUR_S).T_zone_C).max() > 0.1
 
 
+@pytest.mark.slow
 def test_windows_of_the_weather_are_the_same_with_and_without_people():
     weather = synthetic_weather(3)
     lively = EmbeddedPlant(weather, people=7)

@@ -206,6 +206,7 @@ def test_what_a_run_does_not_have_cannot_be_given(tmp_path):
     assert "its run has no my.py" in str(call("resume", folder, "--code", "my.py").exception)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["a link", "a pipe", "a device", "a folder elsewhere"])
 @pytest.mark.parametrize("name", ["log.jsonl", "journal.jsonl", "kpis.json", ".lock", "model/model.json"])
 def test_links_pipes_and_devices_are_refused_and_what_they_point_to_is_left(run, tmp_path, what, name):

@@ -196,6 +196,7 @@ def test_a_legend_hides_and_shows_a_line(seen, one_zone):
 def test_dragging_zooms_all_charts_of_the_run_and_a_double_click_shows_all(seen):
     span = seen.ask("Report.course.group.span")
     place = seen.page.locator("#course .u-over").first
+    place.scroll_into_view_if_needed()  # from wherever the page was left
     box = place.bounding_box()
     seen.page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 40)
     seen.page.mouse.down()

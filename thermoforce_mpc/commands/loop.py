@@ -29,8 +29,12 @@ if TYPE_CHECKING:  # loaded only where tables are read
 _LEAST_H, _LEAST_EFFECT, _CERTAIN = 72.0, 0.02, 1.645
 # What of the last level may be left; the least of those is taken that are nearly as good as the best.
 _CARRIES, _AS_GOOD = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0), 1.05
+# What a level leaves of itself at least, where all that a command moves counts: with 1 of c, all for ever.
+_LEAST_LEFT = 0.1
 _BINS, _LEAST_IN_BIN = 24, 8
 _DRAWS, _SEED = 30, 64
+# Water that is less above the room heats nothing, K.
+_NO_HEAT_K = 1.0
 # Least share of the scatter of the level that the map must explain: below it, the loop follows something else.
 _LEAST_R2 = 0.2
 
@@ -39,12 +43,14 @@ _LEAST_R2 = 0.2
 class CommandRecord:
     """What was set: `at` the boundaries of n steps (n + 1,), and the `mean` over each step (n,); NaN: not known.
 
-    `usual` (n + 1,): what would have been set by people; None: what was set.
+    `usual` (n + 1,): what would have been set by people; None: what was set. `over_K` (n,): what the water is above the
+    room, of a level that is made of it; None: the level is not.
     """
 
     at: Array
     mean: Array
     usual: Array | None = None
+    over_K: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +101,13 @@ class LoopMap:
         return np.asarray(np.interp(self.index(value, T_zone_C, T_out_C), self.knots, self.spread))
 
     @property
+    def moves(self) -> float:
+        """By how much the level of a usual hour differs between the least and the largest command seen."""
+        half, usual = 0.5 * min(float(np.ptp(self.effects)), float(np.ptp(self.knots))), float(np.median(self.knots))
+        ends = np.interp([usual - half, usual + half], self.knots, self.levels)
+        return min(float(ends[1] - ends[0]) / max(1.0 - self.carry, _LEAST_LEFT), 1.0)
+
+    @property
     def in_words(self) -> str:
         """What was learned in a few words."""
         followed = "" if self.carry == 0.0 else f", {100 * self.carry:.0f} % of the last level stays"
@@ -125,6 +138,16 @@ class LearnedCommand:
     def in_words(self) -> str:
         """What is set, and what is known of its loop."""
         return f"set by {self.command.name_in_words}, whose map {self.loop.in_words}"
+
+    def within_seen(self, low: Array, high: Array) -> tuple[Array, Array]:
+        """Limits `low` and `high` (N,) no further than what the record holds: of more it does not say what comes of it.
+
+        Of a set-point it does, since the difference to the room counts.
+        """
+        if self.command.of_zone == -1.0:
+            return low, high
+        least, most = float(self.loop.values[0]), float(self.loop.values[-1])
+        return np.clip(low, least, most), np.clip(high, least, most)
 
     def from_origin_s(self, time_s: Array, origin: pd.Timestamp | None) -> Array:
         """`time_s` (N,), s from `origin`, counted from that of the record, which may have begun in another year."""
@@ -171,7 +194,8 @@ def learn_command(
         DataError: the record is too short, or does not tell what the command does; says what to do.
     """
     step_s = float(time_s[1] - time_s[0])
-    loop, untold = _learn_loop(command, was.mean, _means(T_zone_C), _means(T_out_C), u, step_s, time_s, where)
+    signals = _Signals(was.mean, _means(T_zone_C), _means(T_out_C), u, was.over_K)
+    loop, untold = _learn_loop(command, signals, step_s, time_s, where)
     if untold and not may_be_untold:
         raise DataError(untold)
     value = was.at
@@ -216,11 +240,21 @@ def _means(values: Array) -> Array:
     return np.asarray(0.5 * (values[:-1] + values[1:]))
 
 
-def _learn_loop(
-    command: Command, value: Array, T_zone_C: Array, T_out_C: Array, u: Array, step_s: float, time_s: Array, where: str
-) -> tuple[LoopMap, str]:
+@dataclass(frozen=True, eq=False)
+class _Signals:
+    """Means over the n steps of a record (n,): command, temperatures, level, and `over_K` of `CommandRecord`."""
+
+    value: Array
+    T_zone_C: Array
+    T_out_C: Array
+    u: Array
+    over_K: Array | None
+
+
+def _learn_loop(command: Command, seen: _Signals, step_s: float, time_s: Array, where: str) -> tuple[LoopMap, str]:
     """The map, and why the record does not tell what the command does, '' where it does."""
-    measured = np.isfinite(value) & np.isfinite(T_zone_C) & np.isfinite(T_out_C) & np.isfinite(u)
+    value, u = seen.value, seen.u
+    measured = np.isfinite(value) & np.isfinite(seen.T_zone_C) & np.isfinite(seen.T_out_C) & np.isfinite(u)
     follows = measured.copy()
     follows[1:] &= measured[:-1]
     follows[0] = False
@@ -232,8 +266,8 @@ def _learn_loop(
         )
     day = np.floor(time_s[:-1] / DAY_S).astype(np.intp)
     rows = np.flatnonzero(follows)
-    candidates = [_fit(command, rows, value, T_zone_C, T_out_C, u, carry) for carry in _CARRIES]
-    errors = [u[rows] - _followed(loop, rows, value, T_zone_C, T_out_C, u, measured)[rows] for loop in candidates]
+    candidates = [_fit(command, rows, seen, carry) for carry in _CARRIES]
+    errors = [u[rows] - _followed(loop, rows, seen, measured)[rows] for loop in candidates]
     rmse = [float(np.sqrt(np.mean(error**2))) for error in errors]
     chosen = next(i for i, one in enumerate(rmse) if one <= _AS_GOOD * min(rmse))
     loop, error = candidates[chosen], errors[chosen]
@@ -243,10 +277,10 @@ def _learn_loop(
     for _ in range(_DRAWS):
         some = np.concatenate([rng.choice(days, days.size) for days in groups])
         again.append(np.concatenate([rows[day[rows] == one] for one in some]))
-    drawn = [_fit(command, draw, value, T_zone_C, T_out_C, u, loop.carry) for draw in again]
-    s = loop.index(value, T_zone_C, T_out_C)[rows]
+    drawn = [_fit(command, draw, seen, loop.carry) for draw in again]
+    s = loop.index(value, seen.T_zone_C, seen.T_out_C)[rows]
     uncertain = np.std([_at(one, loop) for one in drawn], axis=0)
-    untold = _untold(command, loop, drawn, value[rows], T_zone_C[rows], T_out_C[rows], r2, where)
+    untold = _untold(command, loop, drawn, value[rows], seen.T_zone_C[rows], seen.T_out_C[rows], r2, where)
     spread = _by_bins(s, error**2, loop.knots) ** 0.5
     loop = replace(loop, spread=spread, uncertain=uncertain, rmse=rmse[chosen], r2=r2, days=hours * HOUR_S / DAY_S)
     return loop, untold
@@ -262,27 +296,31 @@ def _alike_days(value: Array, day: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     return [group for group in groups if group.size]
 
 
-def _fit(
-    command: Command, rows: NDArray[np.intp], value: Array, T_zone_C: Array, T_out_C: Array, u: Array, carry: float
-) -> LoopMap:
+def _fit(command: Command, rows: NDArray[np.intp], seen: _Signals, carry: float) -> LoopMap:
     """The map with the least squares of one-step errors in `rows`."""
     from scipy.optimize import isotonic_regression, nnls
 
+    value, T_zone_C, T_out_C, u = seen.value, seen.T_zone_C, seen.T_out_C, seen.u
     y = u[rows] - carry * u[rows - 1]
-    seen = np.unique(np.round(value[rows], 6))
-    values, effects, zone, outdoor = np.array([seen[0], seen[-1]]), np.array([seen[0], seen[-1]]), 1.0, 0.0
+    set_to = np.unique(np.round(value[rows], 6))
+    values, effects, zone, outdoor = np.array([set_to[0], set_to[-1]]), np.array([set_to[0], set_to[-1]]), 1.0, 0.0
     if command.of_zone != -1.0:
-        rise = [np.ones(rows.size), -np.ones(rows.size)]
-        kinds = [seen[0], *seen[1:]] if seen.size <= 4 else [seen[0], seen[-1]]
-        columns = [np.interp(value[rows], kinds, np.eye(len(kinds))[i:].sum(axis=0)) for i in range(1, len(kinds))]
+        kinds = [set_to[0], *set_to[1:]] if set_to.size <= 4 else [set_to[0], set_to[-1]]
+        steps = [np.interp(value, kinds, np.eye(len(kinds))[i:].sum(axis=0)) for i in range(1, len(kinds))]
+        rises = np.column_stack(steps or [np.zeros(value.size)])
         free = [-T for T, weight in ((T_zone_C, command.of_zone), (T_out_C, command.of_outdoor)) if weight is None]
-        found, _ = nnls(np.column_stack([*columns, *(T[rows] for T in free), *rise]), y)
-        weights = list(found[len(columns) :])
-        values, effects = np.array(kinds), np.concatenate([[0.0], np.cumsum(found[: len(columns)])])
+        by_water = _by_water(rises, seen, rows)
+        own = rises if by_water is None else rises[:, :0]
+        moved = np.zeros(value.size) if by_water is None else (1.0 - carry) * (rises @ by_water)
+        columns = np.column_stack([own, *free, np.ones(value.size), -np.ones(value.size)])
+        found, _ = nnls(columns[rows], y - moved[rows])
+        each = found[: own.shape[1]] if by_water is None else (1.0 - carry) * by_water
+        weights = list(found[own.shape[1] :])
+        values, effects = np.array(kinds), np.concatenate([[0.0], np.cumsum(each)])[: len(kinds)]
         zone = float(weights.pop(0)) if command.of_zone is None else 0.0
         outdoor = float(weights.pop(0)) if command.of_outdoor is None else 0.0
     if values.size == 1 or values[0] == values[-1]:  # one value all the time
-        values, effects = np.array([seen[0] - 0.5, seen[0] + 0.5]), np.array([seen[0] - 0.5, seen[0] + 0.5])
+        values, effects = np.array([set_to[0] - 0.5, set_to[0] + 0.5]), np.array([set_to[0] - 0.5, set_to[0] + 0.5])
     nothing = np.zeros(1)
     loop = LoopMap(carry, values, effects, zone, outdoor, nothing, nothing, nothing, nothing, 0.0, 0.0, 0.0)
     if command.of_zone == -1.0:  # the difference counts, also of commands that were never set
@@ -296,6 +334,27 @@ def _fit(
     keep = np.concatenate([[True], np.diff(knots) > 1e-9])
     none = np.zeros(int(keep.sum()))
     return replace(loop, knots=knots[keep], levels=np.asarray(levels)[keep], spread=none, uncertain=none)
+
+
+def _by_water(rises: Array, seen: _Signals, rows: NDArray[np.intp]) -> Array | None:
+    """How much more level each step of a command, of which `rises` (n, k) holds 0 or 1, makes by warmer water (k,).
+
+    A level is the open valve times what the water is above the room: what a command does to the water is told by all
+    hours with an open valve, also where thermostats scatter the level. None: the level is not made of water.
+    """
+    from scipy.optimize import nnls
+
+    if seen.over_K is None:
+        return None
+    over_K, u = seen.over_K[rows], seen.u[rows]
+    opened = np.isfinite(over_K) & ((u > 0.0) | (over_K < _NO_HEAT_K))  # a shut valve's water tells nothing
+    warm = np.isfinite(over_K) & (over_K >= _NO_HEAT_K)
+    if opened.sum() < _LEAST_IN_BIN or not warm.any():
+        return None
+    ones = np.ones(rows.size)
+    columns = np.column_stack([rises[rows], -seen.T_out_C[rows], -seen.T_zone_C[rows], ones, -ones])
+    found, _ = nnls(columns[opened], over_K[opened])
+    return np.asarray(found[: rises.shape[1]] * float(np.mean(u[warm] / over_K[warm])))
 
 
 def _bins(s: Array) -> list[NDArray[np.intp]]:
@@ -314,17 +373,9 @@ def _bins(s: Array) -> list[NDArray[np.intp]]:
     return parts
 
 
-def _followed(
-    loop: LoopMap,
-    rows: NDArray[np.intp],
-    value: Array,
-    T_zone_C: Array,
-    T_out_C: Array,
-    u: Array,
-    measured: NDArray[np.bool_],
-) -> Array:
+def _followed(loop: LoopMap, rows: NDArray[np.intp], seen: _Signals, measured: NDArray[np.bool_]) -> Array:
     """Levels (n,) that follow from the commands alone, from each gap and each beginning on."""
-    s = loop.index(value, T_zone_C, T_out_C)
+    s, u = loop.index(seen.value, seen.T_zone_C, seen.T_out_C), seen.u
     moved = np.interp(s, loop.knots, loop.levels)
     out = np.where(measured, u, np.nan)
     if loop.carry == 0.0:
@@ -368,13 +419,17 @@ def _untold(
         low, high = np.quantile(value - T_zone_C, (0.05, 0.95)) + np.median(T_zone_C)
     else:
         low, high = float(value.min()), float(value.max())
-    middle = float(np.median(T_zone_C)), float(np.median(T_out_C))
     if high - low <= SAME:
         return f"{where}: it was {low:g} all the time: try other values for some days, then plan"
 
     def effect(one: LoopMap) -> float:
-        before = one.carry * 0.0
-        return float(one.level(high, *middle, before) - one.level(low, *middle, before))
+        if command.of_zone == -1.0:
+            middle = float(np.median(T_zone_C)), float(np.median(T_out_C))
+            return float(one.level(high, *middle, 0.0) - one.level(low, *middle, 0.0))
+        # In all hours, since in many of them a thermostat shuts the valve, and with what comes of it later.
+        low_s, high_s = (one.index(value, T_zone_C, T_out_C) for value in (low, high))
+        moved = np.interp(high_s, one.knots, one.levels) - np.interp(low_s, one.knots, one.levels)
+        return float(np.mean(moved)) / max(1.0 - one.carry, _LEAST_LEFT)
 
     found, error = effect(loop), float(np.std([effect(one) for one in drawn]))
     if found - _CERTAIN * error < _LEAST_EFFECT or r2 < _LEAST_R2:

@@ -23,6 +23,8 @@ from thermoforce_mpc.version import VERSION
 
 # Increased whenever the cell file or the inputs of a result change, so that files of old formats are not reused.
 FORMAT = 2
+# What stands between a window and its seed in the name of one that is run with several.
+SEED = ", seed "
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def expand(
             cell = _cell(name, variant_scenario(seeded, variant, window, price, uncertainty), inputs)
         except ConfigError as error:
             raise ConfigError(f"variant '{name}': {error}") from error
-        cells.append(cell if seeds == 1 else replace(cell, window=f"{cell.window}, seed {seed}"))
+        cells.append(cell if seeds == 1 else replace(cell, window=f"{cell.window}{SEED}{seed}"))
     return cells
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from thermoforce_mpc.comparison.cells import SEED
 from thermoforce_mpc.comparison.outcome import (
     CONFIDENCE,
     KPIS,
@@ -181,7 +182,7 @@ def _differences(rows: Sequence[Row]) -> tuple[str, list[list[str]]] | None:
         tariff, windows = tariff_title(pair.price, pair.uncertainty), str(len(pair.windows))
         figures = [in_words(pair.cost_percent, 1), in_words(pair.discomfort_Kh, 2)]
         rows_of_pairs.append([pair.controller, tariff, windows, *figures])
-    over = "windows and seeds" if any(", seed " in window for pair in several for window in pair.windows) else "windows"
+    over = "windows and seeds" if any(SEED in window for pair in several for window in pair.windows) else "windows"
     return f"Difference to {reference}, mean over {over} (95 % interval, from three on)", rows_of_pairs
 
 

@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from thermoforce_mpc.comparison.cells import SEED
 from thermoforce_mpc.comparison.store import DONE
 from thermoforce_mpc.data import Array, PlanStatus
 from thermoforce_mpc.plants.kpis import zone_kpis
@@ -262,7 +263,11 @@ def reference_of(rows: Iterable[Row]) -> str | None:
 
 
 def pairs(rows: Iterable[Row], reference: str) -> list[ControllerPair]:
-    """Every controller beside `reference`, by tariff and forecast error level, in the order of the rows."""
+    """Every controller beside `reference`, by tariff and forecast error level, in the order of the rows.
+
+    Seeds of a window that change nothing, as of a rule beside a rule, are one window: repeated they would narrow the
+    interval to nothing.
+    """
     compared = []
     by_set: dict[tuple[str, str], dict[str, dict[str, Row]]] = {}
     for row in finished(rows):
@@ -272,13 +277,22 @@ def pairs(rows: Iterable[Row], reference: str) -> list[ControllerPair]:
         beside = by_controller.get(reference, {})
         for controller, of in by_controller.items():
             # Without a cost there is no share of it.
-            windows = tuple(window for window in of if window in beside and beside[window][COST] > 0)
+            both_ran = [window for window in of if window in beside and beside[window][COST] > 0]
+            windows = tuple(
+                {_result(window, of[window], beside[window]): window for window in reversed(both_ran)}.values()
+            )
+            windows = windows[::-1]
             if controller != reference and windows:
                 cost = np.array([100.0 * (of[w][COST] / beside[w][COST] - 1.0) for w in windows])
                 discomfort = np.array([of[w][DISCOMFORT] - beside[w][DISCOMFORT] for w in windows])
                 both = Difference.of(cost), Difference.of(discomfort)
                 compared.append(ControllerPair(controller, reference, *tariff, windows, *both))
     return compared
+
+
+def _result(window: str, *rows: Row) -> tuple[object, ...]:
+    """What tells a window of a comparison from others: its name without the seed, and what came of it."""
+    return window.partition(SEED)[0], *(row[key] for row in rows for key in (COST, DISCOMFORT))
 
 
 def in_words(difference: Difference, digits: int) -> str:

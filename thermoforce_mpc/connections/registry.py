@@ -47,7 +47,10 @@ def connection_settings(named: str, options: Mapping[str, Any]) -> tuple[str, di
         return named, dict(options)
     if not Path(named).is_file():
         raise ConfigError(f"--connection {named}: no such file; `tf-mpc init --for home-assistant` writes one")
-    read = validate(ConnectionFile, read_yaml(Path(named)), named)
+    content = read_yaml(Path(named))
+    if isinstance(content, Mapping) and "testcase" in content:
+        raise ConfigError(f"{named}: is a scenario of a simulated building, no connection: tf-mpc run --config {named}")
+    read = validate(ConnectionFile, content, named)
     return read.name, merge(read.options, options)
 
 

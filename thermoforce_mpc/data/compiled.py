@@ -16,6 +16,7 @@ import shutil
 import time
 from collections.abc import Callable
 from functools import cache, cached_property, update_wrapper
+from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -27,6 +28,8 @@ _ROOT = Path(__file__).parents[2]
 _PACKAGES = ("thermoforce_mpc", "controllers")
 # Imports of a module itself: what a function compiled takes in stands at its module's own level.
 _IMPORTS = re.compile(r"^(?:from[ ]([\w.]+)[ ]import[ ](\([^)]*\)|[^\n]*)|import[ ]([^\n]*))", re.M)
+# Packages of others whose functions ours take in: their versions count as sources.
+_TAKEN_IN = ("psychrolib",)
 # Folders of other sources that no process has used for as long are removed, days.
 _KEPT_DAYS = 30.0
 
@@ -106,7 +109,11 @@ def sources_hash(file: str) -> str:
     """SHA-256 of the text of `sources_of` a module's file, hexadecimal: of what decides about what is kept of it."""
     hashed = hashlib.sha256()
     for source in sources_of(Path(file)):
-        hashed.update(source.name.encode() + b"\0" + source.read_bytes() + b"\0")
+        text = source.read_bytes()
+        hashed.update(source.name.encode() + b"\0" + text + b"\0")
+        for package in _TAKEN_IN:
+            if f"import {package}".encode() in text:
+                hashed.update(f"{package} {version(package)}\0".encode())
     return hashed.hexdigest()
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from controllers.safety.overrides import SharedCommands
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Boundary, Period, Record
@@ -199,7 +200,7 @@ def worth(
         raised_K=raised_K,
         planned_share=likeliest.planned / max(likeliest.steps, 1),
         power=houses.shares,
-        rests_on=_rests_on(model, houses.spread, houses.shares, draws, error),
+        rests_on=_rests_on(model, houses.spread, houses.shares, draws, error, commands or {}),
     )
 
 
@@ -363,11 +364,19 @@ def band_of(saved: float, drawn: Sequence[float]) -> tuple[float, float]:
 
 
 def _rests_on(
-    model: ThermalModel, spread: Array, shares: Sequence[Share], draws: int, error: ForecastError | None
+    model: ThermalModel,
+    spread: Array,
+    shares: Sequence[Share],
+    draws: int,
+    error: ForecastError | None,
+    commands: Mapping[str, LearnedCommand],
 ) -> str:
     home = model.operator.home
     own = [float(spread[z, a]) for a, z in enumerate(home)]
-    not_fit = [name for name, card in zip(model.operator.actuators, model.cards, strict=True) if card.unfit]
+    names = model.operator.actuators
+    unfit = {a for a, card in enumerate(model.cards) if card.unfit}
+    shared = SharedCommands(model.layout, {names.index(name): one for name, one in commands.items()}, model.cards)
+    not_fit = [names[a] for a in sorted(unfit - shared.together(unfit).keys())]
     told = [share.spread <= _EXACT for share in shares]
     parts = [
         f"effects of full level known to ± {100 * float(np.mean(own)):.0f} % on the own room",

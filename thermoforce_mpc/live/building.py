@@ -31,6 +31,7 @@ from thermoforce_mpc.experiment.run_models import origin
 from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.identification.probing.excitation import RoomsState
 from thermoforce_mpc.identification.probing.probe import LevelsState, ProbingState
+from thermoforce_mpc.live.windows import OpenWindow, as_if_empty, open_windows, without
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import Measurements, learned_commands, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
@@ -104,6 +105,7 @@ class LiveBuilding:
         # Levels are written, and given back, also while a table is still waited for.
         self._reader, self._writer = object(), object()
         self.left_out: tuple[str, ...] = ()
+        self._windows: Mapping[int, OpenWindow] = {}
         self.now: pd.Timestamp | None = None
 
     @property
@@ -127,9 +129,9 @@ class LiveBuilding:
         return None if found is None else found[1]
 
     @property
-    def paused(self) -> bool:
-        """Whether people ask that nothing is set."""
-        return self._people is not None and self._people.paused
+    def paused(self) -> str:
+        """Why people want nothing set, '' where they do not."""
+        return "" if self._people is None else self._people.paused
 
     @property
     def layout(self) -> Layout:
@@ -174,13 +176,18 @@ class LiveBuilding:
         ).served()
         record = measured.record
         self.left_out = (*measured.left_out, *self._ahead(measured, now), *self._set_by_hand(measured, now))
-        if self.paused:
-            self.left_out = (*self.left_out, "mode advise was asked: nothing is set")
+        if paused := self.paused:
+            self.left_out = (*self.left_out, paused)
         self._origin = record.origin if self._origin is None else self._origin
         shift_s = (record.origin - self._origin).total_seconds()
         record = replace(record, time_s=record.time_s + shift_s, origin=self._origin)
         record = _until(record, self.time_s(instant))
         record = replace(record, u=_with_applied(record, applied)).last(round(_BACK_DAYS * DAY_S / self._step_s))
+        at = np.searchsorted(measured.record.time_s + shift_s, record.time_s + 1.0) - 1  # the last known holds
+        contacts = {name: contact[np.maximum(at, 0)] for name, contact in measured.windows.items()}
+        self._windows = open_windows(record, measured.layout, contacts)
+        record = without(record, self._windows)
+        self.left_out = (*self.left_out, *self._of_windows(record.names.zones))
         conditions = replace(measured.conditions, time_s=measured.conditions.time_s + shift_s)
         self._measured = replace(measured, record=record, conditions=conditions)
         return record
@@ -226,7 +233,7 @@ class LiveBuilding:
             if self._people is not None and self.now is not None:
                 ahead, asked = self._people.applied(ahead, self.origin, self.now)
                 self.left_out = (*self.left_out, *asked)
-            return ahead.head(n)
+            return as_if_empty(ahead, self._windows).head(n)
         except (InputError, PlantError) as error:
             raise NoForecast(str(error)) from error
 
@@ -380,6 +387,16 @@ class LiveBuilding:
         elif told.seen or (math.isfinite(told.before) and abs(value - told.before) > near):
             self._people.set_by_hand(name, value, now)
             del self._told[name]
+
+    def _of_windows(self, names: Sequence[str]) -> list[str]:
+        """Notes on open windows."""
+        zone = self._rules.time.zone or "UTC"
+        until = {z: self.origin + pd.Timedelta(seconds=one.until_s) for z, one in self._windows.items()}
+        return [
+            f"{names[z]}: {one.why}; nothing is needed and nothing is learned there until "
+            f"{until[z].tz_convert(zone):%H:%M}, or until it comes back"
+            for z, one in self._windows.items()
+        ]
 
     def _call(self, what: str) -> Any:
         try:

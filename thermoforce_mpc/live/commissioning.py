@@ -69,7 +69,10 @@ class CommissioningStage:
 
 @dataclass(frozen=True)
 class CommissioningFiles:
-    """Where things are, as commands are told: connection and map, table of measurements, model, folder of control."""
+    """Where things are, as commands are told: connection and map, table of measurements, model, folder of control.
+
+    `has_history`: whether the connection gives its history as a table; `records`: whether what comes can be recorded.
+    """
 
     config: str
     map_file: str
@@ -78,6 +81,7 @@ class CommissioningFiles:
     control: str
     table: str
     has_history: bool = False
+    records: bool = False
 
     def with_connection(self, command: str) -> str:
         """`command` with map and connection."""
@@ -106,7 +110,8 @@ def read_house(building: LiveBuilding, rules: MeasurementMap, now: pd.Timestamp)
         except (DataError, ConfigError) as error:
             doubts.append(f"no record yet: {error}")
     if measured is not None:
-        doubts += _of_forecast(building, now)
+        wrong, odd = _as_controlled(building, now)
+        problems, doubts = problems + wrong, doubts + odd
     return PointsFound(points, tuple(problems), tuple(dict.fromkeys(doubts)), measured, bounds)
 
 
@@ -127,14 +132,17 @@ def _bounds_now(measured: Measurements) -> dict[str, tuple[float, float]]:
     return {zone: (low, high) for zone, (low, high) in zip(measured.layout.names.zones, last, strict=True)}
 
 
-def _of_forecast(building: LiveBuilding, now: pd.Timestamp) -> list[str]:
-    """What weather and prices ahead say against what is measured, and what is wrong with them."""
+def _as_controlled(building: LiveBuilding, now: pd.Timestamp) -> tuple[list[str], list[str]]:
+    """Why a controller would refuse what is read, and what is odd: readings and weather and prices ahead."""
     try:
         building.record(building.instant(now), now=now)
-        building.forecast(_AHEAD_S, building.step_s)
-        return list(building.left_out)
     except (PlantError, InputError) as error:
-        return [*building.left_out, f"forecast: {error}"]
+        return [str(error)], list(building.left_out)
+    try:
+        building.forecast(_AHEAD_S, building.step_s)
+    except (PlantError, InputError) as error:
+        return [], [*building.left_out, f"forecast: {error}"]
+    return [], list(building.left_out)
 
 
 class CommissioningBook:
@@ -193,7 +201,7 @@ def stages(
     again = f"tf-mpc commission {files.config} --map {files.map_file} --out {files.out}"
     out = [_of_points(found, again), _of_trials(plans, book, again)]
     model = _of_model(found, files)
-    record = _of_known(found, files) if model.status != "done" else None
+    record = _of_known(found, files, again) if model.status != "done" else None
     out.append(record or CommissioningStage("record", "done", "there is a model of it"))
     out += [model, _of_shadow(files)]
     words = "sets what it plans; end it at any time: the building is given back"
@@ -224,11 +232,13 @@ def _of_trials(plans: Sequence[TrialPlan], book: CommissioningBook, again: str) 
     return CommissioningStage("trials", "open", words, again)
 
 
-def _of_known(found: PointsFound, files: CommissioningFiles) -> CommissioningStage:
+def _of_known(found: PointsFound, files: CommissioningFiles, again: str) -> CommissioningStage:
     """Whether what was measured tells the effect of acting."""
     measured = found.measured
-    record = f"tf-mpc record --map {files.map_file} --connection {files.config}"
-    record += f" --days 365 --out {files.table}" if files.has_history else ""
+    record = again  # a table that somebody else writes
+    if files.has_history or files.records:
+        record = f"tf-mpc record --map {files.map_file} --connection {files.config}"
+        record += f" --days 365 --out {files.table}" if files.has_history else ""
     probe = files.with_connection(f"control --out {files.control}") + " --mode probe"
     if measured is None:
         return CommissioningStage("record", "open", "nothing is recorded yet: let it run for days", record)

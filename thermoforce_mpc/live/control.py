@@ -152,6 +152,7 @@ class _Building:
         self._commands: dict[str, SetCommand] = {}
         self._set = False
         self._decided: tuple[pd.Timestamp, object, object] | None = None
+        self._raised = False
         self.begun_anew = False
 
     def begin(self) -> object:
@@ -245,6 +246,12 @@ class _Building:
             return None
         # Nobody is there to start it again: the next step may be better.
         expected = isinstance(raised, ThermoForceError)
+        if self._raised and isinstance(error, ControllerRaised) and state is not None:
+            # In two steps on end: what it goes on from may be at fault, for ever.
+            _LOG.warning("no decision at %s (%s): the controller begins anew", self._at, raised, exc_info=raised)
+            self._raised = False
+            return None
+        self._raised = isinstance(error, ControllerRaised)
         _LOG.warning("no decision at %s: %s", self._at, raised, exc_info=None if expected else raised)
         why = f"the building's own control: {raised if expected else f'{type(raised).__name__}: {raised}'}"
         native = Block.native(len(self._building.names), self._controller.step_s)
@@ -253,6 +260,7 @@ class _Building:
 
     def act(self, decided: Decided) -> object:
         """See `LoopDriver.act`."""
+        self._raised = self._raised and decided.observation is None
         levels, time_s = [block.u for block in decided.blocks], self._building.time_s(self._at)
         name, plan, refused = self._controller.name, decided.plan, decided.refused
         # Of the forecast's table too, which was read after the measurements.

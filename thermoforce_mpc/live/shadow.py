@@ -13,6 +13,7 @@ import json
 import logging
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -104,7 +105,8 @@ class ShadowBook:
         commands: Mapping[str, LearnedCommand] | None = None,
         key: str = "",
     ) -> None:
-        """Go on with the days that are there; a file that cannot be read is begun anew, and the log says so.
+        """Go on with the days that are there, if they are of this controller; others, and a file that cannot be read,
+        are put aside, and the log says so.
 
         `controller`: that of the shadow, with what it would set by `commands`; `key`: tells it from others.
         """
@@ -116,9 +118,14 @@ class ShadowBook:
         if (folder / SHADOW).exists():
             try:
                 told = json.loads(read_bounded(folder / SHADOW, MOST_BYTES, InputError))
+                if told.get("of") != key:
+                    raise ValueError("its days are of another model or other options")
                 self.days = [ShadowDay(**{**day, "saved": tuple(day["saved"])}) for day in told["days"]]
-            except (InputError, ValueError, KeyError, TypeError) as error:
-                _LOG.warning("%s: begun anew (%s)", folder / SHADOW, error)
+            except (InputError, ValueError, KeyError, TypeError, AttributeError) as error:
+                aside = folder / f"{Path(SHADOW).stem}-before.json"
+                _LOG.warning("%s: begun anew (%s); it is kept as %s", folder / SHADOW, error, aside.name)
+                with suppress(OSError):
+                    (folder / SHADOW).replace(aside)
 
     def day_over(self, instant: pd.Timestamp) -> str:
         """What the days so far say, at the second decision of a day, when the journal has the last; else ''.
@@ -130,7 +137,8 @@ class ShadowBook:
             self._today = instant.date()
             if f"{begin:%Y-%m-%d}" not in [known.day for known in self.days]:
                 self.days.append(self._judged(begin))
-                write_json(self._folder / SHADOW, {"said": in_words(self.days), "days": [asdict(d) for d in self.days]})
+                days = [asdict(day) for day in self.days]
+                write_json(self._folder / SHADOW, {"said": in_words(self.days), "of": self._key, "days": days})
             return in_words(self.days)
         if self._today is not None and instant.date() != self._today:
             self._over = pd.Timestamp(self._today, tz=instant.tz)

@@ -201,7 +201,8 @@ class LoopDriver(Protocol):
     def instead(self, index: int, error: Exception, state: object) -> Decided | None:
         """What acts in the place of a decision that failed; raises `error` where that ends the loop.
 
-        None: it is decided once more, by a controller that begins anew, since what it went on from may be wrong.
+        None: it is decided once more, by a controller that begins anew, since what it went on from may be wrong; not
+        where `state` is None.
         """
 
     def act(self, decided: Decided) -> object:
@@ -231,8 +232,7 @@ class Loop:
                 try:
                     decided = self._decide(index, driver.read(), state)
                 except Exception as error:
-                    instead = driver.instead(index, error, state)
-                    decided = self._decide(index, driver.read(), None) if instead is None else instead
+                    decided = driver.instead(index, error, state) or self._anew(index, state)
                 if decided.plan.ends:
                     state = decided.after
                     break
@@ -241,6 +241,16 @@ class Loop:
         finally:
             driver.end()
         return state
+
+    def _anew(self, index: int, state: object) -> Decided:
+        """The decision of a controller that begins anew; where that fails too, it was not the state."""
+        driver = self._driver
+        try:
+            return self._decide(index, driver.read(), None)
+        except Exception as error:
+            if (instead := driver.instead(index, error, None)) is None:
+                raise
+            return replace(instead, before=state, after=state)
 
     def _decide(self, index: int, believed: Believed, state: object) -> Decided:
         """Forecast, plan and check."""

@@ -134,18 +134,25 @@ def actuator_levels(rules: MeasurementMap, reader: SignalReader, heat: Array, po
     return np.array(rows), notes
 
 
+def _over_K(actuator: MappedActuator, name: str, reader: SignalReader, rules: MeasurementMap) -> Array | None:
+    """What the water of an emitter is above its room (n,), K; None where the map does not name its water."""
+    if actuator.flow is None:
+        return None
+    zone = rules.zones[actuator.zone or next(iter(rules.zones))]
+    T_zone_C = reader.sampled(f"zones.{name}.temperature", zone.temperature, readings.ZONE)
+    flow_C = reader.mean(f"actuators.{name}.flow", actuator.flow, readings.WATER)
+    return np.asarray(np.maximum(flow_C - 0.5 * (T_zone_C[:-1] + T_zone_C[1:]), 0.0))
+
+
 def _emission(
     actuator: MappedActuator, name: str, reader: SignalReader, rules: MeasurementMap, notes: list[str]
 ) -> Array:
     """Level (n,) of an emitter by its open valve and what its water is above the room."""
-    assert actuator.flow is not None
-    zone = rules.zones[actuator.zone or next(iter(rules.zones))]
-    T_zone_C = reader.sampled(f"zones.{name}.temperature", zone.temperature, readings.ZONE)
-    flow_C = reader.mean(f"actuators.{name}.flow", actuator.flow, readings.WATER)
-    valve = np.ones(flow_C.size)
+    over_K = _over_K(actuator, name, reader, rules)
+    assert over_K is not None  # it has a flow
+    valve = np.ones(over_K.size)
     if actuator.level is not None:
         valve = np.clip(reader.mean(f"actuators.{name}.level", actuator.level, readings.LEVEL), 0.0, 1.0)
-    over_K = np.maximum(flow_C - 0.5 * (T_zone_C[:-1] + T_zone_C[1:]), 0.0)
     runs = over_K[(valve > 0.0) & np.isfinite(over_K)]
     full_K = float(np.percentile(runs, 99.0)) if runs.size else 0.0
     if full_K <= 0.0:
@@ -160,7 +167,7 @@ class Measurements:
 
     `conditions`: measured weather with the bounds and prices of the map, NaN where it names none. `left_out`: what was
     left out of a table that a machine appends to, in words. `commands`: what was set, by actuator, of those with a
-    command.
+    command. `windows`: by zone with a contact, 1 where one was open at the boundaries (n + 1,).
     """
 
     record: Record
@@ -170,6 +177,7 @@ class Measurements:
     map: MeasurementMap
     left_out: tuple[str, ...] = ()
     commands: Mapping[str, CommandRecord] = field(default_factory=dict)
+    windows: Mapping[str, Array] = field(default_factory=dict)
 
     def newest_s(self) -> float:
         """Time of the newest temperature of a zone, s; NaN without one."""
@@ -330,7 +338,12 @@ def _from_table(
     heat = np.array([reader.mean(f"actuators.{name}.heat", a.heat, readings.POWER) for name, a in actuators] or unknown)
     u, of_levels = actuator_levels(rules, reader, heat, power)
     set_by = {name: found for name, _ in actuators if (found := rules.command_of(name)) is not None}
-    commands = {name: _commanded(reader, where, command) for name, (where, command) in set_by.items()}
+    commands = {
+        name: replace(_commanded(reader, where, command), over_K=_over_K(rules.actuators[name], name, reader, rules))
+        for name, (where, command) in set_by.items()
+    }
+    contacts = {name: z.window.model_copy(update={"hold_h": _COMMAND_HOLDS_H}) for name, z in zones if z.window}
+    windows = {name: reader.scheduled(f"zones.{name}.window", one, readings.COMMAND) for name, one in contacts.items()}
     record = Record(
         grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
         np.array(water), origin, names,
@@ -361,7 +374,7 @@ def _from_table(
         (*table.notes, *of_clock(zone, rows_every_s, step_s), *of_sun, *of_levels, *of_changes(reader.on_change)),
         missing(rules, record, conditions),
     )
-    return Measurements(record, layout, conditions, understood, rules, commands=commands)
+    return Measurements(record, layout, conditions, understood, rules, commands=commands, windows=windows)
 
 
 def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:

@@ -185,7 +185,8 @@ def _problem(point: LivePoint, rule: SignalRule, raw: Array, command: AnyCommand
         return ""
     unit = likelier(raw[-1:], point.declared, rule.kind, rule.usual)
     hint = f"in {unit} it were usual: unit: '{unit}'" if unit else "check column, unit and factor"
-    return f"{point.last:.4g} {point.unit} is no {rule.kind} from {low:g} to {high:g}; {hint}"
+    value = f"{point.last:.4g} {point.unit}".strip()
+    return f"{value} is no {rule.kind} from {low:g} to {high:g}; {hint}"
 
 
 def _problem_of_command(point: LivePoint, command: AnyCommand) -> str:

@@ -29,6 +29,8 @@ MOST_ERROR_K = {1.0: 0.5, 6.0: 1.0}
 MOST_RELATIVE_SD = 0.4
 # Relative standard deviation of the effect of a day on another zone from which a record does not tell it.
 UNTOLD_SD = 0.5
+TOGETHER_SD = "together_24h_relative_sd"
+"""What a card's `uncertainty` calls the relative standard deviation of what a day of all actuators does to its zone."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +149,17 @@ class ModelCard:
         if away := [name for name, (low, high) in self.ranges.items() if not low <= high]:
             raise DataError(f"ranges: {away[0]}: {self.ranges[away[0]]}, expected the least and the largest value")
         HourEffects(seen=tuple(HourSeen(*one) for one in self.hour_effects))
+
+    @property
+    def together_sd(self) -> float:
+        """Relative standard deviation of what all actuators do to the zone in a day; infinite where not said."""
+        return self.uncertainty.get(TOGETHER_SD, math.inf)
+
+    @property
+    def only_not_apart(self) -> bool:
+        """Whether the model may not act for no other reason than that the effect of its own actuator is not known."""
+        verdict = self.competence
+        return verdict is not None and len(verdict.reasons) == 1 and not verdict.relative_sd <= MOST_RELATIVE_SD
 
     @property
     def unfit(self) -> str:

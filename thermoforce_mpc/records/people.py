@@ -9,12 +9,15 @@ import json
 import logging
 import math
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from filelock import FileLock, Timeout
 
 from thermoforce_mpc.connections.discovery import MODES
 from thermoforce_mpc.data import Boundary
@@ -26,12 +29,14 @@ _LOG = logging.getLogger(__name__)
 # How long bounds that somebody asks for hold, as a thermostat's until its next change; and what was set by hand, h.
 COMFORT_H, BY_HAND_H = 12.0, 4.0
 # Bounds while nobody is there, and how much warmer a boost is, °C and K.
-_AWAY_C, _BOOST_K = (16.0, 28.0), 2.0
+AWAY_C, _BOOST_K = (16.0, 28.0), 2.0
 _RANGE_C = (5.0, 35.0)
 # Between the bounds at least, K: as in a schedule's, they are in order.
 _BAND_K = 0.5
 # A file of wishes is a few hundred bytes.
 _MOST_BYTES = 100_000
+# It is written in some ms; who waits for so long, s, waits for one that stands.
+_ALONE_S = 3.0
 _LONGEST_BOOST_MIN, _LONGEST_AWAY = 480.0, pd.Timedelta("365D")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")
 KEYS = ("lower", "upper", "away", "boost", "comfort", "mode")
@@ -57,7 +62,10 @@ class Wishes:
 
 
 class People:
-    """The wishes in the file at `path`; a file that cannot be read is none, and said in the log."""
+    """The wishes in the file at `path`.
+
+    One that cannot be read may hold that nothing is to be set: until `mode` is asked anew nothing is, and it is said.
+    """
 
     def __init__(self, path: Path, zone: str | None = None) -> None:
         """`zone`: of times that people write without an offset."""
@@ -65,10 +73,14 @@ class People:
         self._failed = ""
 
     def wishes(self) -> Wishes:
-        """What is asked, as the file says now."""
+        """What is asked, as the file says now; of one that cannot be read, that nothing is set."""
+        return self._as_said()[0]
+
+    def _as_said(self) -> tuple[Wishes, str]:
+        """What is asked, and why the file cannot be read, '' where it can."""
         try:
             if not self._path.exists():
-                return Wishes()
+                return Wishes(), ""
             wishes = Wishes(**json.loads(read_bounded(self._path, _MOST_BYTES, ConfigError)))
             for one in (wishes.comfort_until, wishes.away_until, wishes.boost_until):
                 _passed(one, pd.Timestamp(0, tz="UTC"))
@@ -80,16 +92,23 @@ class People:
                 if not math.isfinite(value):
                     raise ConfigError(f"by_hand: {name}: {value} is no value")
                 _passed(until, pd.Timestamp(0, tz="UTC"))
-            return wishes
+            return wishes, ""
         except (OSError, ValueError, TypeError, AttributeError, RecursionError, ConfigError) as error:
-            if str(error) != self._failed:
-                self._failed = str(error)
-                _LOG.warning("%s cannot be used (%s): nothing is asked", self._path, error)
-            return Wishes()
+            why = f"{self._path} cannot be used ({error}): nothing is set until mode control or advise is asked"
+            if why != self._failed:
+                self._failed = why
+                _LOG.warning("%s", why)
+            return Wishes(mode="advise"), why
 
     def ask(self, key: str, text: str, now: pd.Timestamp) -> Wishes:
         """Ask for one of `KEYS`; raises `ConfigError` for what is none, and `StorageError`."""
-        wishes, word = self.wishes(), text.strip()
+        with self._alone():
+            return self._asked(key, text, now)
+
+    def _asked(self, key: str, text: str, now: pd.Timestamp) -> Wishes:
+        (wishes, wrong), word = self._as_said(), text.strip()
+        if wrong and key != "mode":  # it would be written over, and with it what else was asked
+            raise ConfigError(wrong)
         off = word.lower() in ("off", "none", "0", "")
         comfort = now + pd.Timedelta(hours=COMFORT_H)
         if key in ("lower", "upper", "comfort"):
@@ -127,17 +146,22 @@ class People:
 
     def set_by_hand(self, name: str, value: float, now: pd.Timestamp) -> pd.Timestamp:
         """Note that the command of an actuator was set by hand; until when that is respected."""
-        wishes, until = self.wishes(), now + pd.Timedelta(hours=BY_HAND_H)
-        try:
-            self._keep(replace(wishes, by_hand={**(wishes.by_hand or {}), name: (value, until.isoformat())}))
-        except StorageError as error:
-            _LOG.warning("%s", error)
+        until = now + pd.Timedelta(hours=BY_HAND_H)
+        with self._alone():
+            wishes, wrong = self._as_said()
+            if wrong:  # nothing is set, so that nobody is overruled
+                return until
+            try:
+                self._keep(replace(wishes, by_hand={**(wishes.by_hand or {}), name: (value, until.isoformat())}))
+            except StorageError as error:
+                _LOG.warning("%s", error)
         return until
 
     @property
-    def paused(self) -> bool:
-        """Whether a controller that may act is asked not to."""
-        return self.wishes().mode == "advise"
+    def paused(self) -> str:
+        """Why a controller that may act is not to, '' where it is."""
+        wishes, wrong = self._as_said()
+        return wrong or ("mode advise was asked: nothing is set" if wishes.mode == "advise" else "")
 
     def by_hand(self, now: pd.Timestamp) -> dict[str, tuple[float, pd.Timestamp]]:
         """What was set by hand and is respected yet: value and end by actuator."""
@@ -169,8 +193,8 @@ class People:
                 upper[:, held] = wishes.upper_C
                 lower[:, held] = np.minimum(lower[:, held], wishes.upper_C - _BAND_K)
         if (held := until(wishes.away_until, "away")) is not None:
-            lower[:, held] = np.minimum(lower[:, held], _AWAY_C[0])
-            upper[:, held] = np.maximum(upper[:, held], _AWAY_C[1])
+            lower[:, held] = np.minimum(lower[:, held], AWAY_C[0])
+            upper[:, held] = np.maximum(upper[:, held], AWAY_C[1])
         if (held := until(wishes.boost_until, f"{_BOOST_K:g} K warmer")) is not None:
             lower[:, held] = np.minimum(lower[:, held] + _BOOST_K, _RANGE_C[1] - _BAND_K)
             upper[:, held] = np.maximum(upper[:, held], lower[:, held] + _BAND_K)
@@ -202,6 +226,22 @@ class People:
         if not now < at <= now + _LONGEST_AWAY:
             raise ConfigError(f"away {word!r}: a time in the next year, as 2026-12-27T18:00")
         return at.tz_convert("UTC").isoformat()
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Keep others (the page, a command, the controller) from writing between our reading and writing.
+
+        One that stands meanwhile holds up nobody for long.
+        """
+        lock = FileLock(self._path.with_suffix(".lock"), timeout=_ALONE_S)
+        try:
+            lock.acquire()
+        except (Timeout, OSError) as error:
+            _LOG.warning("%s: not locked (%s)", self._path, error)
+        try:
+            yield
+        finally:
+            lock.release()
 
     def _keep(self, wishes: Wishes) -> None:
         write_whole(self._path, json.dumps(asdict(wishes)) + "\n")

@@ -49,16 +49,16 @@ class HostNames:
     An address may always be asked: only a name can be made to lead here by whom it belongs to (DNS rebinding).
     """
 
-    def __init__(self, names: Iterable[str] = ()) -> None:
-        self._names = {"localhost", *(name.lower() for name in names)}
+    def __init__(self, names: Iterable[str] = (), option: str = "") -> None:
+        """`option`: by which others are given, '' where they cannot be."""
+        self._names, self._option = {"localhost", *(name.lower() for name in names)}, option
 
     def check(self, headers: Headers) -> None:
         """Raise `Refusal` (403) for a host of another name, or for a request that a page of elsewhere makes."""
         asked = headers.get("Host", "")
         if asked and not self._own(asked):
-            raise Refusal(
-                403, f"This service is not called {asked!r:.80}; ask by its address, or start it with --name."
-            )
+            or_named = f", or start it with {self._option}" if self._option else ""
+            raise Refusal(403, f"This service is not called {asked!r:.80}; ask by its address{or_named}.")
         check_page(headers, asked)
 
     def _own(self, asked: str) -> bool:

@@ -72,7 +72,7 @@ def create_app(
     app = Flask(__name__, static_folder=None)
     app.config["MAX_CONTENT_LENGTH"] = limits.most_bytes
     app.url_map.merge_slashes = False
-    rate, own = Rate(limits.per_second), HostNames(names)
+    rate, own = Rate(limits.per_second), HostNames(names, "--name")
     points = served_points(testcase)
     described = document(points, token=token is not None)
 

@@ -61,12 +61,13 @@ class Hears(Protocol):
 class PageAccess:
     """Who may see the page and ask by it: who has the `token`, if there is one, by `names`, addresses or localhost.
 
-    `ingress`: only whom Home Assistant lets through, and this machine.
+    `ingress`: only whom Home Assistant lets through, and this machine; `option`: of the command line, for `names`.
     """
 
     token: str | None = None
     names: Collection[str] = ()
     ingress: bool = False
+    option: str = ""
 
 
 def live_app(
@@ -78,7 +79,8 @@ def live_app(
     app, access = Flask(__name__, static_folder=None), access or PageAccess()
     app.config["MAX_CONTENT_LENGTH"] = _MOST_BYTES
     page = files("thermoforce_mpc.service").joinpath("live_page.html").read_text(encoding="utf-8")
-    own, lock, rate, logins = HostNames(access.names), threading.Lock(), Rate(_PER_SECOND), Rate(1.0)
+    lock, asking = threading.Lock(), threading.Lock()
+    own, rate, logins = HostNames(access.names, access.option), Rate(_PER_SECOND), Rate(1.0)
     headers = _HEADERS | {"Content-Security-Policy": _POLICY + ("'self'" if access.ingress else "'none'")}
 
     @app.before_request
@@ -121,20 +123,20 @@ def live_app(
     @app.get("/view.json")
     def now() -> Response:
         with lock:
-            told = dict(view()) | ({} if hears is None else {"people": dict(hears.shown())})
-        return _json(200, told)
+            told = dict(view())
+        return _json(200, told | ({} if hears is None else {"people": dict(hears.shown())}))
 
     @app.post("/ask")
     def ask() -> Response:
         said = _said("key", "text")
         if hears is None:
             raise Refusal(404, "Nobody hears this page: it only shows.")
-        with lock:
+        with asking:  # not behind a view, which takes a minute where the journal of a year is read first
             try:
                 hears.ask(said["key"], said["text"])
             except ThermoForceError as error:
                 raise Refusal(400, str(error)) from error
-            return _json(200, {"people": dict(hears.shown())})
+        return _json(200, {"people": dict(hears.shown())})
 
     @app.post("/login")
     def login() -> Response:

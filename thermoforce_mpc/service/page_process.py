@@ -15,13 +15,17 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any
 
 import pandas as pd
 
+from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError, ThermoForceError
+from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.files import parse_json, read_bounded, secret_from
+from thermoforce_mpc.records.journal import NAME
 from thermoforce_mpc.records.people import KEYS, SHOWN, People
 from thermoforce_mpc.records.saving import MOST_BYTES, saving_so_far
 from thermoforce_mpc.report.live_view import LiveRun
@@ -33,6 +37,8 @@ _INGRESS, _INGRESS_PORT = "ingress", 8099
 # How long until a page that ended is started again, at first and at most; until a journal that cannot be read is tried
 # again; and for the end of the process, s.
 _AGAIN_S, _LATER_S, _ANEW_S, _END_S = 2.0, 60.0, 30.0, 5.0
+# Decisions are late after so many steps and s: in a step, and its delay, none is due.
+_LATE_STEPS, _LATE_S = 2, 600.0
 # Of the environment; tokens of connections are not for the page.
 _ENVIRONMENT = ("HOME", "LANG", "PATH", "TMPDIR", "TZ", "VIRTUAL_ENV")
 # The loop goes first where both want the one core.
@@ -177,20 +183,18 @@ class _Shows:
 
     def view(self) -> Mapping[str, Any]:
         """See `live_app`: the view of `tf-mpc watch`, with commands, saving and mode."""
-        more = self._decided()
-        told = {"saving": saving_so_far(self._folder).get("said", ""), "mode": more.get("mode", "")}
-        plan = more.get("plan")
-        told["commands"] = plan.get("commands", []) if isinstance(plan, dict) else []
-        return self._journal() | told
+        more, view = self._decided(), self._journal()
+        told = {"saving": saving_so_far(self._folder).get("said", ""), "mode": more["mode"]}
+        return view | told | {"commands": more["commands"], "late": _late(view, pd.Timestamp.now("UTC"))}
 
     def shown(self) -> Mapping[str, Any]:
         """See `Hears.shown`."""
         now, wishes, more = pd.Timestamp.now("UTC"), self._people.wishes(), self._decided()
         shown = self._people.shown(now)
-        asks = [key for key in more.get("asks", ()) if key in KEYS]
+        asks = [key for key in KEYS if key in more["asks"]]
         return shown | {
             "asks": asks,
-            "mode": shown["mode"] if "mode" in asks else more.get("mode", ""),
+            "mode": shown["mode"] if "mode" in asks else more["mode"],
             "away_until": wishes.away_until if shown["away"] else None,
             "comfort_until": wishes.comfort_until if (shown["lower_C"] or shown["upper_C"]) else None,
         }
@@ -201,12 +205,20 @@ class _Shows:
             raise ConfigError(f"{key!r} cannot be asked of this controller now")
         self._people.ask(key, text, pd.Timestamp.now("UTC"))
 
-    def _decided(self) -> Mapping[str, Any]:
-        """What was decided last, and what may be asked, as the controller wrote it."""
+    def _decided(self) -> dict[str, Any]:
+        """Mode and commands of what was decided last, and what may be asked, as the controller wrote it."""
         try:
-            return parse_json(read_bounded(self._folder / SHOWN, MOST_BYTES, InputError), SHOWN, InputError)
+            told = parse_json(read_bounded(self._folder / SHOWN, MOST_BYTES, InputError), SHOWN, InputError)
         except (OSError, InputError):
-            return {}
+            told = {}
+        of = told if isinstance(told, dict) else {}
+        plan, asks = of.get("plan"), of.get("asks")
+        rows = plan.get("commands") if isinstance(plan, dict) else None
+        return {
+            "mode": str(of.get("mode", "")),
+            "asks": asks if isinstance(asks, list) else [],
+            "commands": [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else [],
+        }
 
     def _journal(self) -> dict[str, Any]:
         """The view of the journal; one that cannot be read is tried again after a while, from its beginning."""
@@ -216,10 +228,20 @@ class _Shows:
             self._live = self._live or LiveRun(self._folder)
             return self._live.now().to_json()
         except ThermoForceError as error:
-            self._live, self._why = None, str(error)
-            small = not (self._folder / "journal.jsonl").exists() or "no step was decided yet" in self._why
-            self._from_s = time.monotonic() + (0.0 if small else _ANEW_S)
+            none = not (self._folder / NAME).exists() or "no step was decided yet" in str(error)
+            self._live, self._why = None, "nothing is decided yet: the first step is waited for" if none else str(error)
+            self._from_s = time.monotonic() + (0.0 if none else _ANEW_S)
             raise InputError(self._why) from error
+
+
+def _late(view: Mapping[str, Any], now: pd.Timestamp) -> str:
+    """Since when nothing is decided, where that is long ago for a controller that runs; else ''."""
+    if view["state"] != "running" or not view["zone"]:
+        return ""
+    ends = [view["time_s"], *(point["time_s"] for point in view["plan"])]
+    step_s = min((end - begin for begin, end in pairwise(ends)), default=HOUR_S)
+    late_s = (now - pd.Timestamp(view["origin"])).total_seconds() - view["time_s"]
+    return f"nothing was decided for {duration(late_s)}" if late_s > _LATE_STEPS * step_s + _LATE_S else ""
 
 
 def serve(told: IO[str]) -> None:
@@ -233,7 +255,7 @@ def serve(told: IO[str]) -> None:
     told_settings = json.loads(told.readline())
     settings = PageSettings(**told_settings | {"names": tuple(told_settings["names"])})
     shows = _Shows(Path(settings.folder), settings.zone)
-    access = PageAccess(settings.token or None, settings.names, settings.ingress)
+    access = PageAccess(settings.token or None, settings.names, settings.ingress, "--page-name")
     try:
         server = page_server(shows.view, settings.port, host=settings.host, hears=shows, access=access)
     except PlantError as error:

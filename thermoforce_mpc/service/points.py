@@ -13,6 +13,7 @@ import psychrolib
 from thermoforce_mpc.boundary.weather.solar import SunPosition, sun_position
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import HOUR_S, YEAR_S, ZERO_C_K, Array
+from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.plants.embedded.cases import BOILER, CASES, FAN_COIL, HEAT_PUMP, EmulatedCase
 from thermoforce_mpc.plants.embedded.emulator import Emulator
 from thermoforce_mpc.plants.embedded.exposure import PRESSURE_PA
@@ -170,7 +171,16 @@ def _sun(weather: Weather, time_s: Array) -> SunPosition:
 def _wet_bulb_K(weather: Weather, time_s: Array) -> Array:
     """Wet bulb temperature, K, from dry bulb, relative humidity and pressure (ASHRAE Fundamentals 2017, ch. 1)."""
     dry_C, humidity = weather.at("T_dry_C", time_s), weather.at("relative_humidity", time_s)
-    return np.asarray(psychrolib.GetTWetBulbFromRelHum(dry_C, humidity, PRESSURE_PA)) + ZERO_C_K
+    return np.asarray(_wet_bulb_C(np.ravel(dry_C), np.ravel(humidity))).reshape(np.shape(dry_C)) + ZERO_C_K
+
+
+@njit(cache=True)
+def _wet_bulb_C(dry_C: Array, humidity: Array) -> Array:
+    """One by one, so that it is compiled once and kept: psychrolib compiles in every process, for over two seconds."""
+    wet_C = np.empty_like(dry_C)
+    for i in range(dry_C.size):
+        wet_C[i] = psychrolib.GetTWetBulbFromRelHum(dry_C[i], humidity[i], PRESSURE_PA)
+    return wet_C
 
 
 # Keys: forecast names.

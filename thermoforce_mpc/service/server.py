@@ -170,7 +170,7 @@ def plants(weather: Weather, highly_dynamic: Tariff | None = None, testcase: str
     from thermoforce_mpc.service.points import WEATHER_SIGNALS
 
     first = emulator_of(testcase, weather, highly_dynamic=highly_dynamic)
-    # The first wet bulb temperature compiles psychrolib, which takes seconds: done here, not in a request.
+    # The first wet bulb temperature may compile psychrolib, which takes seconds: done here, not in a request.
     WEATHER_SIGNALS["TWetBul"].at(weather, np.zeros(1))
 
     def another() -> Emulator:

@@ -47,18 +47,21 @@ def build_observational(training: Training) -> GreyBox:
     """Fit the paper's model to plain operation; choose one-step or rollout errors by the factual validation error."""
     runs = [training.probe.pair.b]
     horizon = training.validation[0].factual.n_steps
-    candidates = _candidates(runs, horizon, _OBSERVATIONAL_ORDERS)
+    candidates = candidates_of(runs, horizon, _OBSERVATIONAL_ORDERS)
     return candidates[best(candidates, training.validation, factual=True)]
 
 
 def build_on_probe(training: Training) -> GreyBox:
     """Fit to both runs of the probe; choose order and error type by the effect on the validation windows."""
     runs = [training.probe.pair.a, training.probe.pair.b]
-    candidates = _candidates(runs, training.validation[0].factual.n_steps, _ORDERS)
+    candidates = candidates_of(runs, training.validation[0].factual.n_steps, _ORDERS)
     return candidates[best(candidates, training.validation)]
 
 
-def _candidates(runs: Sequence[Record], horizon: int, orders: Sequence[tuple[int, int]]) -> dict[str, GreyBox]:
+def candidates_of(
+    runs: Sequence[Record], horizon: int, orders: Sequence[tuple[int, int]] = _ORDERS
+) -> dict[str, GreyBox]:
+    """Models fitted to `runs`, by their settings: each of `orders` by one-step and by rollout errors."""
     out = {}
     for lags in orders:
         one_step = fit_one_step(runs, lags)

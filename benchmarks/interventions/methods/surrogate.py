@@ -98,13 +98,24 @@ def build_surrogate(
 
     `settings`: weight of the forecast trajectories and weight decay of each.
     """
-    lessons = _lessons(training, free_response)
-    students = _train(lessons, training.seed, epochs, settings)
-    candidates = {}
-    for index, (teacher_weight, decay) in enumerate(settings):
-        note = f"teacher's weight {teacher_weight:g}, weight decay {decay:g}"
-        candidates[note] = Surrogate(students, index, note)
+    candidates = surrogates(training, free_response, epochs=epochs, settings=settings)
     return candidates[best(candidates, training.validation)]
+
+
+def surrogates(
+    training: Training,
+    free_response: FreeResponse,
+    *,
+    epochs: int = _EPOCHS,
+    settings: Sequence[tuple[float, float]] = _SETTINGS,
+    rate: float = _LEARNING_RATE,
+) -> dict[str, Surrogate]:
+    """The network of each setting, see `build_surrogate`, by its settings in words; `rate`: Adam's."""
+    students = _train(_lessons(training, free_response), training.seed, epochs, settings, rate)
+    return {
+        (note := f"teacher's weight {teacher_weight:g}, weight decay {decay:g}"): Surrogate(students, index, note)
+        for index, (teacher_weight, decay) in enumerate(settings)
+    }
 
 
 def _drivers(time_s: Array, T_out_C: Array, solar_W_m2: Array, u: Array) -> Array:
@@ -143,7 +154,9 @@ def _lessons(training: Training, free_response: FreeResponse) -> _Lessons:
     )
 
 
-def _train(lessons: _Lessons, seed: int, epochs: int, settings: Sequence[tuple[float, float]]) -> _Students:
+def _train(
+    lessons: _Lessons, seed: int, epochs: int, settings: Sequence[tuple[float, float]], rate: float
+) -> _Students:
     """Train one network per setting."""
     n_measured = float((~lessons.taught).sum())
     n_taught = float(lessons.taught.sum())
@@ -155,7 +168,7 @@ def _train(lessons: _Lessons, seed: int, epochs: int, settings: Sequence[tuple[f
         torch.manual_seed(seed)
         students = _Students(len(settings), float(lessons.course.mean()))
         parameters = list(students.parameters())
-        optimiser = torch.optim.Adam(parameters, lr=_LEARNING_RATE)
+        optimiser = torch.optim.Adam(parameters, lr=rate)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, epochs)
         for _ in range(epochs):
             order = torch.randperm(lessons.taught.numel())

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from benchmarks.detectors import bench
 from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.detectors.bench import WeekOutcome, rule_of, rule_rows, run_detectors_bench, targets
 from benchmarks.detectors.panel import FAULTS, KINDS, PanelCase, clean, faulty
-from benchmarks.detectors.rules import RULES
+from benchmarks.detectors.rules import RULES, ControlledWeek
 from thermoforce_mpc.data import DAY_S, Layout, PlantInfo
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import LocalEngine
@@ -106,3 +108,20 @@ def test_an_air_unit_in_winter_is_blocked_only_while_it_stands(asleep_until_h, s
     ((heating, cooling),) = Probed(run.record, run.blocks, plant, "").blocked(layout)
     assert set(heating.hours) == hours
     assert not cooling.hours
+
+
+def test_a_week_in_which_a_window_was_opened_claims_it_once():
+    n, at = 384, 300
+    T_C = 21.0 + 0.05 * np.sin(np.arange(n + 1)) - 1.2 * (np.arange(n + 1) > at)
+    samples = [
+        SimpleNamespace(
+            start_s=900.0 * k, duration_s=900.0, T_zone_C=T_C[[k + 1]], T_out_C=2.0, u_measured=np.array([0.4])
+        )
+        for k in range(n)
+    ]
+    result = SimpleNamespace(steps=[SimpleNamespace(time_s=0.0, T_zone_C=T_C[[0]], samples=samples)])
+    (rule,) = [rule for rule in RULES if rule.name == "open window"]
+    assert not rule.can_be_off
+    (claim,) = rule.claims(ControlledWeek(SimpleNamespace(layout=Layout.single()), result))
+    assert claim.startswith("day 3.12: zone fell 1.")
+    assert rule.claims(ControlledWeek("no model", result)) == []

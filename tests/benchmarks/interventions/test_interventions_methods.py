@@ -134,6 +134,7 @@ def test_choosing_by_effects_alone_is_choosing_by_the_whole_prediction(climate, 
         assert predicted_effect(alone, w) == pytest.approx(predicted_effect(whole, w), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_method_is_told_nothing_of_what_came_of_its_plans(climate, training):
     """Futures replaced by nonsense must not change an answer."""
     one = climate.part("test")[0]

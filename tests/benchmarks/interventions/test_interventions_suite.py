@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,9 +16,11 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.plants.energyplus.engine import is_available
 
-pytestmark = pytest.mark.slow
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed"),
+]
 
-pytestmark = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
 
 TINY = replace(QUICK, probe_days=(1,), validation_days=1, test_days=1, climates=("heating_chicago",))
 
@@ -134,3 +137,20 @@ def test_efficiency_compares_the_parts_with_the_paper(simulated, folder, tmp_pat
     assert {"efficiency.png", "efficiency.svg", "efficiency.html", "efficiency.json"} == {
         f.name for f in tmp_path.iterdir()
     }
+
+
+@pytest.mark.slow
+def test_baselines_are_scored_in_every_setting_and_seed(simulated, folder, tmp_path, monkeypatch):
+    from benchmarks.interventions import studies
+
+    monkeypatch.setattr(interventions, "QUICK", TINY)
+    monkeypatch.setattr(studies, "TEACHER_SEEDS", 2)
+    monkeypatch.setattr(studies, "surrogates", partial(studies.surrogates, epochs=2))
+    rows = studies.run_study("baselines", folder, out=tmp_path, engine=LocalEngine(1), quick=True)["rows"]
+    rc, network = ([row for row in rows if (row["teacher"] is None) == of_rc] for of_rc in (True, False))
+    modes = len({row["mode"] for row in rows})
+    assert len(rc) == 2 * 4 * 2 * modes, "plain operation with the days before and without, four orders, two errors"
+    assert [(row["teacher"], row["seeds"]) for row in network] == [(w, 2) for w, _ in studies.TEACHERS] * 2 * modes
+    assert all(row["worst_sign"] <= row["sign"] and row["worst_effect_K"] >= row["effect_K"] for row in rows)
+    assert any(row["worst_effect_K"] > row["effect_K"] for row in network), "seeds differ"
+    assert (tmp_path / "baselines.json").is_file()

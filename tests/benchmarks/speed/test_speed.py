@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import pytest
 from click.testing import CliRunner
 from places import ROOT
 
-from benchmarks import speed
+from benchmarks.speed import __main__ as speed
 from thermoforce_mpc.errors import ConfigError
 
 
@@ -25,22 +24,28 @@ def other(tmp_path):
 
 def test_ours_is_a_share_of_theirs(other, tmp_path, monkeypatch):
     code = "import importlib.util\nif importlib.util.find_spec('spends'): import spends"
-    row = speed.Row("spends: nothing here", (sys.executable, "-c", code), 0.5, 0.5)
+    row = speed.Row("spends: nothing here", ("-c", code), {speed.PROCESSOR: 0.5, speed.PEAK: 0.5}, {speed.WALL: 0.0})
     monkeypatch.setattr(speed, "ROWS", (row,))
     words = ["--against", str(other), "--times", "1", "--json", str(tmp_path / "speed.json")]
     done = CliRunner().invoke(speed.main, words)
     assert done.exit_code == 0, done.output
     result = json.loads((tmp_path / "speed.json").read_text())
-    (found,) = result["rows"]
-    assert found["processor"] < 0.5
-    assert found["peak"] < 0.5
-    assert [target["holds"] for target in result["targets"]] == [True, True]
+    shares = {one["figure"]: one["share"] for one in result["rows"]}
+    assert list(shares) == [speed.PROCESSOR, speed.WALL, speed.PEAK]
+    assert shares[speed.PROCESSOR] < 0.5
+    assert shares[speed.PEAK] < 0.5
+    assert {target["name"].partition(": ")[2].partition(": ")[2]: target["holds"] for target in result["targets"]} == {
+        speed.PROCESSOR: True,
+        speed.WALL: False,
+        speed.PEAK: True,
+    }
 
 
 def test_what_cannot_be_measured_is_refused(other, tmp_path):
-    row = speed.Row("fails", (sys.executable, "-c", "raise SystemExit('out of heat')"))
+    row = speed.Row("fails", ("-c", "raise SystemExit('out of heat')"))
     with pytest.raises(ConfigError, match=r"fails: failed in .*out of heat"):
         speed.compared([row], other, 1)
     with pytest.raises(ConfigError, match="no checkout"):
         speed.compared([row], ROOT / "docs", 1)
-    assert "there are help, tab" in CliRunner().invoke(speed.main, ["--against", str(other), "--only", "x"]).output
+    done = CliRunner().invoke(speed.main, ["--against", str(other), "--rows", "help,x"])
+    assert "--rows x: no row begins so; there are help, tab, names, step" in done.output

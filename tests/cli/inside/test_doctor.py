@@ -35,6 +35,7 @@ def test_a_sound_installation_is_sound(name, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unhurried")
 def test_a_service_is_tried_and_left_as_it_was(tmp_path):
     with running_service() as service:
         finding = found("service", tmp_path, url=service.url)
@@ -87,6 +88,7 @@ def test_a_package_that_is_too_old_or_missing(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unhurried")
 def test_the_command_says_what_failed(tmp_path, monkeypatch):
     words = ["doctor", "--out", str(tmp_path), "--only", "disk, Python", "--json", str(tmp_path / "d.json")]
     done = CliRunner().invoke(cli, words)

@@ -73,6 +73,12 @@ def test_wrong_connection_files_are_refused(tmp_path):
         connection_settings("none.yaml", {})
 
 
+def test_a_scenario_is_no_connection_and_the_command_for_it_is_named(tmp_path):
+    (tmp_path / "scenario.yaml").write_text("testcase: bestest_hydronic_heat_pump\n")
+    with pytest.raises(ConfigError, match=r"no connection: tf-mpc run --config .*scenario\.yaml"):
+        connection_settings(str(tmp_path / "scenario.yaml"), {})
+
+
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze")
 def test_systemd_knows_every_key_of_the_unit(tmp_path):
     told("init", tmp_path, "--for", "files")

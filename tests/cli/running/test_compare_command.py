@@ -152,6 +152,7 @@ def test_a_sweep_refuses_what_it_cannot_vary(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("option", "searched"), [((), True), (("--no-equal-comfort",), False)])
 def test_a_thermostat_as_comfortable_is_searched_unless_it_is_refused(option, searched, tmp_path, monkeypatch):
     asked = []

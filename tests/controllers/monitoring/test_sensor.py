@@ -105,6 +105,7 @@ def test_a_rule_acts_on_the_models_temperature_where_native_control_is_not_wante
     assert result.kpis["tdis_tot"] < 0.5
 
 
+@pytest.mark.slow
 def test_a_stuck_sensor_is_found_and_its_readings_since_are_not_believed():
     result = run(sensor(lambda T, last: last, hours=200.0), days=4.0)
     found = statuses(result)
@@ -116,6 +117,7 @@ def test_a_stuck_sensor_is_found_and_its_readings_since_are_not_believed():
     assert result.kpis["tdis_tot"] < 0.5 * believed.kpis["tdis_tot"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("resolution_K", [0.1, 0.5])
 def test_a_coarse_sensor_that_repeats_itself_is_not_stuck(resolution_K):
     result = run(sensor(resolution_K=resolution_K), days=5.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import replace
 
@@ -75,6 +76,11 @@ def run(fault: str, days: float = 9.0, **options: object) -> RunResult:
     return run_closed_loop(house, mpc, replace(house.period("x"), scored_s=days * DAY_S))
 
 
+@functools.cache
+def window_without_watch() -> RunResult:
+    return run("window", watch={"enabled": False})
+
+
 def watched(result: RunResult) -> list[float]:
     return [step.time_s for step in result.steps if step.plan.status is PlanStatus.WATCH]
 
@@ -119,7 +125,7 @@ def test_without_a_change_nothing_is_noticed_and_plans_are_the_same():
 
 @pytest.mark.slow
 def test_off_it_does_not_notice_and_the_papers_settings_leave_it_off():
-    assert watched(run("window", watch={"enabled": False})) == []
+    assert watched(window_without_watch()) == []
     testcase = load_testcase("bestest_hydronic_heat_pump")
     assert controller_config("thermoforce_mpc", {}, testcase).watch.enabled
     assert not controller_config("thermoforce_paper", {}, testcase).watch.enabled
@@ -131,7 +137,7 @@ def test_the_rule_can_act_instead_and_keeps_the_zone_warm():
     steps = [step for step in result.steps if step.plan.status is PlanStatus.WATCH]
     assert steps
     assert all(sample.u_applied in ((0.0,), (1.0,)) for step in steps for sample in step.samples)
-    assert result.kpis["tdis_tot"] <= 1.05 * run("window", watch={"enabled": False}).kpis["tdis_tot"]
+    assert result.kpis["tdis_tot"] <= 1.05 * window_without_watch().kpis["tdis_tot"]
 
 
 @pytest.mark.slow

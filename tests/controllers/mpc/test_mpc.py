@@ -313,3 +313,26 @@ def test_planned_power_follows_the_return_water_expected_over_the_zone():
     np.testing.assert_allclose(problem.power_per_u_W[0], expected)
     assert plain.status is PlanStatus.SOLVED
     assert mpc.plan(Observation(history, seen.boundary)).status is PlanStatus.SOLVED
+
+
+def test_the_rules_levels_act_where_the_plans_own_model_prices_them_clearly_lower():
+    """A solver whose checked levels leave the house cold, as one at a poor local optimum would."""
+
+    def idle(number: int, solution: Solution) -> Solution:
+        return replace(solution, u=np.zeros_like(solution.u))
+
+    house = SimpleHouse()
+    mpc, seen = controller(changed=idle), observation(house)
+    plan = mpc.plan(seen)
+    assert "the on/off rule's levels act: by the same model and prices they cost" in plan.why
+    assert "discomfort" in plan.why
+    assert plan.status is PlanStatus.ACCEPTABLE
+    rule, _ = mpc.rules[0].rule(seen)
+    assert rule == 1.0
+    assert plan.u[0, 0] == rule
+    assert plan.blocks[0].u == (rule,)
+    quarter = replace(plan.state, ruled=False)
+    assert quarter != plan.state, "it is looked at again in the next step, whatever its time"
+    best = controller().plan(seen)
+    assert "rule's levels" not in best.why
+    assert not best.state.ruled

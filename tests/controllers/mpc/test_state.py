@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from dataclasses import replace
 
@@ -58,6 +59,13 @@ def run(controller, T_start_C: float = 21.0):
     return run_closed_loop(house, controller, replace(house.period("x"), scored_s=1.5 * DAY_S))
 
 
+@functools.cache
+def watched_run(kind: str):
+    """A controller of this kind after its first run, with what it was called with, and the KPIs."""
+    watched = Watched(CONTROLLERS[kind]())
+    return watched, run(watched).kpis
+
+
 def same(a, b) -> None:
     assert (a.blocks, a.status, a.why) == (b.blocks, b.status, b.why)
     for name in ("u", "T_free_C", "T_forced_K", "slack_K"):
@@ -67,8 +75,7 @@ def same(a, b) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", CONTROLLERS)
 def test_the_same_observation_and_state_give_the_same_plan_in_any_order(kind):
-    watched = Watched(CONTROLLERS[kind]())
-    run(watched)
+    watched, _ = watched_run(kind)
     for observation, state, plan in reversed(watched.calls[::5]):
         same(watched.inner.plan(observation, state), plan)
 
@@ -76,9 +83,9 @@ def test_the_same_observation_and_state_give_the_same_plan_in_any_order(kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", CONTROLLERS)
 def test_one_controller_serves_two_runs_alternately(kind):
-    alone = [Watched(CONTROLLERS[kind]()) for _ in range(2)]
-    for watched, T_start_C in zip(alone, (21.0, 18.0), strict=True):
-        run(watched, T_start_C)
+    colder = Watched(CONTROLLERS[kind]())
+    run(colder, T_start_C=18.0)
+    alone = (watched_run(kind)[0], colder)
     shared, states = CONTROLLERS[kind](), [None, None]
     for calls in zip(alone[0].calls, alone[1].calls, strict=True):
         for i, (observation, _, plan) in enumerate(calls):
@@ -90,8 +97,8 @@ def test_one_controller_serves_two_runs_alternately(kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", CONTROLLERS)
 def test_twice_on_the_same_window_is_twice_the_same(kind):
-    controller = CONTROLLERS[kind]()
-    first, second = (run(controller).kpis for _ in range(2))
+    watched, first = watched_run(kind)
+    second = run(watched.inner).kpis
     for name in ("tdis_tot", "cost_tot"):
         assert first[name] == second[name]
 

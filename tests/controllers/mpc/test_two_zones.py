@@ -186,6 +186,7 @@ def stuck(house: FaultyHouse, u: float | None) -> float | None:
     return 0.0 if 11 * DAY_S <= house.now_s < 12 * DAY_S else u
 
 
+@pytest.mark.slow
 def test_an_actuator_that_fails_is_handed_back_alone_and_returns():
     period = replace(SimpleHouse().period("x"), scored_s=5 * DAY_S)
     result = run_closed_loop(TwoHouses(first=FaultyHouse(gives=stuck)), mpc(), period)
@@ -377,6 +378,7 @@ def test_rules_act_zone_by_zone(kind):
     assert "radiator: zone temperature missing: native control" in plan.why
 
 
+@pytest.mark.slow
 def test_a_shared_machine_feeds_both_at_once_and_its_meter_accuses_neither():
     plant = TwoHouses(lower_K=1.0, shared=True)
     result = run_closed_loop(plant, mpc(two_model(shared=True)), replace(SimpleHouse().period("x"), scored_s=4 * DAY_S))

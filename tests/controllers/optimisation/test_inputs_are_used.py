@@ -162,6 +162,7 @@ SOLVERS: dict[str, Callable[..., Solver]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_a_solver_uses_every_number_of_an_instance(name):
     """Each number moves the levels of some instance, and in every instance the answer is that of a new solver.

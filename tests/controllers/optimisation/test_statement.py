@@ -42,6 +42,7 @@ def is_numpys(found: Evaluation, problem: MPCProblem, operator: BuildingOperator
         np.testing.assert_allclose(getattr(found, name), value, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
+@pytest.mark.slow
 @EACH
 def test_levels_cost_and_bring_what_numpy_says(case):
     for operator, problem, shape, programme, rng in drawn(case):

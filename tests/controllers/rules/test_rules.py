@@ -33,6 +33,17 @@ def test_hysteresis_keeps_its_state_inside_the_dead_band():
     assert levels(Thermostat(), [21.15, 21.3, 21.39, 21.41, 21.3, 21.21, 21.19]) == [1, 1, 1, 0, 0, 0, 1]
 
 
+def test_a_machine_stays_on_and_off_for_its_shortest_times():
+    thermostat, state, found = Thermostat(ThermostatConfig(step_s=300.0, min_on_s=600.0, min_off_s=900.0)), None, []
+    for k, T in enumerate([21.3, 21.0, 21.5, 21.5, 21.0, 21.0, 21.0, 21.5]):
+        plan = thermostat.plan(observation(T, 300.0 * k), state)
+        state = plan.state
+        found.append(plan.blocks[0].u[0])
+        if k == 2:
+            assert plan.why.endswith("off; stays on for 600 s")
+    assert found == [0, 1, 1, 0, 0, 0, 1, 1], "the first switch is long after the last before"
+
+
 def test_cooling_acts_on_the_other_side():
     config = ThermostatConfig(mode="cooling", setpoint_C=24.0)
     assert levels(Thermostat(config), [24.2, 24.0, 23.8, 24.05]) == [1, 1, 0, 0]

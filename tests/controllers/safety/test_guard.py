@@ -34,6 +34,7 @@ def outside_K(result: RunResult) -> Array:
     return np.maximum(lower - T, T - upper)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off_K", [12.0, -12.0], ids=["forecast too warm", "forecast too cold"])
 def test_a_wrong_forecast_is_overruled_at_the_margin(off_K):
     guarded, alone = run(off_K), run(off_K, enabled=False)

@@ -175,5 +175,6 @@ def test_what_is_known_together_and_not_apart_is_said():
         assert note.startswith(f"the record does not tell what {layout.names.actuators[1]} does to ")
         assert ending in note
         assert ("together" in note) == (together_sd < 0.5)
+        assert building.cards[0].together_sd == together_sd
     name = layout.names.actuators[1]
     assert building.cards[0].uncertainty[f"step_response_24h_sd_K[{name}]"] > 0.05, "the heat of its level counts"

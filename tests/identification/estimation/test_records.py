@@ -126,6 +126,7 @@ def test_a_meter_that_tells_nothing_costs_the_power_of_its_machine_only(row, lev
     assert model.cards[1 - row].competence.competent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", ROWS)
 def test_a_heat_meter_is_named_where_it_is_dead_and_not_needed_where_nothing_was_on(row):
     history = two_rooms(3.0)

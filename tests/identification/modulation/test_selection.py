@@ -91,6 +91,7 @@ def changing_house():
 HELD_OUT = frozenset(np.random.default_rng(IdentificationConfig().seed).permutation(8)[:2].tolist())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("modulation", "kept"), [("auto", False), ("always", True)])
 def test_a_network_that_is_significantly_worse_is_dropped_unless_it_is_always_kept(modulation, kept):
     pairs = changing_house()

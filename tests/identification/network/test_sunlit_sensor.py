@@ -47,6 +47,7 @@ def sunlit() -> tuple[Record, Array]:
     return probed(draw_house(501, 34))
 
 
+@pytest.mark.slow
 def test_sun_on_a_sensor_is_found_and_its_size_is_right(sunlit):
     record, truth = sunlit
     sun = found(record)
@@ -60,6 +61,7 @@ def test_sun_on_a_sensor_is_found_and_its_size_is_right(sunlit):
     assert np.sqrt(np.mean(left[day] ** 2)) < 0.4 * np.sqrt(np.mean(wrong[day] ** 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [34, 2, 35])
 def test_sun_that_warms_a_light_room_is_not_taken_for_sun_on_its_sensor(index):
     # Very light houses; 2 and 35 with glass of 0.29 of the floor area.
@@ -81,6 +83,7 @@ def test_levels_of_room_set_points_do_not_tell(sunlit):
     assert sun_on_sensor([sunlit[0]], 0, Layout.single(), [levels], IdentificationConfig()) is None
 
 
+@pytest.mark.slow
 def test_a_model_is_that_of_the_room_and_says_so(sunlit, tmp_path):
     record, truth = sunlit
     model = identify(record, config=IdentificationConfig(modulation="linear"))

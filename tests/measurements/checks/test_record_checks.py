@@ -149,6 +149,7 @@ def test_an_hour_shows_through_a_slab_and_the_lag_of_a_slab_is_no_hour():
     assert [remark.kind for remark in remarks(moved(floor, -4), LAYOUT)] == ["stamps early"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "says", "spoil"), FAULTS)
 def test_a_fault_is_found_and_named_with_its_remedy(kind, says, spoil):
     found = remarks(spoil(CLEAN), LAYOUT)
@@ -245,6 +246,7 @@ def test_measured_set_points_are_no_levels(measured):
     assert [remark.kind for remark in remarks(found.record, found.layout)] == ["level is no level"]
 
 
+@pytest.mark.slow
 def test_measured_rooms_beside_the_only_one_of_the_map(measured):
     file = measured / "ehbe" / "ehbe_2019_15min.csv"
     alone = tf.read_measurements(file, rules(measured, "one19.yaml")).understood.beside

@@ -212,6 +212,7 @@ def test_a_wrong_answer_is_waited_out(service, whole, tmp_path, wrong, times):
     assert (folder / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("resumed", [True, False])
 def test_a_service_that_stays_away_ends_the_run_when_patience_does_and_keeps_its_test(
     service, whole, tmp_path, resumed

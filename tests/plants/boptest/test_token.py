@@ -17,7 +17,7 @@ SCENARIO = (
 
 
 @pytest.fixture(autouse=True)
-def owner_of_a_token(monkeypatch, tmp_path):
+def owner_of_a_token(monkeypatch, tmp_path, unhurried):
     """Who has named no service on this machine so far."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("BOPTEST_TOKEN", "kept-in-a-drawer-0123456789")

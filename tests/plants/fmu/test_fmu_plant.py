@@ -109,6 +109,7 @@ def test_a_library_that_the_machine_lacks_is_named_with_what_to_do():
     assert missing_library("Failed to instantiate FMU") == ""
 
 
+@pytest.mark.slow
 def test_a_forecast_over_new_year_repeats_the_year(file):
     with FmuPlant(file, TESTCASE) as plant:
         plant.reset(364.5 * DAY_S, 0.0)

@@ -114,6 +114,7 @@ WorkingDirectory=/var/lib/tf-mpc
 StateDirectory=tf-mpc
 EnvironmentFile=-/etc/tf-mpc.env
 ExecStart=/opt/tf-mpc/bin/tf-mpc control --model my_house --map map.yaml --connection connection.yaml
+# With --page 127.0.0.1:8010 it has a page (extra serve); 0.0.0.0:8010 with TF_MPC_PAGE_TOKEN=… in that file.
 # SIGTERM gives the building back, in up to five attempts.
 TimeoutStopSec=90
 Restart=always

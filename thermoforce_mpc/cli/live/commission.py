@@ -286,7 +286,9 @@ def _files(
     where = {"config": config, "map_file": map_file, "out": out, "model": model, "control": control_out}
     where["table"] = table.get(name, "house.csv")
     quoted = {key: shlex.quote(str(one)) for key, one in where.items()}
-    return CommissioningFiles(**quoted, has_history=hasattr(connection, "history"))
+    return CommissioningFiles(
+        **quoted, has_history=hasattr(connection, "history"), records=hasattr(connection, "begin")
+    )
 
 
 def _step_s(rules: MeasurementMap) -> float:

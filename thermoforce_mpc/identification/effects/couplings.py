@@ -10,7 +10,7 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H, Effect, in_steps
-from thermoforce_mpc.model.card import UNTOLD_SD
+from thermoforce_mpc.model.card import TOGETHER_SD, UNTOLD_SD
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -56,6 +56,8 @@ def assembled(
         if not effects[a] or layout.actuators_of(home)[0] != a:
             continue  # effects of the others on a zone are those beside its first actuator
         uncertainty, unknown = dict(cards[a].uncertainty), list[str]()
+        if np.isfinite(together_sd[a]):
+            uncertainty[TOGETHER_SD] = together_sd[a]
         notes = list(cards[a].notes)
         for b, effect in zip(others_of(layout, a, config), effects[a], strict=True):
             if layout.home[b] == home:

@@ -7,6 +7,7 @@ with the disturbance; a disturbance added to the output is not (Ljung 1999, chap
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -273,14 +274,21 @@ def _step(sizes: Array, slopes: Array, longest: float) -> Array:
     slopes.
     """
     least = max(0.0, -float(sizes[0]))
-    if sizes[0] > 0.0 and np.linalg.norm(slopes / sizes) <= longest:
+    if sizes[0] > 0.0 and _length(slopes / sizes) <= longest:
         return np.asarray(-slopes / sizes)
     # More curvature makes it shorter.
-    low, high = least, least + float(np.linalg.norm(slopes)) / longest
+    low, high = least, least + _length(slopes) / longest
     for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if np.linalg.norm(slopes / (sizes + middle)) > longest else (low, middle)
+        middle, before = 0.5 * (low + high), (low, high)
+        low, high = (middle, high) if _length(slopes / (sizes + middle)) > longest else (low, middle)
+        if (low, high) == before:  # no number is between them
+            break
     return np.asarray(-slopes / (sizes + high))
+
+
+def _length(vector: Array) -> float:
+    """What `np.linalg.norm` gives, in a fifth of its time on so few numbers: searches ask for it many times a step."""
+    return math.sqrt(vector @ vector)
 
 
 def _without(inputs: Array, drives: list[int]) -> Array:

@@ -300,7 +300,8 @@ def words_of(name: str) -> tuple[str, ...]:
     What else stands in brackets counts where it has a word of four letters; of a logger's sensor (HOBO) its label does.
     """
     plain = re.sub(r"[\[(](?:[^\])]*LBL: ?)?([^\])]*)[\])]", _of_brackets, name)
-    plain = re.sub(r"(?<![A-Za-z])([kM]?)(Wh|W|J)(?![a-z])", lambda m: m[0].lower(), plain)
+    # Units, and not WC and WZ, which are rooms.
+    plain = re.sub(r"(?<![A-Za-z])([kM]?)(Wh|W|J)(?![a-z]|[CZ](?![A-Za-z]))", lambda m: m[0].lower(), plain)
     plain = re.sub(r"deg ?([CFK])(?![a-z])|[\b_]([CFK])$", " ", plain)
     plain = re.sub(r"(?<=[a-zà-ÿ])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})", " ", plain)
     folded = "".join(c for c in unicodedata.normalize("NFKD", plain.lower()) if not unicodedata.combining(c))

@@ -44,6 +44,7 @@ class MappedZone(StrictModel):
     lower: Bound | None = Field(None, description="comfort bound, °C or a column")
     upper: Bound | None = Field(None, description="comfort bound, °C or a column")
     floor_area_m2: float | None = Field(None, gt=0)
+    window: OfLevel | None = Field(None, description="contact of its windows: open, on or 1 while one is open")
 
     @model_validator(mode="after")
     def _has_a_band(self) -> MappedZone:

@@ -10,7 +10,7 @@ import numpy as np
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather as WeatherYear
-from thermoforce_mpc.data import Array, Commands, Levels, Measurement, Record
+from thermoforce_mpc.data import J_PER_KWH, Array, Commands, Levels, Measurement, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_levels
 from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S, air_change, on_facades, year
@@ -18,7 +18,7 @@ from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnH
 from thermoforce_mpc.plants.people import PERSON_W, live
 from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics, schedule
-from thermoforce_mpc.plants.rooms.device import N_STATES, NORMAL, Device
+from thermoforce_mpc.plants.rooms.device import N_STATES, NORMAL, TANK, TANK_J_K, Device
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import DrawnHouse
 from thermoforce_mpc.plants.rooms.use import USES
@@ -171,6 +171,11 @@ class HouseOfRooms(DrawnHousePlant):
         """Mean supply temperature between `edges` (n + 1,), s: (n,), °C."""
         times, rows = self._samples.times, self._samples.rows
         return means_between(times, rows[:, [physics.SUPPLY]].T, edges)[0]
+
+    def stored_kWh(self) -> float:
+        """Heat in the house and its tank of hot water now, above 0 °C, kWh."""
+        tank_J = 0.0 if self.device is None else self.device.parameters[TANK_J_K] * self._device_state[TANK]
+        return float(self._network.capacity_J_K @ self._T + tank_J) / J_PER_KWH
 
     def _blocks(self) -> tuple[range, range, range]:
         """Columns of the rows with temperatures, levels and heat."""

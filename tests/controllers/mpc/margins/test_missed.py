@@ -217,6 +217,7 @@ def swings(house: FaultyHouse, hours: float) -> float:
     return 0.25 if round(house.now_s / HOUR_S) % 2 else -0.25
 
 
+@pytest.mark.slow
 def test_a_swing_that_no_plan_sees_costs_less_comfort_once_it_was_seen():
     def discomfort_Kh(reserve: bool) -> float:
         config = MPCConfig(step_s=None, horizon_h=24.0, reserve=reserve)

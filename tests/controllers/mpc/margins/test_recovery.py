@@ -182,6 +182,7 @@ def test_loops_that_cool_learn_as_those_that_heat():
     assert could(-0.6) == [True, False]
 
 
+@pytest.mark.slow
 def test_a_machine_that_is_weaker_than_its_model_is_late_the_first_evening_only():
     """Its meters say nothing of it, and plans count with what it gave in the model."""
 

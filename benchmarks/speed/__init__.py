@@ -1,0 +1,1 @@
+"""This checkout beside another one: `python -m benchmarks.speed --against PATH`."""
