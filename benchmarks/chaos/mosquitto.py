@@ -129,6 +129,8 @@ def wire(port: int) -> Iterator[tuple[int, threading.Event, Callable[[], None]]]
                     time.sleep(0.01)
                 target.sendall(data)
         for one in (source, target):
+            with suppress(OSError):  # a close alone is not seen where another thread still reads
+                one.shutdown(socket.SHUT_RDWR)
             with suppress(OSError):
                 one.close()
 

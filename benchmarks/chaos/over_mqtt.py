@@ -12,9 +12,10 @@ import copy
 import json
 import math
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.connections import mqtt
 from thermoforce_mpc.connections.registry import build_connection
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.live import Decision, KeptState, LiveBuilding, control
 from thermoforce_mpc.live.commissioning import read_house
@@ -45,13 +46,20 @@ Row = dict[str, Any]
 _ORIGIN = pd.Timestamp("2026-01-01", tz="UTC")
 _ROW_S, _STEP_S = 900.0, HOUR_S
 _HORIZON_H, _SHADOW_H = 24.0, 24
+# With `quick`: hours of shadow and of control.
+_QUICK_H = (1, 4)
 # The client's patience at speed, s: of the house's time an hour passes in less.
 _PATIENCE_S, _TAKEN_S, _RECORDED_S = 1.0, 5.0, 3.0
-# Hours of control at which what fails, as a share of all of it: an hour each.
+# When what fails, as a share of the hours of control, and for how long, h.
 _FAULTS = {
-    "broker restarted": 0.12, "network cut": 0.25, "unavailable": 0.4, "torn": 0.52, "clock stepped back": 0.64,
-    "killed": 0.78,
+    "broker restarted": (0.12, 0.0), "network cut": (0.25, 1.0), "unavailable": (0.4, 1.0), "torn": (0.52, 0.0),
+    "clock stepped back": (0.64, 0.0), "killed": (0.78, 1.6),
 }  # fmt: skip
+# In these nothing reaches the house: it is left to its own control once what holds has ended, so long after a step, h.
+_UNREACHED, _ENDED_H = ("network cut", "killed"), 0.1
+# Plans act again so long after a fault, h: from the next step on.
+_RECOVERED_H = 1.5
+_PLANNED = ("solved", "bridged")
 # Costs within, and K·h outside the bounds in all rooms within.
 _DEARER, _MORE_KH = 0.02, 0.2
 _COMMANDS: Mapping[str, Mapping[str, Any]] = {
@@ -79,6 +87,8 @@ class EmulatedHouse:
         self.on_row: Callable[[Row], None] = _ignored
         self.events: dict[float, Callable[[], None]] = {}
         self.is_dead = False
+        self.own_at_h: list[tuple[float, bool]] = []
+        self.stamp: pd.Timestamp | None = None
         self._told: dict[str, float] = {}
         self._ends_s, self.behind_s = math.inf, 0.0
 
@@ -101,6 +111,10 @@ class EmulatedHouse:
         """See `Clock.now`."""
         return self.true_now - pd.Timedelta(seconds=self.behind_s)
 
+    def clock(self) -> Any:
+        """The clock of a connection: that of a reading, `stamp`, while it is published."""
+        return (self.now() if self.stamp is None else self.stamp).to_pydatetime()
+
     def step_clock_back(self) -> None:
         """The controller's clock is a minute behind from now on."""
         self.behind_s = 60.0
@@ -119,6 +133,7 @@ class EmulatedHouse:
             self.home.advance(told, part_s)
             self._now_s += part_s
             if abs(self._now_s - row_s) < 1e-6:
+                self.own_at_h.append((self.hour, not self._told))
                 own = self.home.usual(np.array([self._now_s - _ROW_S]))[:, 0]
                 set_to = [usual if one is None else one for one, usual in zip(told, own, strict=True)]
                 self.rows += self._last_rows(np.array(set_to)[:, None])
@@ -202,10 +217,14 @@ class EmulatedHouse:
     def close(self) -> None:
         """Nothing is open."""
 
-    def scores(self, begin_h: float) -> tuple[float, float]:
-        """Cost, and K·h outside the bounds of all rooms, from an hour on."""
-        since = _ORIGIN + pd.Timedelta(seconds=self._begin_s + begin_h * HOUR_S)
-        rows = pd.DataFrame([row for row in self.rows if row["time"] > since])
+    def hour_of(self, instant: pd.Timestamp) -> float:
+        """Hours from when it was handed over to an instant."""
+        return ((instant - _ORIGIN).total_seconds() - self._begin_s) / HOUR_S
+
+    def scores(self, begin_h: float, hours: int) -> tuple[float, float]:
+        """Cost, and K·h outside the bounds of all rooms, of so many hours from an hour on."""
+        since_h = (begin_h + 1e-6, begin_h + hours + 1e-6)
+        rows = pd.DataFrame([row for row in self.rows if since_h[0] < self.hour_of(row["time"]) <= since_h[1]])
         at_s = np.asarray((rows["time"] - _ORIGIN).dt.total_seconds(), dtype=np.float64) - _ROW_S
         cost = float((rows["P"].to_numpy() * price_per_kWh(at_s // HOUR_S * HOUR_S)).sum()) * _ROW_S / J_PER_KWH
         outside = sum(
@@ -221,24 +240,24 @@ def _ignored(row: Row) -> None:
 
 
 class MqttHouse:
-    """The house as a device on a broker, and the connection to it; a wire between the two can be cut."""
+    """The house as a device on a broker, and the connection to it over a wire, port `port`, that can be cut."""
 
     def __init__(self, house: EmulatedHouse, broker: Broker, port: int, folder: Path) -> None:
-        self.house, self._broker, self._port, self._folder = house, broker, port, folder
-        self.is_unavailable, self._stamp = False, None
+        self.house, self._broker, self._port = house, broker, port
+        self.is_unavailable = False
         self.record = folder / "mqtt.csv"
         self.columns = [key for key in house.rows[0] if key != "time"]
         lines = ["time,topic,value"]
         for row in house.rows:
             lines += [f"{row['time'].isoformat()},home/{name},{row[name]:.6f}" for name in self.columns]
         self.record.write_text("\n".join(lines) + "\n")
-        self.device = broker.client(on_message=self._told, on_connect=self._subscribed)
-        self.device.subscribe("home/+/set", 1)
         self.messages: list[tuple[str, str]] = []
-        self.late = 0
-        house.on_row = self.publish
+        self.late = self._subscriptions = 0
         self.connection: Any = None
-        self.connect()
+        self.device = broker.client(
+            on_message=self._told, on_connect=self._connected, on_subscribe=self._subscribed
+        )  # fmt: skip
+        house.on_row = self.publish
 
     def connect(self) -> None:
         """A connection, as a process that is started makes one."""
@@ -255,8 +274,6 @@ class MqttHouse:
             ahead = self.house.forecast()
             return ahead.rename(columns={name: f"home/{name}" for name in self.columns if name not in ("out", "sun")})
 
-        connection.forecast = forecast  # type: ignore[method-assign]
-
         def measurements() -> Any:
             self._alive()
             return recorded()
@@ -265,26 +282,34 @@ class MqttHouse:
             self._alive()
             write(levels, seconds)
 
+        connection.forecast = forecast  # type: ignore[method-assign]
         connection.measurements, connection.write = measurements, written  # type: ignore[method-assign]
+        connection.reads([f"home/{one}" for one in self.columns])  # type: ignore[attr-defined]
         connection.begin()  # type: ignore[attr-defined]
-        self.wait_for(lambda: bool(connection.connected))  # type: ignore[attr-defined]
+        self.wait_for(lambda: self.is_reached)
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether the connection has its broker."""
+        return self.connection is not None and bool(self.connection.connected)
 
     def _alive(self) -> None:
         if self.house.is_dead:
             raise Killed
 
     def wait_for(self, holds: Callable[[], bool], seconds: float = 30.0) -> None:
-        """Wait until something holds, or as long."""
+        """Wait until something holds; raises `PlantError` where it does not in time."""
         until = time.monotonic() + seconds
-        while not holds() and time.monotonic() < until:
-            time.sleep(0.005)
+        while not holds():
+            if time.monotonic() > until:
+                raise PlantError(f"the broker and its clients did not do within {seconds:g} s what is waited for")
+            time.sleep(0.002)
 
-    def now(self) -> Any:
-        """The clock of the connection: that of a reading while it is published."""
-        return (self.house.now() if self._stamp is None else self._stamp).to_pydatetime()
-
-    def _subscribed(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any = None) -> None:
+    def _connected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any = None) -> None:
         client.subscribe("home/+/set", 1)
+
+    def _subscribed(self, client: Any, userdata: Any, number: int, reasons: Any, properties: Any = None) -> None:
+        self._subscriptions += 1
 
     def _told(self, client: Any, userdata: Any, message: Any) -> None:
         key, text = message.topic.split("/")[1], message.payload.decode()
@@ -298,25 +323,49 @@ class MqttHouse:
         client.publish(f"home/{key}/state", said["v"], qos=1, retain=True)
 
     def publish(self, row: Row) -> None:
-        """Readings of a time, until they stand in the record."""
-        if not self.device.is_connected():
-            return
+        """Readings of a time, until the last of them stands in the record."""
         for key in self.house.keys:  # what ended by itself
             if key not in self.house.told:
                 self.device.publish(f"home/{key}/state", "own", qos=1, retain=True)
-        if not self.connection.connected:
+        if not self.is_reached:
             return
-        stamp = row["time"] - pd.Timedelta(seconds=self.house.behind_s)
-        self._stamp, size, lines = stamp, self.record.stat().st_size, 0
+        self.house.stamp, last = row["time"] - pd.Timedelta(seconds=self.house.behind_s), b""
         for name in self.columns:
             if not (self.is_unavailable and name.startswith(("T_", "u_", "set"))):
                 text = f"{row[name]:.6f}"
                 self.device.publish(f"home/{name}", text, qos=1)
-                lines += len(f"{self.now().isoformat(timespec='milliseconds')},home/{name},{text}\n")
+                last = f"{self.house.clock().isoformat(timespec='milliseconds')},home/{name},{text}\n".encode()
         until = time.monotonic() + _RECORDED_S
-        while self.record.stat().st_size < size + lines and self.connection.connected and time.monotonic() < until:
+        while last not in self._tail() and self.is_reached and time.monotonic() < until:
             time.sleep(0.0005)
-        self._stamp = None
+        self.house.stamp = None
+
+    def _tail(self) -> bytes:
+        with self.record.open("rb") as file:
+            file.seek(max(self.record.stat().st_size - 4096, 0))
+            return file.read()
+
+    def restart_broker(self, snap: Callable[[], None]) -> None:
+        """The broker ends and is started again; both clients come back by themselves."""
+        subscriptions = self._subscriptions
+        self._broker.stop()
+        snap()
+        self.wait_for(lambda: not self.is_reached and not self.device.is_connected())
+        self._broker.start()
+        self.wait_for(lambda: self.is_reached and self._subscriptions > subscriptions)
+
+    def join_again(self, cut: threading.Event, snap: Callable[[], None]) -> None:
+        """The cut network is back: what was open is dead."""
+        snap()
+        self.wait_for(lambda: not self.is_reached)
+        cut.clear()
+        self.wait_for(lambda: self.is_reached)
+
+    def kill(self, snap: Callable[[], None]) -> None:
+        """The process with the connection is gone, and says nothing more: the broker sees its wire end."""
+        client, self.connection = self.connection._client, None
+        client.loop_stop()
+        snap()
 
     def tear(self) -> None:
         """A power failure leaves half a line and NUL."""
@@ -324,7 +373,9 @@ class MqttHouse:
             file.write(b"2026-02-0\x00\x00\x00,home")
 
     def close(self) -> None:
-        """End the device."""
+        """End the connection, if there is one, and the device."""
+        if self.connection is not None:
+            self.connection.close()
         self.device.disconnect()
         self.device.loop_stop()
 
@@ -396,29 +447,35 @@ def run_over_mqtt(
     kinds: Sequence[str] = KINDS,
     seed: int = 100,
     days: int = 14,
+    quick: bool = False,
     progress: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
-    """`days` of a house of each kind, of which one in shadow; raises `ConfigError` where no broker is installed."""
+    """`days` of a house of each kind, of which one in shadow; `quick`: some hours of the first kind without faults.
+
+    Raises:
+        ConfigError: no broker is installed.
+    """
     if why := missing():
         raise ConfigError(f"{why}: the house stands behind a real broker")
     rows: list[Row] = []
-    for kind in kinds:
-        rows += _run_kind(kind, seed, days, progress)
+    shadow_h, hours = _QUICK_H if quick else (_SHADOW_H, days * 24 - _SHADOW_H)
+    for kind in kinds[:1] if quick else kinds:
+        rows += _run_kind(kind, seed, (shadow_h, hours), progress, faults=not quick)
     return results_json("mqtt", rows, _targets(rows))
 
 
-def _run_kind(kind: str, seed: int, days: int, progress: Callable[[str], None]) -> list[Row]:
+def _run_kind(kind: str, seed: int, hours: tuple[int, int], progress: Callable[[str], None], faults: bool) -> list[Row]:
     begun = EmulatedHouse(seed, kind)
     measured = read_measurements(pd.DataFrame(begun.rows), begun.map_of(step="15min"), now=begun.now()).served()
     model = identify(measured.record, config=IdentificationConfig(), layout=measured.layout)
     progress(f"{kind}: {begun.home.plant.house.name} identified")
-    hours, rows = days * 24 - _SHADOW_H, list[Row]()
+    rows = list[Row]()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         usual = _in_process(copy.deepcopy(begun), model, folder, hours)
         rows.append(_row(kind, "in process", usual, usual))
         progress(f"{kind} in process: {rows[-1]}")
-        for name in ("broker", "broker, faults"):
+        for name in ("broker", "broker, faults") if faults else ("broker",):
             run = folder / name.replace(", ", "-")
             run.mkdir()
             rows.append(_behind(kind, name, copy.deepcopy(begun), model, run, hours, usual))
@@ -426,104 +483,104 @@ def _run_kind(kind: str, seed: int, days: int, progress: Callable[[str], None]) 
     return rows
 
 
-def _in_process(house: EmulatedHouse, model: ThermalModel, folder: Path, hours: int) -> Lived:
+def _in_process(house: EmulatedHouse, model: ThermalModel, folder: Path, hours: tuple[int, int]) -> Lived:
     course = _Course(house, house, house.map_of(), model, folder)
     course.commission()
-    course.control(_SHADOW_H, acts=False)
-    return _controlled(course, hours)
-
-
-def _controlled(course: _Course, hours: int) -> Lived:
-    begin_h = course.house.hour
-    course.control(hours)
-    course.lived.cost, course.lived.outside_Kh = course.house.scores(begin_h)
+    course.control(hours[0], acts=False)
+    begin_h = house.hour
+    course.control(hours[1])
+    course.lived.cost, course.lived.outside_Kh = house.scores(begin_h, hours[1])
     return course.lived
 
 
 @contextmanager
-def _patience(of: MqttHouse | None) -> Iterator[list[MqttHouse]]:
+def _patience(house: EmulatedHouse) -> Iterator[None]:
     """The connection's clock is that of the house, and its patience that of loopback."""
     kept = mqtt.utc_now, mqtt.TIMEOUT_S, mqtt.TAKEN_S
-    held: list[MqttHouse] = []
-    mqtt.utc_now = lambda: held[0].now()
-    mqtt.TIMEOUT_S, mqtt.TAKEN_S = _PATIENCE_S, _TAKEN_S
+    mqtt.utc_now, mqtt.TIMEOUT_S, mqtt.TAKEN_S = house.clock, _PATIENCE_S, _TAKEN_S
     try:
-        yield held
+        yield
     finally:
         mqtt.utc_now, mqtt.TIMEOUT_S, mqtt.TAKEN_S = kept
 
 
 def _behind(
-    kind: str, name: str, house: EmulatedHouse, model: ThermalModel, folder: Path, hours: int, usual: Lived
+    kind: str, name: str, house: EmulatedHouse, model: ThermalModel, folder: Path, hours: tuple[int, int], usual: Lived
 ) -> Row:
     """The days behind a broker; with faults where the name says so."""
-    broker = Broker(folder)
-    broker.start()
-    with _patience(None) as held, wire(broker.port) as (port, cut, snap):
-        home = MqttHouse.__new__(MqttHouse)
-        held.append(home)
-        home.__init__(house, broker, port, folder)  # type: ignore[misc]
+    with ExitStack() as ends:
+        broker = Broker(folder)
+        ends.callback(broker.stop)
+        broker.start()
+        ends.enter_context(_patience(house))
+        port, cut, snap = ends.enter_context(wire(broker.port))
+        home = MqttHouse(house, broker, port, folder)
+        ends.callback(home.close)
+        home.connect()
         rules = house.map_of("home/", table={"point": "topic", "value": "value"})
-        home.connection.reads(list({f"home/{one}" for one in home.columns}))
         course = _Course(house, home.connection, rules, model, folder)
         course.commission()
-        course.control(_SHADOW_H, acts=False)
+        course.control(hours[0], acts=False)
         begin_h, begun = house.hour, len(house.written)
-        if "faults" in name:
-            house.events = _events(home, broker, cut, snap, begin_h, hours)
-        with suppress(Killed):
-            course.control(hours)
-        if house.is_dead:  # somebody starts it again half an hour later
-            snap()
-            home.connection.close()
+        faults = _faults(begin_h, hours[1]) if "faults" in name else {}
+        house.events = _events(home, faults, cut, snap)
+        try:
+            course.control(hours[1])
+        except (Killed, PlantError):  # a dead process gives nothing back
+            if not house.is_dead:
+                raise
+        if house.is_dead:  # somebody starts it again
+            home.kill(snap)
             house.is_dead = False
-            house.wait_until(house.now() + pd.Timedelta("40min"))
+            begin, end = faults["killed"]
+            house.wait_until(house.now() + pd.Timedelta(hours=end - begin))
             home.connect()
             course.connection = home.connection
-            course.control(max(1, hours - round(house.hour - begin_h)))
+            course.control(max(1, hours[1] - math.floor(house.hour - begin_h - house.behind_s / HOUR_S + 1e-6)))
+        commands = {course.building().key(one): course.building().command_of(one) for one in course.building().names}
         home.connection.close()
-        course.lived.cost, course.lived.outside_Kh = house.scores(begin_h)
+        course.lived.cost, course.lived.outside_Kh = house.scores(begin_h, hours[1])
         row = _row(kind, name, course.lived, usual)
-        row |= _judged(home, broker, course.lived, begun)
-        home.close()
-    broker.stop()
-    return row
+        told = [(key, value) for _, key, value in house.written[begun:] if value is not None]
+        wrong = [] if told and all(_allowed(commands[key], value) for key, value in told) else ["out of range, or none"]
+        wrong += _wrong_at_device(home, course.lived) + _wrong_in_faults(house, course.lived, faults)
+        return row | {"wrong": "; ".join(wrong + _wrong_at_broker(broker, house.keys))}
+
+
+def _allowed(command: Any, value: float) -> bool:
+    return math.isfinite(value) and bool(command.allows(value))
+
+
+def _faults(begin_h: float, hours: int) -> dict[str, tuple[float, float]]:
+    """Begin and end of what fails, hours of the house, at ends of rows."""
+    row_h = _ROW_S / HOUR_S
+    begins = {name: begin_h + math.ceil(share * hours / row_h) * row_h for name, (share, _) in _FAULTS.items()}
+    return {name: (begins[name], begins[name] + _FAULTS[name][1]) for name in _FAULTS}
 
 
 def _events(
-    home: MqttHouse, broker: Broker, cut: Any, snap: Callable[[], None], begin_h: float, hours: int
+    home: MqttHouse, faults: Mapping[str, tuple[float, float]], cut: threading.Event, snap: Callable[[], None]
 ) -> dict[float, Callable[[], None]]:
-    """What fails at which hour of the house."""
-
-    def restart() -> None:
-        broker.stop()
-        broker.start()
-        home.wait_for(lambda: home.device.is_connected() and home.connection.connected)
-
-    def back() -> None:
-        cut.clear()
-        snap()
-        home.wait_for(lambda: bool(home.connection.connected))
-
-    def kill() -> None:
-        home.house.is_dead = True
-
-    at = {name: begin_h + share * hours + 0.3 for name, share in _FAULTS.items()}
-    events = {
-        at["broker restarted"]: restart,
+    """What happens at which hour of the house."""
+    if not faults:
+        return {}
+    at = {name: begin - 1e-6 for name, (begin, _) in faults.items()}
+    ends = {name: end - 1e-6 for name, (_, end) in faults.items()}
+    events: dict[float, Callable[[], None]] = {
+        at["broker restarted"]: lambda: home.restart_broker(snap),
         at["network cut"]: cut.set,
-        at["network cut"] + 1.0: back,
+        ends["network cut"]: lambda: home.join_again(cut, snap),
         at["unavailable"]: lambda: setattr(home, "is_unavailable", True),
-        at["unavailable"] + 1.0: lambda: setattr(home, "is_unavailable", False),
+        ends["unavailable"]: lambda: setattr(home, "is_unavailable", False),
         at["torn"]: home.tear,
         at["clock stepped back"]: home.house.step_clock_back,
-        at["killed"]: kill,
+        at["killed"]: lambda: setattr(home.house, "is_dead", True),
     }
     return dict(sorted(events.items()))
 
 
 def _row(kind: str, name: str, lived: Lived, usual: Lived) -> Row:
-    planned = sum(one.plan.status in ("solved", "bridged") for one in lived.decisions)
+    planned = sum(one.plan.status in _PLANNED for one in lived.decisions)
     return {
         "by": kind, "way": name, "trials": ", ".join(lived.trials), "shadowed": lived.shadowed,
         "decisions": len(lived.decisions), "planned": planned, "cost": round(lived.cost, 3),
@@ -532,13 +589,9 @@ def _row(kind: str, name: str, lived: Lived, usual: Lived) -> Row:
     }  # fmt: skip
 
 
-def _judged(home: MqttHouse, broker: Broker, lived: Lived, begun: int) -> Row:
-    """What must not be of what the device was told, and of what the broker keeps at the end."""
+def _wrong_at_device(home: MqttHouse, lived: Lived) -> list[str]:
+    """What must not be of what the device was told."""
     wrong = []
-    lowest, highest = {"set-points": (16.0, 26.0), "curve offset": (-3.0, 3.0), "SG-Ready": (1.0, 3.0)}[home.house.kind]
-    values = [value for _, _, value in home.house.written[begun:] if value is not None]
-    if not values or not all(math.isfinite(one) and lowest <= one <= highest for one in values):
-        wrong.append("a command out of range, or none")
     told = [text for text in home.messages if json.loads(text[1])["v"] != "own"]
     if len(set(told)) < len(told):
         wrong.append("a command twice")
@@ -546,10 +599,31 @@ def _judged(home: MqttHouse, broker: Broker, lived: Lived, begun: int) -> Row:
         wrong.append("a command too late")
     if home.house.told:
         wrong.append("not given back")
-    if any(one.plan.status not in ("solved", "bridged") for one in lived.decisions[-3:]):
+    if any(one.plan.status not in _PLANNED for one in lived.decisions[-3:]):
         wrong.append("not planned at the end")
-    late = Listener(broker, "#")
-    for key in home.house.keys:
+    return wrong
+
+
+def _wrong_in_faults(
+    house: EmulatedHouse, lived: Lived, faults: Mapping[str, tuple[float, float]]
+) -> list[str]:  # fmt: skip
+    """Faults without the house's own control where nothing reached it, or without a plan soon after."""
+    wrong = []
+    for name, (begin_h, end_h) in faults.items():
+        alone_h = (math.ceil(begin_h) + _ENDED_H, end_h)
+        own = [is_own for hour, is_own in house.own_at_h if alone_h[0] < hour <= alone_h[1]]
+        if name in _UNREACHED and not (own and all(own)):
+            wrong.append(f"{name}: {sum(own)} of {len(own)} rows by the house's own control")
+        planned_h = [house.hour_of(one.instant) for one in lived.decisions if one.plan.status in _PLANNED]
+        if not any(end_h - 1.0 < hour <= end_h + _RECOVERED_H for hour in planned_h if hour >= begin_h):
+            wrong.append(f"{name}: no plan within {_RECOVERED_H:g} h after")
+    return wrong
+
+
+def _wrong_at_broker(broker: Broker, keys: Sequence[str]) -> list[str]:
+    """What must not be of what the broker keeps at the end."""
+    wrong, late = [], Listener(broker, "#")
+    for key in keys:
         if late.wait(f"home/{key}/state")[-1:] != ["own"]:
             wrong.append(f"the broker keeps {late.texts(f'home/{key}/state')} of {key}")
     if late.wait("mpc/availability")[-1:] != ["offline"]:
@@ -557,7 +631,7 @@ def _judged(home: MqttHouse, broker: Broker, lived: Lived, begun: int) -> Row:
     if any(topic.endswith("/set") for topic, _, kept in late.heard if kept):
         wrong.append("the broker keeps a command")
     late.close()
-    return {"wrong": "; ".join(wrong)}
+    return wrong
 
 
 def _targets(rows: Sequence[Row]) -> list[Target]:

@@ -247,8 +247,9 @@ def commands_command(seed: int, houses: int, days: int, engine: Opening, quick: 
     "--by", "kinds", multiple=True, type=click.Choice(["set-points", "curve offset", "SG-Ready"]),
     help="How the house is set; repeatable.  [default: all three]",
 )  # fmt: skip
+@QUICK
 @JSON
-def mqtt_command(seed: int, days: int, kinds: tuple[str, ...], json_file: Path | None) -> None:
+def mqtt_command(seed: int, days: int, kinds: tuple[str, ...], quick: bool, json_file: Path | None) -> None:
     """Put houses behind a real MQTT broker (mosquitto, on loopback), at speed, and let things fail around them.
 
     A house behind its heat pump's own controller is commissioned, shadowed for a day and controlled: in process, behind
@@ -263,7 +264,7 @@ def mqtt_command(seed: int, days: int, kinds: tuple[str, ...], json_file: Path |
     from benchmarks.chaos.over_mqtt import run_over_mqtt
 
     named = {"kinds": kinds} if kinds else {}
-    show(run_over_mqtt(seed=seed, days=days, progress=say, **named), json_file)
+    show(run_over_mqtt(seed=seed, days=days, quick=quick, progress=say, **named), json_file)
 
 
 @click.command("contest")
