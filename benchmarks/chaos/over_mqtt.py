@@ -382,12 +382,16 @@ class MqttHouse:
 
 @dataclass
 class Lived:
-    """What a run came to: decisions of control, what was tried and shadowed, and scores of the days under control."""
+    """What a run came to: decisions of control, what was tried and shadowed, and scores of the days under control.
+
+    `begun`: how many commands were written before these days.
+    """
 
     house: EmulatedHouse
     trials: list[str] = field(default_factory=list)
     shadowed: int = 0
     decisions: list[Decision] = field(default_factory=list)
+    begun: int = 0
     cost: float = math.nan
     outside_Kh: float = math.nan
 
@@ -487,7 +491,7 @@ def _in_process(house: EmulatedHouse, model: ThermalModel, folder: Path, hours: 
     course = _Course(house, house, house.map_of(), model, folder)
     course.commission()
     course.control(hours[0], acts=False)
-    begin_h = house.hour
+    begin_h, course.lived.begun = house.hour, len(house.written)
     course.control(hours[1])
     course.lived.cost, course.lived.outside_Kh = house.scores(begin_h, hours[1])
     return course.lived
@@ -521,7 +525,7 @@ def _behind(
         course = _Course(house, home.connection, rules, model, folder)
         course.commission()
         course.control(hours[0], acts=False)
-        begin_h, begun = house.hour, len(house.written)
+        begin_h, course.lived.begun = house.hour, len(house.written)
         faults = _faults(begin_h, hours[1]) if "faults" in name else {}
         house.events = _events(home, faults, cut, snap)
         try:
@@ -541,7 +545,7 @@ def _behind(
         home.connection.close()
         course.lived.cost, course.lived.outside_Kh = house.scores(begin_h, hours[1])
         row = _row(kind, name, course.lived, usual)
-        told = [(key, value) for _, key, value in house.written[begun:] if value is not None]
+        told = [(key, value) for _, key, value in house.written[course.lived.begun :] if value is not None]
         wrong = [] if told and all(_allowed(commands[key], value) for key, value in told) else ["out of range, or none"]
         wrong += _wrong_at_device(home, course.lived) + _wrong_in_faults(house, course.lived, faults)
         return row | {"wrong": "; ".join(wrong + _wrong_at_broker(broker, house.keys))}
@@ -580,10 +584,12 @@ def _events(
 
 
 def _row(kind: str, name: str, lived: Lived, usual: Lived) -> Row:
+    told = sorted({value for _, _, value in lived.house.written[lived.begun :] if value is not None})
     planned = sum(one.plan.status in _PLANNED for one in lived.decisions)
     return {
         "by": kind, "way": name, "trials": ", ".join(lived.trials), "shadowed": lived.shadowed,
-        "decisions": len(lived.decisions), "planned": planned, "cost": round(lived.cost, 3),
+        "decisions": len(lived.decisions), "planned": planned,
+        "told": ", ".join(f"{value:g}" for value in told), "cost": round(lived.cost, 3),
         "outside_Kh": round(lived.outside_Kh, 2), "dearer": round(lived.cost / usual.cost - 1.0, 5),
         "more_Kh": round(lived.outside_Kh - usual.outside_Kh, 3), "wrong": "",
     }  # fmt: skip
@@ -635,9 +641,15 @@ def _wrong_at_broker(broker: Broker, keys: Sequence[str]) -> list[str]:
 
 
 def _targets(rows: Sequence[Row]) -> list[Target]:
-    calm = [row for row in rows if row["way"] == "broker"]
-    return [
-        Target("dearer behind a broker, share", max(abs(row["dearer"]) for row in calm), _DEARER),
-        Target("more K·h outside behind a broker", max(abs(row["more_Kh"]) for row in calm), _MORE_KH),
-        Target("runs in which something was wrong", float(sum(bool(row["wrong"]) for row in rows)), 0.0),
+    """Calm, either way; with faults, what they cost."""
+    calm, faults = ([row for row in rows if row["way"] == way] for way in ("broker", "broker, faults"))
+    targets = [
+        Target("other cost behind a broker, share", max(abs(row["dearer"]) for row in calm), _DEARER),
+        Target("other K·h outside behind a broker", max(abs(row["more_Kh"]) for row in calm), _MORE_KH),
     ]
+    if faults:
+        targets += [
+            Target("dearer with faults, share", max(row["dearer"] for row in faults), _DEARER),
+            Target("more K·h outside with faults", max(row["more_Kh"] for row in faults), _MORE_KH),
+        ]
+    return [*targets, Target("runs in which something was wrong", float(sum(bool(row["wrong"]) for row in rows)), 0.0)]
