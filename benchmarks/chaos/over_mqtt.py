@@ -14,6 +14,7 @@ import math
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -251,7 +252,8 @@ class MqttHouse:
         for row in house.rows:
             lines += [f"{row['time'].isoformat()},home/{name},{row[name]:.6f}" for name in self.columns]
         self.record.write_text("\n".join(lines) + "\n")
-        self.messages: list[tuple[str, str]] = []
+        # What was sent and confirmed, and what came: no more of anything may come.
+        self.sent, self.came = Counter[tuple[str, float]](), Counter[tuple[str, float]]()
         self.late = self._subscriptions = 0
         self.connection: Any = None
         self.device = broker.client(
@@ -281,6 +283,7 @@ class MqttHouse:
         def written(levels: Mapping[str, float | None], seconds: float) -> None:
             self._alive()
             write(levels, seconds)
+            self.sent.update((key, value) for key, value in levels.items() if value is not None)
 
         connection.forecast = forecast  # type: ignore[method-assign]
         connection.measurements, connection.write = measurements, written  # type: ignore[method-assign]
@@ -313,13 +316,15 @@ class MqttHouse:
 
     def _told(self, client: Any, userdata: Any, message: Any) -> None:
         key, text = message.topic.split("/")[1], message.payload.decode()
-        self.messages.append((key, text))
         said = json.loads(text)
         until = pd.Timestamp(said["until"]) + pd.Timedelta(seconds=self.house.behind_s)
         if said["v"] != "own" and until <= self.house.true_now:
             self.late += 1
             return
-        self.house.take(key, None if said["v"] == "own" else float(said["v"]), until)
+        value = None if said["v"] == "own" else float(said["v"])
+        if value is not None:
+            self.came[key, value] += 1
+        self.house.take(key, value, until)
         client.publish(f"home/{key}/state", said["v"], qos=1, retain=True)
 
     def publish(self, row: Row) -> None:
@@ -598,9 +603,8 @@ def _row(kind: str, name: str, lived: Lived, usual: Lived) -> Row:
 def _wrong_at_device(home: MqttHouse, lived: Lived) -> list[str]:
     """What must not be of what the device was told."""
     wrong = []
-    told = [text for text in home.messages if json.loads(text[1])["v"] != "own"]
-    if len(set(told)) < len(told):
-        wrong.append("a command twice")
+    if more := home.came - home.sent:
+        wrong.append(f"a command twice, or one that was withdrawn: {dict(more)}")
     if home.late:
         wrong.append("a command too late")
     if home.house.told:
