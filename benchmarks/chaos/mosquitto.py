@@ -85,13 +85,22 @@ class Broker:
         raise RuntimeError("no connection to the broker")
 
 
+def subscribed(client: Any, topics: str) -> None:
+    """Subscribe to `topics`, and wait until the broker has it: what is published before is not heard."""
+    granted = threading.Event()
+    client.on_subscribe = lambda *_: granted.set()
+    client.subscribe(topics, 1)
+    if not granted.wait(10.0):
+        raise RuntimeError(f"the broker did not confirm the subscription of {topics}")
+
+
 class Listener:
     """What is published below `topics`, as (topic, text, retained), to wait for."""
 
     def __init__(self, broker: Broker, topics: str = "#") -> None:
         self.heard: list[tuple[str, str, bool]] = []
         self._client = broker.client(on_message=self._on_message)
-        self._client.subscribe(topics, 1)
+        subscribed(self._client, topics)
 
     def _on_message(self, client: Any, userdata: Any, message: Any) -> None:
         self.heard.append((message.topic, message.payload.decode(), bool(message.retain)))

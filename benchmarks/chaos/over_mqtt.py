@@ -259,6 +259,7 @@ class MqttHouse:
         self.device = broker.client(
             on_message=self._told, on_connect=self._connected, on_subscribe=self._subscribed
         )  # fmt: skip
+        self.wait_for(lambda: self._subscriptions > 0)
         house.on_row = self.publish
 
     def connect(self) -> None:

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from waiting import wait_for
 
-from benchmarks.chaos.mosquitto import Broker, Listener, missing, wire
+from benchmarks.chaos.mosquitto import Broker, Listener, missing, subscribed, wire
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.connections.discovery import device_message
 from thermoforce_mpc.connections.registry import build_connection
@@ -145,7 +145,7 @@ def test_what_the_device_says_is_waited_for(connect, broker, monkeypatch):
         client.publish("room/state", json.dumps({"set": taken}), qos=1)
 
     device = broker.client(on_message=answers)
-    device.subscribe("room/set", 1)
+    subscribed(device, "room/set")
     room = {
         "topic": "room/set",
         "release": 20,
@@ -237,7 +237,7 @@ def test_one_that_only_writes_is_quiet(connect, broker, tmp_path):
     """As the watchdog, which is no controller: it says nothing of one, and writes to no record."""
     device = broker.client()
     device.on_message = lambda client, userdata, message: client.publish("quiet/state", message.payload, 1, True)
-    device.subscribe("quiet/set", 1)
+    subscribed(device, "quiet/set")
     heard = Listener(broker, "#")
     home = connect(actuators={"hall": {"topic": "quiet/set", "release": 20.0, "state": "quiet/state"}}, prefix="loud")
     home.write({"hall": 21.5}, 900.0)
@@ -266,7 +266,7 @@ def test_what_a_device_held_is_put_back_without_end(connect, broker):
     )
     heard = []
     device = broker.client(on_message=lambda client, userdata, message: heard.append(message))
-    device.subscribe("back/#", 1)
+    subscribed(device, "back/#")
     home.write({"hall": 21.0}, 900.0)
     home.put_back({"hall": 22.5, "bath": 22.5, "pump": 3.0})
     wait_for("all of it", lambda: len(heard) == 4)

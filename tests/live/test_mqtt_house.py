@@ -23,7 +23,7 @@ from connected_home import (
 from home_by_setpoint import own_setpoint_C
 from waiting import wait_for
 
-from benchmarks.chaos.mosquitto import Broker, Listener, missing, wire
+from benchmarks.chaos.mosquitto import Broker, Listener, missing, subscribed, wire
 from thermoforce_mpc.connections.registry import build_connection
 from thermoforce_mpc.errors import PlantError
 
@@ -49,7 +49,7 @@ class MqttHome:
             lines += [f"{row['time'].isoformat()},{TOPICS[name]},{row[name]:.6f}" for name in SENSORS]
         (folder / "mqtt.csv").write_text("\n".join(lines) + "\n")
         self.device = broker.client(on_message=self._told, on_connect=self._here)
-        self.device.subscribe("house/thermostat/set", 1)
+        subscribed(self.device, "house/thermostat/set")
         self.unavailable = self.torn = False
         self.connect(port)
         self.events = lambda row: None
