@@ -21,9 +21,9 @@ def test_house_behind_a_broker_lives_as_in_process(tmp_path):
     usual, behind = found["rows"]
     assert behind["cost"] == usual["cost"] > 0.0
     assert behind["outside_Kh"] == usual["outside_Kh"]
-    # The device says what it took: three rooms tried, an hour of shadow, four of control.
+    # The device says what it took: three rooms tried, an hour of shadow, two of control.
     assert len(trials := behind["trials"].split(", ")) == 3
     assert set(trials) <= {"taken", "answered"}
-    assert (behind["shadowed"], behind["decisions"], behind["planned"]) == (1, 4, 4)
+    assert (behind["shadowed"], behind["decisions"], behind["planned"]) == (1, 2, 2)
     assert behind["wrong"] == ""
     assert all(target["holds"] for target in found["targets"])
