@@ -117,9 +117,9 @@ def mpc(verdicts=(None, None), case=None, changed=lambda n, found: found, **opti
     return ThermoForceMPC(built.model, built.config, free_response=OutdoorResponse(), solver=solver)
 
 
-def observation(plant=None, T_C=None) -> Observation:
+def observation(plant=None, T_C=None, start_s=10 * DAY_S) -> Observation:
     plant = plant or Room()
-    plant.reset(10 * DAY_S, DAY_S)
+    plant.reset(start_s, DAY_S)
     history = plant.past(HOUR_S)
     if T_C is not None:
         T = history.T_zone_C.copy()
@@ -201,6 +201,10 @@ def test_in_closed_loop_one_coil_acts_in_a_step_and_the_room_is_kept(actuation):
         assert np.count_nonzero(step.plan.u[:, 0]) <= 1
 
 
+# At whole hours the on/off rule's levels would act, which cost less than these.
+_BETWEEN_HOURS_S = 10 * DAY_S + 900.0
+
+
 def always(*levels: float):
     """Every solution is these levels."""
     return lambda n, found: Solution(True, np.repeat(np.array(levels)[:, None], 24, axis=1), "given", 1, "")
@@ -219,14 +223,14 @@ def test_a_rule_that_would_heat_and_cool_does_one_of_them():
 
 def test_a_solution_that_has_both_on_is_not_followed_in_both():
     controller = mpc(changed=always(0.4, 0.9), guard={"enabled": False})
-    plan = controller.plan(observation(T_C=21.2))
+    plan = controller.plan(observation(T_C=21.2, start_s=_BETWEEN_HOURS_S))
     assert acting(plan) == {COOL}
     assert "heating_coil: excluded by cooling_coil" in plan.why
 
 
 def test_the_guard_comes_before_the_plan():
     controller = mpc(changed=always(0.0, 1.0))
-    plan = controller.plan(observation(T_C=17.0))
+    plan = controller.plan(observation(T_C=17.0, start_s=_BETWEEN_HOURS_S))
     assert plan.status is PlanStatus.GUARD
     assert acting(plan) == {HEAT}
 

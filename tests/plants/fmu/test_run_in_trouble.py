@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -49,7 +50,7 @@ def test_a_restart_stands_in_the_folder_and_a_resumed_run_does_the_same(file, tm
     monkeypatch.setenv("FMU_HOUSE_UNLESS", str(tmp_path / "happened"))
     done = CliRunner().invoke(cli, words(file, tmp_path / "whole"), catch_exceptions=False)
     assert done.exit_code == 0, done.output
-    assert "the FMU's step from day 30.0521 takes 1 s already; it is ended after 2 s" in done.output
+    assert re.search(r"the FMU's step from day 30\.0521 takes \d\.?\d* s already; it is ended after 2 s", done.output)
     assert RESTARTED in done.output
     assert RESTARTED in json.loads((tmp_path / "whole" / "manifest.json").read_text())["plant"]["details"]["restarts"]
     for name in ("report.html", "log.jsonl", "journal.jsonl"):
