@@ -369,8 +369,8 @@ class MqttHouse:
 
     def kill(self, snap: Callable[[], None]) -> None:
         """The process with the connection is gone, and says nothing more: the broker sees its wire end."""
-        client, self.connection = self.connection._client, None
-        client.loop_stop()
+        connection, self.connection = self.connection, None
+        connection.drop()
         snap()
 
     def tear(self) -> None:

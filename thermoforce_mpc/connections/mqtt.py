@@ -326,6 +326,13 @@ class MqttConnection:
         client.disconnect()
         client.loop_stop()
 
+    def drop(self) -> None:
+        """End without a word, as where the process is gone: the broker sends the last will."""
+        client, self._client = self._client, None
+        if client is not None:
+            client.loop_stop()
+            _break_off(client)
+
     def _made(self, name: str) -> Any:
         try:
             import paho.mqtt.client as paho
