@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -171,7 +172,7 @@ class _Model:
         self._T_zone_C = observation.T_zone_C
         self.own = controller.evaluator.own_names
 
-    @property
+    @cached_property
     def courses(self) -> Courses:
         """Rules in this instance."""
         return self._controller.courses(

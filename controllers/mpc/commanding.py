@@ -29,7 +29,7 @@ from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving, PlanStatus
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.dataframes import compose
-from thermoforce_mpc.model.card import MOST_ERROR_K, ModelCard
+from thermoforce_mpc.model.card import JUDGED_H, MOST_ERROR_K, ModelCard
 from thermoforce_mpc.model.machine.change import weight_of_demand
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR, ZONE
@@ -42,7 +42,7 @@ NOT_BETTER = "commands that were found are not better than leaving the building 
 _ROUNDS, _CLOSE, _TABLE = 20, 5e-4, 65
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
 # Lead time whose error counts of rooms that are not known, h.
-_ERROR_H = 6.0
+_ERROR_H = JUDGED_H[-1]
 # What a change of a command must save, as a share of what the building costs when it is left alone.
 _PER_CHANGE = 0.002
 # What the scatter of a level costs, as a share of that level's cost: a search takes what is judged too well (see

@@ -79,8 +79,6 @@ from thermoforce_mpc.protocols import FreeResponse
 _CLEARLY, _LEAST_KH = 0.05, 0.1
 # Solvers that did not return and were replaced, before no more are started; besides a forecaster of each zone.
 _SOLVERS_ABANDONED = 3
-
-
 # A plan acts, or guards do within it.
 _PLANNED = (PlanStatus.SOLVED, PlanStatus.BRIDGED, PlanStatus.ACCEPTABLE, PlanStatus.GUARD)
 

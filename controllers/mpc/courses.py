@@ -57,7 +57,7 @@ class Courses:
         self._rules, self._boundary, self._T_now_C = tuple(rules), boundary, T_now_C
         self._forced_K, self._features, self._T_free_C = forced_K, features, T_free_C
         whole = np.ones((1, T_free_C.shape[1]))
-        self._lowest, self._highest = machinery.u_min[:, None] * whole, machinery.u_max[:, None] * whole
+        self._u_min, self._u_max = machinery.u_min[:, None] * whole, machinery.u_max[:, None] * whole
         self._capacity: Array | None = None
         self._comes = whole
 
@@ -76,7 +76,7 @@ class Courses:
         T_now_C = np.where(np.isfinite(T_zone_C), T_zone_C, known_C)
         state, machinery = problem.forced_state_K, problem.machinery
         found = cls(operator, layout, machinery, rules, boundary, T_now_C, state, problem.features, problem.T_free_C)
-        found._lowest, found._highest = problem.level_bounds
+        found._u_min, found._u_max = problem.level_bounds
         found._capacity = problem.capacity
         if problem.available is not None:
             found._comes = problem.available
@@ -88,7 +88,7 @@ class Courses:
         `first`: number of the step that they begin with.
         """
         m, steps = self._machinery, slice(first, first + u.shape[1])
-        u = np.clip(u, self._lowest[:, steps], self._highest[:, steps])
+        u = np.clip(u, self._u_min[:, steps], self._u_max[:, steps])
         for k in range(u.shape[1] if m.exclusive else 0):
             u[list(self._layout.excluded([float(abs(level)) for level in u[:, k]])), k] = 0.0
         load = m.fed_by @ (m.share[:, None] * np.maximum(u, 0.0))

@@ -28,9 +28,8 @@ class MPCState:
     of its machine), `adaptation` (None at the start of a run) and `watch` (what the watch knows of its predictions).
     `margins`: what was learned of bounds, predictions and capacities. `sensors` (Z,): what is known of the zone
     sensors, and `sun` of the sun on them; `meters`: of weather sensors and meters. `boundary`: the last forecast of the
-    boundary conditions without gaps. `failures`: consecutive failed plans.
-    `ruled`: whether the on/off rule's levels acted, since the plan's own statement priced them lower.
-    `mornings`: what was believed of the day. `last_s`: time of
+    boundary conditions without gaps. `failures`: consecutive failed plans. `ruled`: whether the on/off rule's levels
+    acted, since the plan's own statement priced them lower. `mornings`: what was believed of the day. `last_s`: time of
     the last plan, s.
     """
 

@@ -360,6 +360,32 @@ def test_one_that_cannot_be_put_back_is_said_with_what_to_set(tmp_path, monkeypa
         tried(building, plan, read=read, clock=home, sets="home")
 
 
+def test_an_interrupt_between_two_attempts_to_put_it_back_costs_one(tmp_path, monkeypatch):
+    """The pause after an attempt that failed is no place where a command stays set."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    home, rules = by_setpoint()
+    building, (plan,), read = of(home, rules)
+    write, wait, failed = home.write, home.wait_until, []
+
+    def fails_to_give_back_once(levels, seconds):
+        if seconds == 0.0 and not failed:
+            failed.append(home.now())
+            raise PlantError("no route")
+        write(levels, seconds)
+
+    def interrupted_then(at):
+        if len(failed) == 1:
+            failed.append(at)
+            raise KeyboardInterrupt
+        wait(at)
+
+    home.write, home.wait_until = fails_to_give_back_once, interrupted_then
+    with pytest.raises(KeyboardInterrupt):
+        tried(building, plan, read=read, clock=home, sets="home")
+    assert len(failed) == 2
+    assert [value for *_, value in home.written] == [plan.value, None]
+
+
 _TRIES = """
 import sys
 sys.argv = ["tf-mpc", "commission", "connection.yaml", "--yes", "--out", "out", "--watchdog", "1"]

@@ -123,6 +123,23 @@ def control(
         return Loop(driver, controller, outage_h).run()
 
 
+def until_taken(attempt: Callable[[], bool], clock: Clock, failed: str, remedy: str) -> BaseException | None:
+    """Give something back: `attempt` is made until it says that the building took it.
+
+    An interrupt meanwhile costs one attempt and is returned, to be raised when all is in order. Raises `PlantError`, of
+    what `failed` and its `remedy`, where no attempt was taken.
+    """
+    interrupt: BaseException | None = None
+    for _ in range(_RELEASES):
+        try:
+            if attempt():
+                return interrupt
+            clock.wait_until(clock.now() + pd.Timedelta(seconds=_PAUSE_S))
+        except BaseException as again:  # Ctrl-C once more, or another signal to end
+            interrupt = again
+    raise PlantError(f"{failed} in {_RELEASES} attempts: {remedy}") from interrupt
+
+
 class _Building:
     """A real building as the driver of a loop: it goes on by itself, and may fail at any time."""
 
@@ -419,19 +436,13 @@ class _Building:
         """Give everything back, if anything was set; an interrupt meanwhile costs one attempt, and is raised after."""
         if not self._set:
             return
-        interrupt: BaseException | None = None
-        for _ in range(_RELEASES):
-            try:
-                if self._write((None,) * len(self._building.names), 0.0):
-                    break
-                self._clock.wait_until(self._clock.now() + pd.Timedelta(seconds=_PAUSE_S))
-            except BaseException as again:  # Ctrl-C once more, or another signal to end
-                interrupt = again
-        else:
-            raise PlantError(
-                f"the building did not take back {', '.join(self._building.names)} in {_RELEASES} attempts: give them "
-                "back to its own control by hand"
-            ) from interrupt
+        names = ", ".join(self._building.names)
+        interrupt = until_taken(
+            lambda: self._write((None,) * len(self._building.names), 0.0),
+            self._clock,
+            f"the building did not take back {names}",
+            "give them back to its own control by hand",
+        )
         self._end_applied()
         if interrupt is not None:
             raise interrupt

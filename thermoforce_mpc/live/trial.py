@@ -21,10 +21,9 @@ from thermoforce_mpc.commands.contacts import Enable, SGReady
 from thermoforce_mpc.commands.setpoint import Setpoint
 from thermoforce_mpc.connections.sole import Sets, sole_control
 from thermoforce_mpc.connections.watchdog import Watchdog
-from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.live.building import LiveBuilding
-from thermoforce_mpc.live.control import Clock
+from thermoforce_mpc.live.control import Clock, until_taken
 from thermoforce_mpc.measurements.points import LivePoint
 
 _LOG = logging.getLogger(__name__)
@@ -39,8 +38,6 @@ LEAST_S, _LEVEL_S = 300.0, 900.0
 BEYOND_S = 120.0
 # The points are read again so often in a trial, and at least so far apart, s.
 _LOOKS, LOOK_S = 12, 5.0
-# Attempts to put a command back, and between two, s (as those of `live.control`).
-_RELEASES, _PAUSE_S = 5, 2.0
 # What counts as an answer: of level and flow and room at once, of power as a share of the larger and W.
 _ANSWERS = {"level": 0.1, "flow": 1.0, "temperature": 0.2, "return_water": 1.0}
 _OF_POWER, _LEAST_W = 0.2, 30.0
@@ -413,20 +410,20 @@ class _Trial:
     def _put_back(self) -> str:
         """Put the command back, and say how; an interrupt meanwhile costs one attempt, and is raised after."""
         plan, building = self._plan, self._building
-        interrupt: BaseException | None = None
-        for _ in range(_RELEASES):
+        words = ""
+
+        def attempt() -> bool:
+            nonlocal words
             try:
                 words = put_back(building, plan.key, plan.actuators[0], plan.value, plan.before, plan.near)
-                break
             except Exception as error:  # somebody's connection may raise anything
                 _LOG.warning("%s was not put back (%s: %s)", plan.key, type(error).__name__, error)
-                self._clock.wait_until(self._clock.now() + pd.Timedelta(seconds=_PAUSE_S))
-            except BaseException as again:  # Ctrl-C once more, or another signal to end
-                interrupt = again
-        else:
-            raise PlantError(
-                f"{plan.key} was not put back in {_RELEASES} attempts: set it back to {plan.before_words} by hand"
-            ) from interrupt
+                return False
+            return True
+
+        interrupt = until_taken(
+            attempt, self._clock, f"{plan.key} was not put back", f"set it back to {plan.before_words} by hand"
+        )
         if self._watchdog is not None:
             self._watchdog.released()
         if interrupt is not None:
