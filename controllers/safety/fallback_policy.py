@@ -35,8 +35,8 @@ class FallbackConfig(StrictModel):
     setpoint_above_bound_K: ClassVar[float] = 0.3
     # On/off rule: window ahead over which the tightest bound is taken, h.
     look_ahead_h: ClassVar[float] = 3.0
-    # On/off rule: set-points of heating and of cooling where comfort bounds are missing, °C: in a home the lower limit of
-    # category II in winter, and about the upper one of category I in summer (EN 16798-1: 20 and 25.5).
+    # On/off rule: set-points of heating and of cooling where comfort bounds are missing, °C: in a home the lower limit
+    # of category II in winter, and about the upper one of category I in summer (EN 16798-1: 20 and 25.5).
     safe_C: ClassVar[tuple[float, float]] = (20.0, 25.0)
     # Consecutive failures after which forecasts and solves begin anew, without what they kept.
     cold_after: ClassVar[int] = 3
