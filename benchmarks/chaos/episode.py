@@ -29,7 +29,7 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.records.journal import NAME, read_journal
-from thermoforce_mpc.records.run_log import log_step, logging_to
+from thermoforce_mpc.records.run_folder import log_step, logging_to
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
 

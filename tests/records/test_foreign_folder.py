@@ -24,8 +24,8 @@ from thermoforce_mpc.experiment import run as experiment_run
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.explaining import alternatives_of, decision_at
 from thermoforce_mpc.experiment.run_book import RunBook
+from thermoforce_mpc.files import open_plain
 from thermoforce_mpc.plants.testcases import load_scenario
-from thermoforce_mpc.records.plain_files import open_plain
 from thermoforce_mpc.records.run_folder import kept_model
 
 TESTCASE = "bestest_hydronic_heat_pump"

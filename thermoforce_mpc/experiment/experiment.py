@@ -27,7 +27,7 @@ from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.registry import ChosenPlant, choose_plant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Controller, Plant
-from thermoforce_mpc.records.own_kpis import OwnKpi, own_kpis
+from thermoforce_mpc.records.run_folder import OwnKpi, own_kpis
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
 

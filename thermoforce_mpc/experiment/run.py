@@ -34,7 +34,6 @@ from thermoforce_mpc.loop.loop import KeptSteps
 from thermoforce_mpc.plants.boptest.plant import allow_token
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.protocols import Controller, Plant
-from thermoforce_mpc.records.own_kpis import with_own_kpis
 from thermoforce_mpc.records.recorded_plant import JournaledPlant
 from thermoforce_mpc.records.run_folder import (
     clear_partial,
@@ -42,9 +41,11 @@ from thermoforce_mpc.records.run_folder import (
     file_stem,
     is_complete,
     is_empty,
+    log_step,
+    logging_to,
     sole_use,
+    with_own_kpis,
 )
-from thermoforce_mpc.records.run_log import log_step, logging_to
 from thermoforce_mpc.report.display import RunDisplay
 from thermoforce_mpc.report.findings import DISCOMFORT
 from thermoforce_mpc.scenario.scenario import Scenario

@@ -15,10 +15,9 @@ from thermoforce_mpc.data import DAY_S, Period, PlantInfo
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.experiment.equal_comfort import AsComfortable
 from thermoforce_mpc.experiment.experiment import Experiment
-from thermoforce_mpc.files import file_sha256
+from thermoforce_mpc.files import file_sha256, write_plain
 from thermoforce_mpc.loop.closed_loop import RunResult
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.records.plain_files import write_plain
 from thermoforce_mpc.records.run_folder import (
     LOCK,
     environment,

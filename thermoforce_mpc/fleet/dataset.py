@@ -13,9 +13,8 @@ import pandas as pd
 from thermoforce_mpc.comparison.store import DONE
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.files import pyarrow_for
+from thermoforce_mpc.files import pyarrow_for, write_plain
 from thermoforce_mpc.fleet.runs import FleetRun
-from thermoforce_mpc.records.plain_files import write_plain
 
 NAME = "runs.parquet"
 # Increased whenever a column changes its meaning, its type or its name.

@@ -18,11 +18,10 @@ from thermoforce_mpc.comparison.tasks import tasks_of as cell_tasks
 from thermoforce_mpc.errors import ArtifactError, ConfigError, DataError
 from thermoforce_mpc.execution import Task, content_key
 from thermoforce_mpc.experiment.measured_model import model_of_measurements
-from thermoforce_mpc.files import pyarrow_for, storage_errors
+from thermoforce_mpc.files import pyarrow_for, storage_errors, write_plain
 from thermoforce_mpc.fleet.file import FleetBuilding, FleetFile
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.thermal_model import load_model
-from thermoforce_mpc.records.plain_files import write_plain
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, validate
 

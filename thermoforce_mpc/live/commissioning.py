@@ -29,8 +29,7 @@ from thermoforce_mpc.measurements.load import Measurements, learned_commands, re
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.points import LivePoint, read_points
 from thermoforce_mpc.model.thermal_model import load_model
-from thermoforce_mpc.records.run_folder import plain_json
-from thermoforce_mpc.records.saving import MOST_BYTES, SHADOW
+from thermoforce_mpc.records.run_folder import MOST_BYTES, SHADOW, plain_json
 
 _LOG = logging.getLogger(__name__)
 _FORMAT = 1

@@ -27,7 +27,7 @@ from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of, screened_history
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.records.live_journal import Given, LiveJournal
-from thermoforce_mpc.records.run_log import log_decision
+from thermoforce_mpc.records.run_folder import log_decision
 
 _LOG = logging.getLogger(__name__)
 # How often a building that does not take its levels back at the end is asked again, and how long between, s.

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Plan, PlanStatus
-from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.files import write_plain, write_whole
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.plants.kpis import zone_kpis
-from thermoforce_mpc.records.own_kpis import own_of
-from thermoforce_mpc.records.plain_files import write_plain
+from thermoforce_mpc.records.run_folder import own_of
 from thermoforce_mpc.report.courses import RunCourse, course_of, most_blocks
 from thermoforce_mpc.report.findings import Capped, best_values, gates_held, planning_of, verdict, watch_spells
 from thermoforce_mpc.report.model_panels import answers_json, other_levels_json

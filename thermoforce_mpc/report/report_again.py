@@ -12,11 +12,9 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, J_PER_KWH
 from thermoforce_mpc.errors import ArtifactError, InputError
-from thermoforce_mpc.files import read_bounded
+from thermoforce_mpc.files import check_plain, read_bounded
 from thermoforce_mpc.loop.closed_loop import RunResult
-from thermoforce_mpc.records.own_kpis import own_of
-from thermoforce_mpc.records.plain_files import check_plain
-from thermoforce_mpc.records.run_folder import is_complete, kept_model, write_json
+from thermoforce_mpc.records.run_folder import is_complete, kept_model, own_of, write_json
 from thermoforce_mpc.records.told_steps import ToldBuilding, ToldRun, told_run
 from thermoforce_mpc.report.findings import figures_of
 
