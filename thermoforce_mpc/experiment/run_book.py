@@ -29,7 +29,7 @@ from thermoforce_mpc.records.journal import (
 )
 from thermoforce_mpc.records.recorded_plant import JournaledPlant
 from thermoforce_mpc.records.run_folder import plain_json, write_partial
-from thermoforce_mpc.report.report_again import report_again
+from thermoforce_mpc.report.html import report_again
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.version import VERSION
