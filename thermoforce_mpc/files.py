@@ -1,7 +1,8 @@
 """Files within bounds: what is written is whole or absent, what is read ends in a named error.
 
 What people give us may be a device, a pipe or a file of any size. A folder that may come from elsewhere holds plain
-files and folders only, opened without following links.
+files and folders only, opened without following links. What this user gave on this machine is noted in the cache
+folder, which no file from elsewhere forges.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import errno
 import hashlib
 import io
 import json
+import logging
 import math
 import os
 import re
@@ -17,11 +19,12 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
+from thermoforce_mpc.dependencies import cache_folder
 from thermoforce_mpc.errors import ArtifactError, ConfigError, InputError, StorageError
 
 
@@ -358,3 +361,32 @@ def _kind(mode: int) -> str:
         stat.S_IFCHR: "a device",
     }
     return kinds.get(stat.S_IFMT(mode), "no file")
+
+
+_LOG = logging.getLogger(__name__)
+_GIVEN, _MOST_GIVEN_BYTES = "given.jsonl", 10_000_000
+
+
+def known_marks() -> set[str]:
+    """All that was noted."""
+    try:
+        file = cache_folder() / _GIVEN
+        if file.exists():
+            return set(read_bounded(file, _MOST_GIVEN_BYTES, ConfigError).decode("utf-8", "replace").splitlines())
+    except RuntimeError:  # who runs this has no home
+        pass
+    return set()
+
+
+def note_marks(marks: Iterable[str]) -> None:
+    """Note lines; where that cannot be written, they have to be given again some day."""
+    new = sorted(set(marks) - known_marks())
+    if not new:
+        return
+    try:
+        file = cache_folder() / _GIVEN
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("a", encoding="utf-8", errors="backslashreplace") as notes:
+            notes.write("".join(f"{mark}\n" for mark in new))
+    except (OSError, RuntimeError) as error:  # RuntimeError: who runs this has no home
+        _LOG.info("what was given is not noted (%s): it has to be given again", error)

@@ -23,7 +23,7 @@ from thermoforce_mpc.errors import PlantError, ThermoForceError
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
-from thermoforce_mpc.loop.unit_doubts import UnitDoubts
+from thermoforce_mpc.loop.inputs import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant

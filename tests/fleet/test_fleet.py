@@ -33,10 +33,9 @@ from thermoforce_mpc.comparison.tasks import failure
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.fleet import runs as fleet_runs
-from thermoforce_mpc.fleet.dataset import FORMAT, read_dataset, schema
 from thermoforce_mpc.fleet.file import buildings_of, load_fleet
 from thermoforce_mpc.fleet.page import causes, fleet_page, groups, headline, lost, paired, run_command
-from thermoforce_mpc.fleet.runs import runs_of, tasks_of
+from thermoforce_mpc.fleet.runs import FORMAT, read_dataset, runs_of, schema, tasks_of
 from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.scenario import Scenario

@@ -15,9 +15,9 @@ import pytest
 from click.testing import CliRunner
 from simple_house import SimpleHouse, simple_model
 
+from thermoforce_mpc import files as cache
 from thermoforce_mpc import report
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.data import cache
 from thermoforce_mpc.errors import ArtifactError, ConfigError
 from thermoforce_mpc.experiment import outside
 from thermoforce_mpc.experiment import run as experiment_run

@@ -21,9 +21,8 @@ from thermoforce_mpc.data import Block, Boundary, CommandValue, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ControllerRaised, NoForecast, PlantError, ThermoForceError
 from thermoforce_mpc.live.building import Applied, Kept, KeptState, LiveBuilding, SetCommand
-from thermoforce_mpc.loop.forecasts import OUTAGE_H
+from thermoforce_mpc.loop.inputs import OUTAGE_H, UnitDoubts
 from thermoforce_mpc.loop.loop import Believed, Decided, Loop, not_followed
-from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of, screened_history
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.records.live_journal import Given, LiveJournal

@@ -31,7 +31,7 @@ from thermoforce_mpc.data import (
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S, seconds_of, words_of
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord, sample_of, time_rat, with_level
-from thermoforce_mpc.loop.forecasts import empty_forecast, holes
+from thermoforce_mpc.loop.inputs import empty_forecast, holes
 from thermoforce_mpc.loop.loop import KeptSteps
 from thermoforce_mpc.model.forecast_gaps import completed, lengthened
 from thermoforce_mpc.model.screening import ReadingLimits, screened_history

@@ -17,7 +17,7 @@ from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.files import check_plain
 from thermoforce_mpc.loop.closed_loop import in_force, with_level
-from thermoforce_mpc.loop.forecasts import holes, price_paid
+from thermoforce_mpc.loop.inputs import holes, price_paid
 from thermoforce_mpc.model.forecast_gaps import completed
 from thermoforce_mpc.records.journal import (
     FORMAT,

@@ -17,12 +17,17 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Layout, PlanSt
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
 from thermoforce_mpc.loop.closed_loop import RunResult, Sample, StepRecord, in_force
-from thermoforce_mpc.loop.forecasts import price_paid
+from thermoforce_mpc.loop.inputs import price_paid
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.kpis import excess
 from thermoforce_mpc.report.page import Json, exactly, packed, rows_packed, smooth
-from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
-from thermoforce_mpc.whatif.identified import full_level_of, step_answer, step_response_of
+from thermoforce_mpc.whatif.counterfactual import (
+    Counterfactual,
+    counterfactual,
+    full_level_of,
+    step_answer,
+    step_response_of,
+)
 
 # Bytes of the courses of all runs of a page, before base64 adds a third; of more, consecutive blocks are averaged.
 _MOST_COURSES_BYTES = 800_000

@@ -129,7 +129,7 @@ def _finish(model: ThermalModel, record: Record, out: Path, display: RunDisplay,
     """Save and show a model and the plot of its fit; exit code 4 where it is not competent."""
     from thermoforce_mpc.cli.inside.inspect import show_model
     from thermoforce_mpc.experiment.identifying import may_act
-    from thermoforce_mpc.whatif.identified import PLOT_NAME, plot_identification
+    from thermoforce_mpc.whatif.counterfactual import PLOT_NAME, plot_identification
 
     model.save(out, overwrite=overwrite)
     show_model(str(out), model, display.console)

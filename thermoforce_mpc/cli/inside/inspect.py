@@ -101,7 +101,7 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
     certified = f"NOT CERTIFIED: {', '.join(wrong)}" if wrong else "every pair CERTIFIED"
     console.print(f"Certificate: {certified}", soft_wrap=True)
     from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
-    from thermoforce_mpc.whatif.identified import step_response_of
+    from thermoforce_mpc.whatif.counterfactual import step_response_of
 
     hours = STEP_RESPONSE_H[-1]
     table = plain_table(["zone", *operator.actuators])

@@ -23,7 +23,21 @@ from thermoforce_mpc.cli.options import (
     scenario_from,
 )
 from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, run_cells, sayer
-from thermoforce_mpc.comparison.cells import Cell, Inputs, expand
+from thermoforce_mpc.comparison.cells import (
+    Cell,
+    ComparisonFile,
+    Inputs,
+    Variant,
+    building_limits,
+    comma_list,
+    expand,
+    known_names,
+    load_comparison,
+    numeric_option,
+    shared_limits,
+    swept_variants,
+    variants_by_name,
+)
 from thermoforce_mpc.comparison.files import (
     FORMS,
     HEADINGS,
@@ -36,18 +50,6 @@ from thermoforce_mpc.comparison.files import (
 from thermoforce_mpc.comparison.outcome import group_title, grouped, verdicts
 from thermoforce_mpc.comparison.store import DONE, Store
 from thermoforce_mpc.comparison.tasks import EqualComfort, tasks_of
-from thermoforce_mpc.comparison.variants import (
-    ComparisonFile,
-    Variant,
-    building_limits,
-    comma_list,
-    known_names,
-    load_comparison,
-    numeric_option,
-    shared_limits,
-    swept_variants,
-    variants_by_name,
-)
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.windows import check_window

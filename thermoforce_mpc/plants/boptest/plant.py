@@ -40,8 +40,8 @@ from thermoforce_mpc.data import (
     PlantInfo,
     Record,
 )
-from thermoforce_mpc.data.cache import known_marks, note_marks
 from thermoforce_mpc.errors import ConfigError, InputError, NoForecast, NoSuchTest, PlantError
+from thermoforce_mpc.files import known_marks, note_marks
 from thermoforce_mpc.plants import checks
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import day_period, is_day
