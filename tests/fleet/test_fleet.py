@@ -23,7 +23,7 @@ from simple_house import simple_model
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.options import scenario_from
-from thermoforce_mpc.cli.running import executing
+from thermoforce_mpc.cli.running import comparing
 from thermoforce_mpc.cli.running.fleet import saving_cells
 from thermoforce_mpc.cli.running.run import run as run_one
 from thermoforce_mpc.comparison import cells
@@ -191,7 +191,7 @@ def test_after_a_change_of_the_source_kept_runs_name_the_model_that_they_had(
     assert _fleet(path)[0] == 0
     models, rows = (tmp_path / "out" / name for name in ("models.parquet", "runs.parquet"))
     before = models.read_bytes(), rows.read_bytes()
-    for module in (cells, executing):
+    for module in (cells, comparing):
         monkeypatch.setattr(module, "source_fingerprint", lambda: "other")
     code, said = _fleet(path)
     assert code == 0, said

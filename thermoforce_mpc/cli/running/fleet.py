@@ -14,7 +14,7 @@ import pandas as pd
 from rich.console import Console
 
 from thermoforce_mpc.cli.options import PATH, Opening, check_named_code, code_option, execution_options
-from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, outcomes_of, run_cells, sayer
+from thermoforce_mpc.cli.running.comparing import FAILED, note_other_code, outcomes_of, run_cells, sayer
 from thermoforce_mpc.comparison.store import DONE, Store
 from thermoforce_mpc.comparison.tasks import failure
 from thermoforce_mpc.errors import ConfigError, counted
