@@ -14,9 +14,9 @@ from benchmarks.interventions.small_office import (
 )
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.execution import LocalEngine
-from thermoforce_mpc.plants.energyplus import office_model as office_model_of
+from thermoforce_mpc.plants.energyplus import office_plant as office_model_of
 from thermoforce_mpc.plants.energyplus.engine import is_available, reference_building
-from thermoforce_mpc.plants.energyplus.office_model import office_model
+from thermoforce_mpc.plants.energyplus.office import office_model
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
 
