@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import ACTING, ZERO_C_K, Array, Block, Boundary, Measurement, Record
-from thermoforce_mpc.plants.checks import plant_inputs
+from thermoforce_mpc.plants.shell import plant_inputs
 from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
 from thermoforce_mpc.scenario.building import BuildingPoints, HeatMeter, Machine, Price, weighted_sum
 

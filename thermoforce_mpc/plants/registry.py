@@ -244,7 +244,7 @@ def _small_office(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) 
 
 
 def _energyplus(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
-    from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant
+    from thermoforce_mpc.plants.energyplus.zone import EnergyPlusPlant
 
     return EnergyPlusPlant(testcase, **_on_engine(spec, seed))
 
@@ -337,7 +337,7 @@ def _of_weather(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
 
 
 def _weeks(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
-    from thermoforce_mpc.plants.drawn_houses.plant import NAMES
+    from thermoforce_mpc.plants.drawn_houses import NAMES
 
     return NAMES
 

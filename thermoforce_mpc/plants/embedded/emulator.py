@@ -31,7 +31,6 @@ from thermoforce_mpc.data import (
 from thermoforce_mpc.data.compiled import sources_hash
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.checks import day_period, is_day
 from thermoforce_mpc.plants.embedded import exposure
 from thermoforce_mpc.plants.embedded.cases import CASES, ELECTRICITY, HEAT_PUMP, EmulatedCase
 from thermoforce_mpc.plants.embedded.envelope import AS_SCHEDULED, COOKING, PEOPLE, WINDOWS
@@ -49,7 +48,7 @@ from thermoforce_mpc.plants.records import (
     measurement,
     past_record,
 )
-from thermoforce_mpc.plants.shell import CLOCK_S, BranchingShell, RoomSetpointShell
+from thermoforce_mpc.plants.shell import CLOCK_S, BranchingShell, RoomSetpointShell, day_period, is_day
 from thermoforce_mpc.scenario.building import Price
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.version import VERSION

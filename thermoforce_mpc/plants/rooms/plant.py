@@ -16,9 +16,14 @@ from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather as WeatherYear
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Commands, Levels, Measurement, Record
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.checks import check_levels
-from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S, air_change, on_facades, year
-from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
+from thermoforce_mpc.plants.drawn_houses import (
+    GRID_S,
+    THERMOSTAT_ABOVE_K,
+    DrawnHousePlant,
+    air_change,
+    on_facades,
+    year,
+)
 from thermoforce_mpc.plants.people import PERSON_W, at_home, hour_of_day, live, set_back, varying
 from thermoforce_mpc.plants.random_houses.plant import PREHEAT_H, SET_BACK_K
 from thermoforce_mpc.plants.records import means_between
@@ -27,6 +32,7 @@ from thermoforce_mpc.plants.rooms.device import N_STATES, NORMAL, TANK, TANK_J_K
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import DrawnHouse, Room
 from thermoforce_mpc.plants.rooms.use import USES, Kind
+from thermoforce_mpc.plants.shell import check_levels
 from thermoforce_mpc.scenario.building import Machine, Zone, ZoneActuator
 from thermoforce_mpc.scenario.testcase import MeasuredWeather, TestCase
 
