@@ -9,7 +9,7 @@ import click
 from benchmarks.cli.options import FOLDER, JSON, QUICK, say
 from benchmarks.cli.show import show
 from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
-from thermoforce_mpc.comparison.variants import comma_list
+from thermoforce_mpc.comparison.cells import comma_list
 from thermoforce_mpc.errors import ConfigError
 
 
