@@ -232,7 +232,7 @@ def sensitivity(
 
         def row(constant: Constant) -> dict[str, Any]:
             found = {
-                building: moved(bases[building], _outcome_with(constant, building, place))  # type: ignore[arg-type]
+                building: moved(bases[building], _outcome_with(constant, building, place))
                 for building, place in places.items()
             }
             progress(f"{constant.place} = {constant.value()}: {in_words(found)}")
