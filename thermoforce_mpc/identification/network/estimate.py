@@ -28,8 +28,7 @@ _START_SD_K = {ROOM: 1.0, STRUCTURE: 2.0, ENVELOPE: 5.0}
 _EMITTER_START_SD_K = 5.0
 # What a few nodes do not follow from one reading to the next, K: without it, readings of a simulator without noise make
 # a level that answers within its step be taken for an effect at once. A third more changes what the card says by 8 % on
-# a drawn house (on the heat pump a number of it by 39 %, as other steps of the search do), cost by 0.16 %
-# (`benchmarks.constants`, 2026-11-28).
+# a drawn house, cost by 0.16 % (`benchmarks.constants`, 2026-11-28).
 _MODEL_SD_K = 0.02
 # Search: the longest step that is trusted and the first one, in prior standard deviations; the gain expected of a step
 # at which it ends, nats; most steps; the largest slope by a standard deviation at which one near a fit ends, nats.
