@@ -184,7 +184,7 @@ def test_what_cannot_be_judged_tells_nothing_of_its_hour():
 
 def test_set_points_call_where_both_readings_of_a_step_say_so():
     """At 21 and 25 °C: cold at both ends, at one, nearly; warm at both ends, at one; a level that was set."""
-    T_C = np.array([19.0, 20.0, 20.9, 20.7, 26.0, 25.8, 25.2])
+    T_C = np.array([19.0, 20.0, 20.9, 20.0, 26.0, 25.8, 25.2])
     heating, cooling = np.full(6, 21.0), np.full(6, 25.0)
     assert called_for(np.zeros(6), heating, cooling, T_C).tolist() == [1.0, 0.0, 0.0, 0.0, -1.0, 0.0]
     assert called_for(np.full(6, 0.4), np.where(np.arange(6) < 3, np.nan, heating), cooling, T_C).tolist() == [
