@@ -144,7 +144,7 @@ def outcome(building: str, probing: Path, model: tf.ThermalModel | None = None) 
         competent = card.competence is not None and card.competence.competent
         numbers = {**card.uncertainty, **card.scores, "competent": float(competent)}
         found |= {f"{_kind(name)} {index} {name}": float(value) for name, value in numbers.items()}
-    levels = result.to_dataframe().filter(regex=r"^u(\[|$)")
+    levels = result.to_dataframe().filter(regex="^u_")
     return found | {f"level {name} {row}": float(v) for name in levels for row, v in enumerate(levels[name])}
 
 
