@@ -34,6 +34,11 @@ def test_its_files_are_valid_and_never_overwritten(kind, tmp_path):
         assert max(map(len, path.read_text().splitlines())) <= 120
 
 
+def test_what_is_to_be_done_next_is_said_as_one_types_it(tmp_path):
+    said = told("init", tmp_path / "my house", "--for", "mqtt").output
+    assert f"cd '{tmp_path / 'my house'}' && tf-mpc validate map.yaml\nThen: tf-mpc commission connection.yaml" in said
+
+
 def test_a_scenario_of_a_service_names_its_address(tmp_path):
     assert told("init", tmp_path, "--for", "boptest").exit_code == 0
     assert yaml.safe_load((tmp_path / "scenario.yaml").read_text())["plant"] == {

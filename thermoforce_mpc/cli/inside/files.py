@@ -85,7 +85,9 @@ def init(
         _write_new({folder / name: text for name, text in texts.items()})
         for name in texts:
             click.echo(f"Wrote {folder / name}")
-        click.echo("Replace the names in them, then: tf-mpc validate map.yaml && tf-mpc connections")
+        first = "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
+        click.echo(f"Replace the names in them, then: {first}tf-mpc validate map.yaml")
+        click.echo("Then: tf-mpc commission connection.yaml")
         return
     testcase = testcase or _DEFAULT
     building = load_testcase(testcase)
