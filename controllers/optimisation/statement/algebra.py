@@ -46,8 +46,8 @@ class PoleGroup:
     gains: Array
 
 
-def groups_of(operator: BuildingOperator, *, power_couples: bool) -> list[PoleGroup]:
-    """Return the pairs of each zone by poles; `power_couples`: whether power couples the zones of a step."""
+def groups_of(operator: BuildingOperator) -> list[PoleGroup]:
+    """Return the pairs of each zone by poles."""
     by_poles: dict[tuple[int, tuple[float, ...]], dict[int, OperatorParameters]] = {}
     for z, a, pair in operator.each():
         by_poles.setdefault((z, tuple(pair.poles.tolist())), {})[a] = pair
@@ -57,20 +57,7 @@ def groups_of(operator: BuildingOperator, *, power_couples: bool) -> list[PoleGr
         acting = np.any([pair.acting for pair in pairs_of.values()], axis=0)
         poles[: len(key)] = np.where(acting, key, 0.0)
         groups.append(PoleGroup(z, of, of, poles, operator.gains[z, of]))
-    # Minimum degree orders a full pattern by time, and one with a few cross-effects so that it fills up: at 20 zones
-    # the factorisation takes up to three times as long. So actuators without an effect get numerators of 0; buildings
-    # without cross-effects, and sparse ones in which power couples nothing, are faster as they are.
-    Z, A, _ = operator.shape
-    pairs = sum(group.actuators.size for group in groups)
-    if len(groups) > Z or pairs <= max(Z, A) or not (power_couples or pairs > 0.25 * Z * A):
-        return groups
-    return [_filled(group, A) for group in groups]
-
-
-def _filled(group: PoleGroup, A: int) -> PoleGroup:
-    gains = np.zeros((A, group.poles.size))
-    gains[group.actuators] = group.gains
-    return replace(group, actuators=np.arange(A), gains=gains)
+    return groups
 
 
 def difference_equation(poles: Array, gains: Array, window: Sequence[int]) -> tuple[Array, Array]:
