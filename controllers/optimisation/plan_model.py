@@ -55,7 +55,8 @@ class Evaluator:
         Raises `ControllerConfigError` where the operator is not of these actuators, or its heat is for another lowest
         level.
         """
-        groups = groups_of(operator)
+        couples = bool(shape.peak or shape.capped or shape.exchange or shape.machinery.shared.any())
+        groups = groups_of(operator, len(shape.lengths), power_couples=couples)
         keys = tuple((group.zone, tuple(int(a) for a in group.actuators)) for group in groups)
         self.operator, self.shape, self.structure = operator, shape, structure_of(operator, shape, keys)
         self._numbers, self._checks = Numbers(operator, shape, groups, self.structure), check_of(self.structure)
