@@ -57,8 +57,8 @@ class IpoptSolver(StatementSolver):
             # Below the tolerance; less makes the system singular, and the last steps restore what that costs.
             "mu_min": 0.1 * config.tolerance,
             "min_refinement_steps": 0,
-            # MUMPS orders by pairs of pivots for its scaling: with it a factorisation of five rooms takes 2.4 times as long
-            # at the same iterations (`python -m benchmarks.speed`, five rooms, 2026-11-28).
+            # For its scaling MUMPS orders by pairs of pivots: a factorisation of five rooms takes 2.4 times as long, at
+            # the same iterations (`python -m benchmarks.speed`, row five, 2026-11-28).
             "mumps_scaling": 0,
         }
         self.model.ipopt(self._options)  # built once
