@@ -12,15 +12,17 @@ the record's days; plans are made for all these days, so that what belongs toget
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Discriminator, Field, Tag
 
 from thermoforce_mpc.commands.command import Command, StepwiseCommand
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, HotWaterPlan, Plan
+from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.scenario.comfort import TankComfort
@@ -31,15 +33,21 @@ if TYPE_CHECKING:  # loaded only where tables are read
 # A tank's sensor falls by less than this between two parts of one charge, and rises by more in one, K: half of the
 # smallest band that is usual (4 K), several times the resolution of the coarsest sensors (0.5 K).
 _TURN_K, _LEAST_RISE_K = 0.6, 2.0
-# Least of a record: whole days, and charges that were measured from begin to end.
-_LEAST_DAYS, _LEAST_CHARGES = 5, 6
+# Rows by which a column may say later than the sensor that a charge began or ended.
+_LATE = 2
+# Least of a record: days, charges that were measured from begin to end, and hours of a day that tells what is drawn.
+_LEAST_DAYS, _LEAST_CHARGES, _LEAST_HOURS = 5, 6, 18
 # Where the tank stands, °C (EN 15316-5: heated cellar); the loss is small, and half of it leaves plans as they are.
 CELLAR_C, _MIDDLE_C = 18.0, 50.0
 # The energy of a kelvin rises with the tank and falls with the outdoor temperature by about 1 / lift, 2 % per K at
 # 45 K (Carnot); what a record of one target tells least of. Standard deviation of both.
 _PER_K, _PER_K_SD = 0.02, 0.01
 # Standing loss: fall over windows of so many hours, this quantile of it, and most of it, 1/h.
-_STILL_H, _STILL, _MOST_LOSS = 2.0, 0.25, 0.1
+_STILL_H, _STILL, _MOST_LOSS = 4.0, 0.15, 0.1
+# Charges begin while hot water is drawn: this quantile of their rises is that of the machine.
+_FASTER = 0.75
+# Most that a machine gains with a kelvin outdoors, as a share: air to water, full load (EN 14511 data: 2 to 3 %).
+_MOST_SLOPE = 0.04
 # Standard error of the energy of a kelvin from which on the record does not tell it.
 _MOST_ERROR = 0.3
 # Distance of the meter's readings, as a share of a charge, from which on they do not tell its energy.
@@ -47,10 +55,14 @@ _MOST_APART = 0.5
 # Scatter of where charges begin or end from which on something else than the target begins them, K.
 _MOST_BAND_SD_K = 4.0
 _CERTAIN = 1.645
+# A reading that is older says nothing of now, s.
+_OLD_S = HOUR_S
 # Parts of a step in which a tank is followed.
 _PARTS = 4
 
 
+TANK_NAME = "hot_water"
+"""What a tank is called where something is set at it."""
 ANY_TANK = TankComfort(schedule="else 20-80")
 """No wish of a tank's temperature."""
 
@@ -144,6 +156,15 @@ class TankRecord:
             self.power_every_s,
         )
 
+    def now(self) -> tuple[float, bool]:
+        """Its temperature at the end, °C, NaN where it was not read lately, and whether it is charged then."""
+        known = np.flatnonzero(np.isfinite(self.T_C))
+        if not known.size or self.time_s[-1] - self.time_s[known[-1]] > _OLD_S:
+            return float("nan"), False
+        return float(self.T_C[known[-1]]), bool(
+            np.nan_to_num(self.last(1.0).charges()[known[-1] - self.T_C.size]) > 0.0
+        )
+
     def share_of(self, grid_s: Array) -> Array:
         """Share of the steps between `grid_s` (m + 1,), s, that the tank was charged (m,); not known counts as not."""
         s = np.concatenate([[0.0], np.cumsum(np.nan_to_num(self.charges()) * self.step_s)])
@@ -155,20 +176,25 @@ class TankRecord:
         return float(self.time_s[1] - self.time_s[0])
 
     def charges(self) -> Array:
-        """Share of each step that the tank was charged (n,), by its column, else by its rise; NaN: not known."""
-        if np.isfinite(self.charging).any():
-            return self.charging
-        out = np.where(np.isfinite(self.T_C[1:]) & np.isfinite(self.T_C[:-1]), 0.0, np.nan)
-        rises = _rises(self.T_C)
-        if not rises:
-            return out
-        dT = np.diff(self.T_C)
-        full = float(np.median([dT[first:stop].max() for first, stop in rises]))
+        """Share of each step that the tank was charged (n,), by its rise; NaN: not known.
+
+        A column says which rises are charges, and of charges that do not raise it; it may be read a row late. What
+        rises without it is heated by something else.
+        """
+        measured = np.isfinite(self.T_C[1:]) & np.isfinite(self.T_C[:-1])
+        out, rises, dT = np.where(measured, 0.0, np.nan), _rises(self.T_C), np.diff(self.T_C)
+        has_column = bool(np.isfinite(self.charging).any())
+        left = np.where(measured, np.nan_to_num(self.charging), np.nan)
+        full = float(np.median([dT[first:stop].max() for first, stop in rises])) if rises else 1.0
         for first, stop in rises:
             out[first:stop] = 1.0
             for edge in (first, stop - 1):
                 out[edge] = np.clip(dT[edge] / full, 0.0, 1.0)
-        return out
+            around = slice(max(first - _LATE, 0), stop + _LATE)
+            if has_column and not (left[around] > 0.0).any():
+                out[first:stop] = np.nan
+            left[around] = 0.0
+        return np.maximum(out, left)
 
 
 def _rises(T_C: Array) -> list[tuple[int, int]]:
@@ -204,10 +230,10 @@ def _trimmed(T_C: Array, first: int, stop: int) -> tuple[int, int]:
 class LearnedTank:
     """What a record tells of a tank; `..._sd` are standard errors.
 
-    `energy` (3,): see the head of this module, Wh/K, around `T_out_mean_C`; `rise_K_h`: while it is charged; `loss_1_h`
-    standing; `draws_K` (days, 24): by hour of the clock. The device begins a charge `band_K` below its target, which is
-    usually `usual_C` (24,), by hour of the clock. `T_C`, `is_charged`: at the end of the record.
-    `comfort`: lowest and highest temperature by schedule.
+    `energy` (3,): see the head of this module, Wh/K, about `T_out_mean_C`; `rise` (2,): while it is charged, K/h, and
+    its slope by the outdoor temperature, K/h/K; `loss_1_h`: standing; `draws_K` (days, 24): by hour of the clock. The
+    device begins a charge `band_K` below its target, which is usually `usual_C` (24,), by hour of the clock. `comfort`:
+    lowest and highest temperature by schedule.
     """
 
     machine: str
@@ -215,7 +241,7 @@ class LearnedTank:
     energy: Array
     energy_sd: float
     T_out_mean_C: float
-    rise_K_h: float
+    rise: Array
     rise_sd: float
     loss_1_h: float
     loss_sd: float
@@ -226,8 +252,6 @@ class LearnedTank:
     charges: int
     days: float
     charge_kWh: float
-    T_C: float
-    is_charged: bool
     comfort: TankComfort = ANY_TANK
     origin: pd.Timestamp | None = None
 
@@ -236,6 +260,11 @@ class LearnedTank:
         e = self.energy
         found = e[0] + e[1] * (np.asarray(T_C) - _MIDDLE_C) + e[2] * (np.asarray(T_out_C) - self.T_out_mean_C)
         return np.asarray(np.maximum(found, 0.1 * e[0]))
+
+    @property
+    def rise_K_h(self) -> float:
+        """By how much it rises while it is charged, K/h, at the mean outdoor temperature of the record."""
+        return float(self.rise[0])
 
     def draws_from(self, hour: float, n_steps: int, step_s: float) -> Array:
         """What is drawn in each of `n_steps` from `hour` of the clock on, as in each day of the record, (S, n), K."""
@@ -267,6 +296,36 @@ def _band(value: float, sd: float) -> str:
     return f"{value:.3g} ± {_CERTAIN * sd:.2g}"
 
 
+def tank_rows(plan: Plan, command: Command | None) -> list[dict[str, Any]]:
+    """What a plan sets at the tank, in the order of time, JSON types; `value` None: leave it to the device."""
+    from thermoforce_mpc.data.dataframes import stamps
+
+    told = plan.hot_water
+    if told is None or command is None:
+        return []
+    step_s, begins = float(plan.time_s[1] - plan.time_s[0]), plan.time_s
+    changes = [0, *(k for k in range(1, begins.size) if told.command[k] != told.command[k - 1]), begins.size]
+    ends = stamps(np.append(begins, begins[-1] + step_s), plan.origin)
+    rows = []
+    for first, stop in pairwise(changes):
+        value = told.command[first]
+        text = "left to the device" if value is None else command.in_words(value)
+        row = {"actuator": TANK_NAME, "kind": command.kind, "from": ends[first].isoformat()}
+        rows.append(row | {"until": ends[stop].isoformat(), "value": value, "unit": command.unit, "text": text})
+    return rows
+
+
+def tank_in_words(told: HotWaterPlan) -> str:
+    """What a plan makes of the tank, in a sentence or two."""
+    text = (
+        f"Hot water: cost {told.cost:.2f} instead of {told.cost_alone:.2f} with the tank left to the device, on one of "
+        f"ten days {told.below_Kh:.1f} instead of {told.below_alone_Kh:.1f} K·h below what is wanted."
+    )
+    if told.gap > 0.0:
+        text += f" Another of the charges that were looked at could save {told.gap:.2f} more at most."
+    return text
+
+
 @dataclass(frozen=True, eq=False)
 class TankCourse:
     """K courses of a tank on S days over N steps, (K, S, N): °C at their end, lowest °C, Wh, share of charging."""
@@ -291,25 +350,47 @@ def follow_tank(
 
     `target_C` (K, N), and where it begins `at_once`, without its band (K, N); `draws_K` (S, N); `T_out_C` (N,).
     """
-    K, N, S = len(target_C), target_C.shape[1], len(draws_K)
-    T, on = np.full((K, S), T_C), np.full((K, S), is_charged)
-    dt_h = step_s / HOUR_S / _PARTS
-    out = [np.empty((K, S, N)) for _ in range(4)]
-    for k in range(N):
-        target, lowest = target_C[:, k, None], T.copy()
-        begins = target - np.where(at_once[:, k, None], 0.0, tank.band_K)
-        Wh, share = np.zeros((K, S)), np.zeros((K, S))
-        for _ in range(_PARTS):
-            on = (on & (target > T)) | (begins > T)
-            T = T - draws_K[:, k] / _PARTS - tank.loss_1_h * (T - CELLAR_C) * dt_h
-            missing = np.where(on, np.clip(target - T, 0.0, tank.rise_K_h * dt_h), 0.0)
-            Wh += missing * tank.Wh_per_K(T + 0.5 * missing, T_out_C[k])
-            share += missing / (tank.rise_K_h * dt_h) / _PARTS
-            T = T + missing
-            lowest = np.minimum(lowest, T)
-        for values, found in zip(out, (T, lowest, Wh, share), strict=True):
-            values[:, :, k] = found
-    return TankCourse(*out)
+    shape = (len(target_C), len(draws_K), target_C.shape[1])
+    course = TankCourse(*(np.empty(shape) for _ in range(4)))
+    _follow(
+        *(course.T_C, course.lowest_C, course.Wh, course.share),
+        *(float(T_C), bool(is_charged), np.ascontiguousarray(target_C, dtype=np.float64), at_once),
+        *(np.ascontiguousarray(draws_K), np.ascontiguousarray(T_out_C), step_s / HOUR_S),
+        *(tank.energy, tank.T_out_mean_C, tank.rise, tank.loss_1_h, tank.band_K),
+    )
+    return course
+
+
+@njit(cache=True)
+def _follow(
+    T_C: np.ndarray, lowest_C: np.ndarray, Wh: np.ndarray, share: np.ndarray,
+    now_C: float, is_charged: bool, target_C: np.ndarray, at_once: np.ndarray,
+    draws_K: np.ndarray, T_out_C: np.ndarray, step_h: float,
+    energy: np.ndarray, T_out_mean_C: float, rise: np.ndarray, loss_1_h: float, band_K: float,
+) -> None:  # fmt: skip
+    """Fill the course of `follow_tank`."""
+    K, S, N = T_C.shape
+    dt_h = step_h / _PARTS
+    for i in range(K):
+        for s in range(S):
+            T, on = now_C, is_charged
+            for k in range(N):
+                target = target_C[i, k]
+                begins = target if at_once[i, k] else target - band_K
+                lowest, used, charged = T, 0.0, 0.0
+                rise_K_h = max(rise[0] + rise[1] * (T_out_C[k] - T_out_mean_C), 0.1 * rise[0])
+                for _ in range(_PARTS):
+                    on = (on and target > T) or begins > T
+                    T -= draws_K[s, k] / _PARTS + loss_1_h * (T - CELLAR_C) * dt_h
+                    if on and target > T:
+                        gained = min(target - T, rise_K_h * dt_h)
+                        per_K = energy[0] + energy[1] * (T + 0.5 * gained - _MIDDLE_C)
+                        per_K += energy[2] * (T_out_C[k] - T_out_mean_C)
+                        used += gained * max(per_K, 0.1 * energy[0])
+                        charged += gained / (rise_K_h * step_h)
+                        T += gained
+                    lowest = min(lowest, T)
+                T_C[i, s, k], lowest_C[i, s, k], Wh[i, s, k], share[i, s, k] = T, lowest, used, charged
 
 
 def learn_tank(record: TankRecord, command: Command | None, machine: str, where: str) -> LearnedTank:
@@ -335,8 +416,13 @@ def learn_tank(record: TankRecord, command: Command | None, machine: str, where:
             f"{where}: the power of its machine is read every {record.power_every_s / 60.0:.0f} min and a charge lasts "
             f"{lasts_s / 60.0:.0f}: what one takes cannot be told; log the power more often"
         )
-    energy, energy_sd, T_out_C = _energy(charges, where)
     loss, loss_sd = _standing(record, charging)
+    over_K = charges.T_C - CELLAR_C
+    rises, T_out_C = charges.rise_K / charges.hours + loss * over_K, float(np.mean(charges.T_out_C))
+    rise = _rise(rises, charges.T_out_C - T_out_C)
+    machine_K = (rise[0] + rise[1] * (charges.T_out_C - T_out_C)) * charges.hours
+    draws_K = _draws(record, charging, charges, machine_K, loss)
+    energy, energy_sd = _energy(replace(charges, rise_K=machine_K), T_out_C, where)
     ends = _Ends.of(record, charges, command)
     if ends.scatter_K > _MOST_BAND_SD_K:
         raise DataError(
@@ -344,26 +430,24 @@ def learn_tank(record: TankRecord, command: Command | None, machine: str, where:
             "something else begins them (a programme of the device, people); let the device charge by its target alone"
         )
     n = charges.rise_K.size
-    known = np.flatnonzero(np.isfinite(record.T_C))
+    rise_sd = float(np.std(rises) / np.sqrt(n))
     return LearnedTank(
         machine=machine,
         command=command,
         energy=energy,
-        energy_sd=energy_sd,
+        energy_sd=float(np.hypot(energy_sd, energy[0] * rise_sd / rise[0])),
         T_out_mean_C=T_out_C,
-        rise_K_h=float(np.median(charges.rise_K / charges.hours)),
-        rise_sd=float(np.std(charges.rise_K / charges.hours) / np.sqrt(n)),
+        rise=rise,
+        rise_sd=rise_sd,
         loss_1_h=loss,
         loss_sd=loss_sd,
-        draws_K=_draws(record, charging, loss),
+        draws_K=draws_K,
         usual_C=ends.usual_C,
         band_K=ends.band_K,
         band_sd=ends.scatter_K / np.sqrt(n),
         charges=n,
         days=days,
         charge_kWh=float(np.mean(charges.Wh)) / 1000.0,
-        T_C=float(record.T_C[known[-1]]) if known.size else float("nan"),
-        is_charged=bool(np.nan_to_num(charging[-1]) > 0.0),
     )
 
 
@@ -388,9 +472,7 @@ class _Charges:
             around = slice(max(first - 1, 0), min(stop + 1, P.size))
             if first == 0 or stop == P.size or not np.isfinite(charging[around]).all():
                 continue
-            # A column that is read at instants is a row late.
-            begin_C, end_C = np.fmin(T[first], T[first - 1]), np.fmax(T[stop], T[stop + 1])
-            share, rise_K = charging[first:stop], float(end_C - begin_C)
+            share, rise_K = charging[first:stop], float(T[stop] - T[first])
             if not rise_K >= _LEAST_RISE_K or not np.isfinite(T[first : stop + 1]).all():
                 continue
             # What the machine took for the rooms in the rest of the first and the last step: as in those beside.
@@ -400,14 +482,21 @@ class _Charges:
             hours = float(share.sum()) * step_h
             middle_C = float(T[first : stop + 1].mean())
             T_out_C = float(np.mean(record.T_out_C[first : stop + 1]))
-            rows.append((first, begin_C, end_C, rise_K, hours, Wh, middle_C, T_out_C))
+            rows.append((first, T[first], T[stop], rise_K, hours, Wh, middle_C, T_out_C))
         table = np.array(rows, dtype=np.float64).reshape(-1, 8)
         table = table[table[:, 4] > 0.0]
         return cls(table[:, 0].astype(np.intp), *table[:, 1:].T)
 
 
-def _energy(charges: _Charges, where: str) -> tuple[Array, float, float]:
-    """The law of the energy of a kelvin, (3,) Wh/K, standard error of its mean, and mean outdoor temperature, °C."""
+def _rise(rises_K_h: Array, T_out_K: Array) -> Array:
+    """Rise of the machine, K/h, and its slope by outdoor temperatures (n,) about their mean, K/h/K."""
+    slope = float(T_out_K @ rises_K_h) / max(float(T_out_K @ T_out_K), 1e-9) if np.std(T_out_K) > 1.0 else 0.0
+    slope = float(np.clip(slope, 0.0, _MOST_SLOPE * float(np.median(rises_K_h))))
+    return np.array([np.quantile(rises_K_h - slope * T_out_K, _FASTER), slope])
+
+
+def _energy(charges: _Charges, T_out_C: float, where: str) -> tuple[Array, float]:
+    """The law of the energy of a kelvin, (3,) Wh/K about `T_out_C`, and the standard error of its mean."""
     known = np.isfinite(charges.Wh) & np.isfinite(charges.T_out_C)
     rise, Wh = charges.rise_K[known], charges.Wh[known]
     if known.sum() < _LEAST_CHARGES:
@@ -415,7 +504,7 @@ def _energy(charges: _Charges, where: str) -> tuple[Array, float, float]:
             f"{where}: power of its machine and outdoor temperature were measured in {int(known.sum())} charges, need "
             f"{_LEAST_CHARGES}: name the power of the machine in the map"
         )
-    each, T_out_C = Wh / rise, float(np.mean(charges.T_out_C[known]))
+    each = Wh / rise
     mean = float(Wh.sum() / rise.sum())
     spread = float(np.std(each)) if mean > 0.0 else np.inf
     error = spread / np.sqrt(known.sum())
@@ -431,13 +520,13 @@ def _energy(charges: _Charges, where: str) -> tuple[Array, float, float]:
     noise = max(spread, 1e-3 * mean) ** 2
     found = np.linalg.solve(x.T @ x / noise + np.diag(weight), x.T @ each / noise + weight * prior)
     found[1], found[2] = max(found[1], 0.0), min(found[2], 0.0)
-    return found, error, T_out_C
+    return found, error
 
 
 def _standing(record: TankRecord, charging: Array) -> tuple[float, float]:
     """Standing loss, 1/h, and its standard error by days: a low quantile of what falls where nothing is charged."""
     n = max(1, round(_STILL_H * HOUR_S / record.step_s))
-    first = np.arange(0, record.T_C.size - n, n)
+    first = np.arange(0, record.T_C.size - n, max(1, n // 4))
     still = np.array([bool((charging[k : k + n] == 0.0).all()) for k in first])
     first = first[still]
     falls = record.T_C[first] - record.T_C[first + n]
@@ -455,22 +544,28 @@ def _standing(record: TankRecord, charging: Array) -> tuple[float, float]:
     return float(np.clip(np.quantile(each, _STILL), 0.0, _MOST_LOSS)), float(np.std(drawn))
 
 
-def _draws(record: TankRecord, charging: Array, loss_1_h: float) -> Array:
-    """What was drawn by day and hour of the clock (days, 24), K; what was not seen is the mean of other days."""
+def _draws(record: TankRecord, charging: Array, charges: _Charges, machine_K: Array, loss_1_h: float) -> Array:
+    """What was drawn by day and hour of the clock (days, 24), K; what was not seen is as usual in that hour.
+
+    Beside a charge it is what falls beyond the standing loss, in one what its rise lacks of that of the machine
+    (`machine_K`, of each charge).
+    """
     T, step_h = record.T_C, record.step_s / HOUR_S
-    fell = T[:-1] - T[1:] - loss_1_h * (T[:-1] - CELLAR_C) * step_h
-    seen = (charging == 0.0) & np.isfinite(fell)
     place = np.floor(record.clock_s[:-1] / HOUR_S + 1e-6).astype(np.intp)
     place -= 24 * (place[0] // 24)
     n = 24 * (int(place[-1]) // 24 + 1)
-    total = np.bincount(place[seen], fell[seen], minlength=n).reshape(-1, 24)
-    share = np.bincount(place[seen], minlength=n).reshape(-1, 24) * step_h
-    rate = np.divide(total, share, out=np.full(total.shape, np.nan), where=share > 0.0)
-    usual = total.sum(axis=0) / np.maximum(share.sum(axis=0), 1e-9)
-    # In the part of an hour that was not seen: as usual in that hour.
-    draws = np.maximum(total + np.clip(1.0 - share, 0.0, 1.0) * usual, 0.0)
-    most = np.isfinite(rate).sum(axis=1) >= 18
-    return np.asarray(draws[most] if most.any() else np.maximum(usual, 0.0)[None])
+    fell = T[:-1] - T[1:] - loss_1_h * (T[:-1] - CELLAR_C) * step_h
+    seen = (charging == 0.0) & np.isfinite(fell)
+    total = np.bincount(place[seen], fell[seen], minlength=n)
+    share = np.bincount(place[seen], minlength=n) * step_h
+    lost_K = loss_1_h * (charges.T_C - CELLAR_C) * charges.hours
+    total += np.bincount(place[charges.first], machine_K - lost_K - charges.rise_K, minlength=n)
+    share += np.bincount(place[charges.first], charges.hours, minlength=n)
+    total, share = total.reshape(-1, 24), share.reshape(-1, 24)
+    usual = np.maximum(total.sum(axis=0) / np.maximum(share.sum(axis=0), 1e-9), 0.0)
+    draws = total + np.clip(1.0 - share, 0.0, 1.0) * usual
+    whole = (share > 0.0).sum(axis=1) >= _LEAST_HOURS
+    return np.asarray(draws[whole] if whole.any() else usual[None])
 
 
 @dataclass(frozen=True, eq=False)
