@@ -9,7 +9,8 @@ revision.
 A page holds a table between `<!-- evidence NAME -->` and `<!-- /evidence -->`. Its file has `command`, `revision`,
 `date`, `minutes` (null where nobody timed it), `columns` (heading and key of the rows, or a format of several keys) and
 `rows`. With `across` (two keys, such as controller and window) rows of a first key become one, with the figures of each
-second key as `cost_tot 44`. A command that writes no JSON (of bench, compare or paper) is shown by --stale, not run.
+second key as `cost_tot 44`. --stale shows, and does not run, commands that write no JSON (not of bench, compare or
+paper), and tables with `summary: true`, whose rows a person wrote from what the command printed.
 """
 
 from __future__ import annotations
@@ -146,11 +147,11 @@ def _run_stale(revision: str, pages: Path) -> int:
     stale = {file: table for file, table in tables.items() if is_older(table["revision"], revision)}
     for file, table in stale.items():
         took = "not timed" if table["minutes"] is None else f"{table['minutes']:.0f} min"
-        by_hand = "" if _answer(table["command"]) else "; by hand: it writes no JSON"
+        by_hand = "" if _answer(table) else "; by hand"
         print(f"{file.stem}: {table['command']} ({took}{by_hand})", flush=True)
-    code = int(any(not _answer(table["command"]) for table in stale.values()))
+    code = int(any(not _answer(table) for table in stale.values()))
     for file, table in stale.items():
-        if not (answer := _answer(table["command"])):
+        if not (answer := _answer(table)):
             continue
         option, name = answer
         began = time.monotonic()
@@ -166,10 +167,10 @@ def _run_stale(revision: str, pages: Path) -> int:
     return code
 
 
-def _answer(command: str) -> tuple[str, str] | None:
-    """The option and file by which a command answers in JSON; None of one that does not."""
-    program, *words = shlex.split(command)
-    return _ANSWERS.get(words[0]) if program == "tf-mpc" and words else None
+def _answer(table: Mapping[str, Any]) -> tuple[str, str] | None:
+    """The option and file by which a table's command gives its rows in JSON; None where a person writes them."""
+    program, *words = shlex.split(table["command"])
+    return _ANSWERS.get(words[0]) if program == "tf-mpc" and words and not table.get("summary") else None
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Tables of docs/evidence are as their files say, and a cell that somebody edited is found."""
 
 import json
+import re
 
 import pytest
 
@@ -9,6 +10,21 @@ from tools import evidence
 
 def test_no_table_was_edited_by_hand(capsys):
     assert evidence.main(["--check"]) == 0, capsys.readouterr().out
+
+
+def test_every_table_of_figures_comes_from_a_file():
+    """Not those of words: other tools, and the columns that a bench reads."""
+    of_words = {"alternatives.md": 1, "plant.md": 1}
+    for page in sorted(evidence.PAGES.glob("*.md")):
+        text = re.sub("<!-- evidence .*?<!-- /evidence -->", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        assert len(re.findall(r"^\|[-|]+\|$", text, re.MULTILINE)) == of_words.get(page.name, 0), page.name
+
+
+def test_files_of_tables_stand_on_a_page():
+    shown = re.findall(
+        "<!-- evidence (.*) -->", "".join(page.read_text("utf-8") for page in evidence.PAGES.glob("*.md"))
+    )
+    assert sorted(shown) == sorted(file.stem for file in (evidence.PAGES / "tables").glob("*.json"))
 
 
 @pytest.fixture
@@ -83,6 +99,8 @@ def test_what_is_stale_is_listed_with_its_time_then_run(pages, capfd, monkeypatc
     tables = pages / "tables"
     by_hand = json.loads((tables / "houses.json").read_text()) | {"command": "python x.py", "minutes": None}
     (tables / "by_hand.json").write_text(json.dumps(by_hand))
+    summed_up = by_hand | {"command": "tf-mpc bench y --seed SEED", "summary": True}
+    (tables / "summed_up.json").write_text(json.dumps(summed_up))
     program = tmp_path / "bin" / "tf-mpc"
     program.parent.mkdir()
     answer = json.dumps({"command": "?", "rows": [{"house": 7, "cost": 0.125, "tdis": 1.5}]})
@@ -91,7 +109,8 @@ def test_what_is_stale_is_listed_with_its_time_then_run(pages, capfd, monkeypatc
     monkeypatch.setenv("PATH", str(program.parent), prepend=":")
     assert evidence.main(["--stale", "HEAD"], pages) == 1
     said = capfd.readouterr().out
-    assert said.index("by_hand: python x.py (not timed; by hand: it writes no JSON)") < said.index("ran")
+    assert said.index("by_hand: python x.py (not timed; by hand)") < said.index("ran")
+    assert "summed_up: tf-mpc bench y --seed SEED (not timed; by hand)" in said
     assert said.index("houses: tf-mpc bench x (2 min)") < said.index("ran")
     assert "|7|0.125 / 1.50|" in (pages / "page.md").read_text()
     assert json.loads((tables / "houses.json").read_text())["command"] == "tf-mpc bench x"
