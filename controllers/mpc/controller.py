@@ -144,7 +144,8 @@ class ThermoForceMPC(ActuatedController):
         self._commands = BuildingCommands(layout, by_number, cards)
         if hot_water is not None:
             check_names("hot_water.machine", [hot_water.machine], "machine", layout.names.machines)
-        self._hot_water = hot_water and HotWater(hot_water, layout, self.step_s)
+        self.hot_water = hot_water
+        self._tank = None if hot_water is None else HotWater(hot_water, layout, self.step_s)
         self._shared = SharedCommands(layout, by_number, cards)
         reasons = (
             layout.names.of_actuator(a, by_number[a].in_words if a in by_number else choice.why)
@@ -293,13 +294,13 @@ class ThermoForceMPC(ActuatedController):
             forecast = yield from self._prediction.predict(readings, state)
             instance = self._formulate(forecast, readings, state, overrides)
             result = yield from self._solve(instance, forecast, readings, overrides, joined_in)
-            if self._hot_water is not None and not isinstance(result, Failure):
+            if self._tank is not None and not isinstance(result, Failure):
                 assert not isinstance(instance, Failure)
                 assert not isinstance(forecast, Failure)
                 solve = partial(
                     self._solve, forecast=forecast, readings=readings, overrides=overrides, joined_in=joined_in
                 )
-                ways = self._hot_water.ways(
+                ways = self._tank.ways(
                     forecast.context.boundary,
                     readings.history.origin,
                     observation.tank_C,
@@ -471,7 +472,7 @@ class ThermoForceMPC(ActuatedController):
 
         `alone`: their plan with the whole machine; `ways`: the cheapest first.
         """
-        tank = self._hot_water
+        tank = self._tank
         assert tank is not None
         if not ways:
             return alone.with_tank(None, "the tank is left to the device: its temperature is not known")

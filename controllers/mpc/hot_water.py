@@ -90,7 +90,7 @@ class HotWater:
         draws_K = tank.draws_from(float(hour[0]), N, self._step_s)
         price = boundary.price_per_kWh[self.machine, :-1]
         known = _Known(tank, T_C, is_charged, draws_K, T_out_C, self._step_s, price, lower_C[:-1], boundary)
-        own = known.judged(*alone, np.full((1, N), np.nan))
+        own = known.judged(alone[0], alone[1], np.full((1, N), np.nan))
         ways = list(self._charged(known, wanted_C, most_C, hour, usual, told, begins))
         found = [one for of_number in ways for one in of_number]
         # What is set is held for its least time, also against leaving the device to itself.
@@ -114,7 +114,7 @@ class HotWater:
             return []
         by_target = isinstance(command, TankTarget)
         if by_target:
-            low, targets = self._targets(wanted_C, most_C)
+            low, targets, most_C = self._targets(wanted_C, most_C)
         else:
             low, targets = np.zeros(N), np.ones(1)
         least_s = max(60.0 * command.hold_min, self._step_s)
@@ -133,8 +133,9 @@ class HotWater:
                 values = np.where(kept, np.minimum(target, most_C) if by_target else 1.0, low)
                 values = self._as_may_be(values, told, begins_s)
                 charges = values > 0.5
-                told_C = (values, np.zeros(values.shape, dtype=bool)) if by_target else (usual + 0.0 * values, charges)
-                found.append(known.judged(*told_C, values))
+                targets_C = values if by_target else usual + 0.0 * values
+                at_once = np.zeros(values.shape, dtype=bool) if by_target else charges
+                found.append(known.judged(targets_C, at_once, values))
             scores = np.stack([one.score for one in found])
             order = np.argsort(scores.min(axis=0), kind="stable")[:_KEPT]
             out.append([found[int(np.argmin(scores[:, i]))].part(int(i)) for i in order])
@@ -142,18 +143,17 @@ class HotWater:
             kept = np.unique(more, axis=0)
         return out
 
-    def _targets(self, wanted_C: Array, most_C: Array) -> tuple[Array, Array]:
-        """The lowest target in each step (N,), with which the device keeps what is wanted, and those of charges."""
+    def _targets(self, wanted_C: Array, most_C: Array) -> tuple[Array, Array, Array]:
+        """The lowest target of each step (N,), with which the device keeps what is wanted, of charges, and highest."""
         command = self.tank.command
         assert isinstance(command, TankTarget)
         least, most = command.within(wanted_C + self.tank.band_K, most_C)
         values = command.values(float(np.min(least)), float(np.max(most)))
-        at = np.clip(np.searchsorted(values, least - SAME), 0, values.size - 1)
-        over = values[at] > most_C + SAME
-        low = np.where(over & (at > 0), values[np.maximum(at - 1, 0)], values[at])
+        highest = values[np.maximum(np.searchsorted(values, most + SAME, side="right") - 1, 0)]
+        low = np.minimum(values[np.minimum(np.searchsorted(values, least - SAME), values.size - 1)], highest)
         charges = values[values >= low.max() - SAME]
         picked = np.unique(np.round(np.linspace(0, charges.size - 1, _TARGETS)).astype(np.intp))
-        return low, charges[picked]
+        return low, charges[picked], highest
 
     def _as_may_be(self, values: Array, told: tuple[float, float] | None, begins_s: Array) -> Array:
         """Commands (K, N) with the least time between changes and the fastest change kept, from what is set now on."""

@@ -520,7 +520,7 @@ def _energy(charges: _Charges, T_out_C: float, where: str) -> tuple[Array, float
     noise = max(spread, 1e-3 * mean) ** 2
     found = np.linalg.solve(x.T @ x / noise + np.diag(weight), x.T @ each / noise + weight * prior)
     found[1], found[2] = max(found[1], 0.0), min(found[2], 0.0)
-    return found, error
+    return np.asarray(found), float(error)
 
 
 def _standing(record: TankRecord, charging: Array) -> tuple[float, float]:

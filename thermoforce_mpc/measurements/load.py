@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pandas as pd
 
-from thermoforce_mpc.commands.kinds import AnyCommand
+from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, check_told, learn_command
 from thermoforce_mpc.commands.tank import LearnedTank, TankRecord, learn_tank
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
@@ -457,7 +457,7 @@ def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
     return out
 
 
-def _commanded(reader: SignalReader, where: str, command: AnyCommand) -> CommandRecord:
+def _commanded(reader: SignalReader, where: str, command: Command) -> CommandRecord:
     """What was set: a command holds until the next reading."""
     signal = Signal(column=command.column, hold_h=_COMMAND_HOLDS_H)
     at = reader.scheduled(f"{where}.command", signal, readings.COMMAND)

@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from home_by_setpoint import RULES, START, HomeBySetpoint, price
+from home_by_setpoint import START, price
+from home_with_tank import BAND_K, DRAWN_K, MAP, POWER_W, RISE_K_H, TARGET_C, HomeWithTank
 from simple_house import simple_model
 
 from controllers.mpc.config import MPCConfig
@@ -21,38 +22,15 @@ from thermoforce_mpc.data import HOUR_S, Observation
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import learned_tank, read_measurements
 
-TANK = {
-    "temperature": "tank",
-    "comfort": "6:00-9:00 42-58, 17:00-22:00 40-58, else 36-58",
-    "command": {"kind": "tank_target", "column": "target", "maximum": 56},
-}
-MAP = RULES | {"actuators": {"actuator": {"level": "u"}}, "hot_water": TANK}
-_BAND_K, _TARGET_C, _RISE_K_H, _POWER_W = 6.0, 50.0, 18.0, 1500.0
-_DRAWN_K = {7: 7.0, 12: 1.5, 18: 3.0, 21: 6.0}
-
-
-def with_tank(rows: pd.DataFrame) -> pd.DataFrame:
-    """The table of a house with a tank that its device keeps between 44 and 50 °C, on the same meter."""
-    rng, T, on = np.random.default_rng(5), 47.0, False
-    by_day = {day: rng.gamma(8.0, 1.0 / 8.0, 24) for day in range(40)}
-    out = []
-    for at, P in zip(rows["time"], rows["P"].fillna(0.0), strict=True):
-        on = (on and T < _TARGET_C) or T < _TARGET_C - _BAND_K
-        out.append((T, _TARGET_C, _POWER_W if on else P))
-        drawn = _DRAWN_K.get(at.hour, 0.0) * by_day[(at - rows["time"].iloc[0]).days][at.hour]
-        T += 5.0 / 60.0 * ((_RISE_K_H if on else 0.0) - drawn - 0.008 * (T - 18.0))
-    tank, target, power = map(list, zip(*out, strict=True))
-    return rows.assign(tank=tank, target=target, P=power)
-
 
 @pytest.fixture(scope="module")
 def home():
-    return HomeBySetpoint()
+    return HomeWithTank()
 
 
 @pytest.fixture(scope="module")
 def rows(home):
-    return with_tank(home.measurements())
+    return home.measurements()
 
 
 @pytest.fixture(scope="module")
@@ -73,10 +51,10 @@ def planned(home, measured, tank=None, T_tank_C=44.5, prices=None, **options):
 
 def test_the_record_tells_what_the_tank_is(measured):
     tank = learned_tank(measured)
-    assert tank.band_K == pytest.approx(_BAND_K, abs=0.8)
-    assert tank.rise_K_h == pytest.approx(_RISE_K_H, rel=0.15)
-    assert tank.energy[0] == pytest.approx(_POWER_W / _RISE_K_H, rel=0.2)
-    assert tank.draws_K.sum(axis=1).mean() == pytest.approx(sum(_DRAWN_K.values()), rel=0.15)
+    assert tank.band_K == pytest.approx(BAND_K, abs=0.8)
+    assert tank.rise_K_h == pytest.approx(RISE_K_H, rel=0.15)
+    assert tank.energy[0] == pytest.approx(POWER_W / RISE_K_H, rel=0.2)
+    assert tank.draws_K.sum(axis=1).mean() == pytest.approx(sum(DRAWN_K.values()), rel=0.15)
 
 
 def test_it_is_charged_outside_dear_hours_and_never_colder_than_is_wanted(home, measured):
@@ -119,7 +97,7 @@ def test_a_switch_charges_to_the_devices_own_target(home, measured):
     tank = replace(learned_tank(measured), command=TankCharge(kind="tank_charge", column="boost"))
     plan = planned(home, measured, tank).hot_water
     assert set(plan.command) == {0.0, 1.0}
-    assert plan.T_C.max() <= _TARGET_C + 0.5
+    assert plan.T_C.max() <= TARGET_C + 0.5
     assert plan.cost < plan.cost_alone
 
 

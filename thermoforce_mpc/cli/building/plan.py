@@ -124,7 +124,7 @@ def plan(
         if commands_file.suffix not in (".csv", ".json"):
             raise ConfigError(f"--commands {commands_file}: a .csv or .json file")
     commands = learned_commands(measured)
-    tank, tank_command = _tank(measured, display), measured.map.hot_water and measured.map.hot_water.command
+    tank = _tank(measured, display)
     try:
         controller = ThermoForceMPC(thermal, config, commands=commands, hot_water=tank)
     except ControllerConfigError as error:
@@ -145,7 +145,7 @@ def plan(
         click.get_current_context().exit(NOT_COMPETENT if plan.status == "gate" else 1)
     table = plan_table(plan, ahead.head(plan.u.shape[1]), measured.layout)
     _show(plan, table, measured.layout, display, by_commands=bool(commands))
-    found = [*command_rows(plan, commands), *tank_rows(plan, tank_command)]
+    found = [*command_rows(plan, commands), *tank_rows(plan, tank and tank.command)]
     if found:
         _show_commands(plan, found, display)
     if plan.hot_water is not None:
