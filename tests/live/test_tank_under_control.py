@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import pandas as pd
@@ -13,7 +14,7 @@ from simple_house import simple_model
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.live import LiveBuilding, control
+from thermoforce_mpc.live import KeptState, LiveBuilding, control
 from thermoforce_mpc.measurements.load import learned_tank, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 
@@ -78,3 +79,19 @@ def test_a_tank_that_says_nothing_any_more_is_given_back():
     values = [levels["hot_water"] for _, levels in home.written]
     assert values[0] is not None
     assert values[-2] is None
+
+
+def test_what_is_set_at_the_tank_is_known_after_a_restart(tmp_path):
+    """It is held for its least time also by a controller that was started again."""
+    home = HomeWithTank()
+    tank = learned_tank(read_measurements(home.measurements(), MAP, step_s=HOUR_S).served())
+    held = replace(tank, command=tank.command.model_copy(update={"hold_min": 360.0}))
+    for _ in range(3):
+        mpc = ThermoForceMPC(simple_model(), MPCConfig.model_validate(_OPTIONS), hot_water=held)
+        building = LiveBuilding(home, MeasurementMap.model_validate(MAP), HOUR_S)
+        control(building, mpc, clock=home, steps=2, delay_s=0.0, kept=KeptState(tmp_path / "state.npz", "one"))
+    kept = KeptState(tmp_path / "state.npz", "one").load(home.at)
+    value, since_s = kept.after.tank
+    told = [levels["hot_water"] for _, levels in home.written]
+    assert set(told) - {None} == {value}
+    assert pd.Timestamp(kept.origin) + pd.Timedelta(seconds=since_s) == home.written[0][0]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from click.testing import CliRunner
 from home_by_setpoint import START, price
 from home_with_tank import BAND_K, DRAWN_K, MAP, POWER_W, RISE_K_H, TARGET_C, HomeWithTank
@@ -170,3 +173,13 @@ def test_plan_says_prints_and_writes_what_to_set_at_the_tank(home, rows, tmp_pat
     assert done.exit_code == 0, done.output
     assert "left to the device" in done.output
     assert TankTarget(kind="tank_target", column="x").in_words(50.0) == "tank target 50 °C"
+
+
+def test_the_tank_of_the_page_is_planned(home, rows):
+    page = (Path(__file__).parents[3] / "docs/how-to/hot-water.md").read_text()
+    (text,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    table = rows.rename(columns={"tank": "tank_temperature", "target": "tank_setpoint"})
+    of_page = read_measurements(table, MAP | yaml.safe_load(text), step_s=HOUR_S).served()
+    plan = planned(home, of_page).hot_water
+    assert plan.cost < plan.cost_alone
+    assert max(plan.command) <= 56.0

@@ -145,7 +145,7 @@ def plan(
         click.get_current_context().exit(NOT_COMPETENT if plan.status == "gate" else 1)
     table = plan_table(plan, ahead.head(plan.u.shape[1]), measured.layout)
     _show(plan, table, measured.layout, display, by_commands=bool(commands))
-    found = [*command_rows(plan, commands), *tank_rows(plan, tank and tank.command)]
+    found = [*command_rows(plan, commands), *tank_rows(plan, None if tank is None else tank.command)]
     if found:
         _show_commands(plan, found, display)
     if plan.hot_water is not None:
