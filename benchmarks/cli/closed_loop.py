@@ -9,7 +9,7 @@ import click
 from benchmarks.cli.options import FOLDER, JSON, QUICK, say
 from benchmarks.cli.show import show
 from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
-from thermoforce_mpc.comparison.variants import comma_list
+from thermoforce_mpc.comparison.cells import comma_list
 from thermoforce_mpc.errors import ConfigError
 
 
@@ -23,10 +23,18 @@ from thermoforce_mpc.errors import ConfigError
     type=click.Path(path_type=Path, file_okay=False),
     help="Folder for a plot of each window and outcomes.json with every figure.",
 )
+@click.option("--keep", type=click.Path(path_type=Path, file_okay=False), help="Folder of finished windows, to go on.")
 @QUICK
 @JSON
 def buildings_command(
-    houses: int, offices: int, seed: int, engine: Opening, out: Path | None, quick: bool, json_file: Path | None
+    houses: int,
+    offices: int,
+    seed: int,
+    engine: Opening,
+    out: Path | None,
+    keep: Path | None,
+    quick: bool,
+    json_file: Path | None,
 ) -> None:
     """Run the default configuration on generated houses, against a thermostat and the houses' own control.
 
@@ -37,7 +45,7 @@ def buildings_command(
 
     with engine(say) as where:
         result = run_buildings_bench(
-            houses=houses, offices=offices, seed=seed, engine=where, quick=quick, out=out, progress=say
+            houses=houses, offices=offices, seed=seed, engine=where, quick=quick, out=out, keep=keep, progress=say
         )
     show(result, json_file)
 

@@ -12,6 +12,7 @@ control stays, and the row says so.
 from __future__ import annotations
 
 import time
+from base64 import b64decode, b64encode
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -46,7 +47,7 @@ from thermoforce_mpc.experiment.identifying import chosen_of, identification_set
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.screening import limits_of
-from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
+from thermoforce_mpc.plants.drawn_houses import WEEKS
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, House, draw_house
 from thermoforce_mpc.plants.random_houses.plant import bounds_C
 from thermoforce_mpc.protocols import Controller
@@ -181,6 +182,7 @@ def run_buildings_bench(
     engine: Engine,
     quick: bool = False,
     out: Path | None = None,
+    keep: Path | None = None,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> dict[str, Any]:
     """Run all houses and offices of population `seed` on both windows.
@@ -191,6 +193,7 @@ def run_buildings_bench(
         engine: where the houses are run; the result does not depend on it.
         quick: four houses and one office at most.
         out: folder for a plot of each window and `outcomes.json` with every figure.
+        keep: folder in which finished windows are kept, so that a run that was cut off goes on.
         progress: callback for progress lines.
 
     Raises:
@@ -202,8 +205,8 @@ def run_buildings_bench(
         out.mkdir(parents=True, exist_ok=True)
     n = min(houses, _QUICK_HOUSES) if quick else houses
     cases = [Case(seed, index, week, draw=out is not None) for index in range(n) for week in WEEKS]
-    outcomes = run_cases(cases, engine, progress)
-    of_offices = run_offices(min(offices, 1) if quick else offices, seed, engine, progress)
+    outcomes = run_cases(cases, engine, progress, keep)
+    of_offices = run_offices(min(offices, 1) if quick else offices, seed, engine, progress, keep)
     rows = [o.row() for o in outcomes] + _summary(outcomes) + [o.row() for o in of_offices]
     result = results_json("buildings", rows, targets(outcomes) + (office_targets(of_offices) if of_offices else []))
     if out is not None:
@@ -215,9 +218,27 @@ def run_buildings_bench(
     return result
 
 
-def run_cases(cases: Sequence[Case], engine: Engine, progress: Callable[[str], None]) -> list[Outcome]:
-    """Run cases; outcomes in the order of `cases`."""
-    return run_all(run_case, cases, engine, lambda n, outcome: progress(f"[{n}/{len(cases)}] {_line(outcome)}"))
+def run_cases(
+    cases: Sequence[Case], engine: Engine, progress: Callable[[str], None], keep: Path | None = None
+) -> list[Outcome]:
+    """Run cases; outcomes in the order of `cases`. Finished ones are kept in the folder `keep`."""
+
+    def on_done(n: int, value: Mapping[str, Any]) -> None:
+        progress(f"[{n}/{len(cases)}] {_line(outcome_of(value))}")
+
+    return [outcome_of(value) for value in run_all(run_as_json, cases, engine, on_done, keep)]
+
+
+def run_as_json(case: Case) -> dict[str, Any]:
+    """`run_case` as JSON, see `outcome_of`."""
+    outcome = run_case(case)
+    return asdict(outcome) | {"plot": b64encode(outcome.plot).decode()}
+
+
+def outcome_of(value: Mapping[str, Any]) -> Outcome:
+    """The outcome that `run_as_json` wrote."""
+    thermostats = {name: value[name] and AsComfortable(**value[name]) for name in ("equal", "at_will")}
+    return Outcome(**{**value, **thermostats, "case": Case(**value["case"]), "plot": b64decode(value["plot"])})
 
 
 def identify_by_default(plant: GeneratedHousePlant, period: Period, days: float) -> Any:

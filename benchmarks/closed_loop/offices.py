@@ -10,7 +10,8 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from thermoforce_mpc.experiment.equal_comfort import ALLOWED_KH
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_task, run_identification
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.screening import limits_of
-from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
+from thermoforce_mpc.plants.drawn_houses import WEEKS
 from thermoforce_mpc.plants.people import OFFICE_HOURS
 from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -98,19 +99,34 @@ class OfficeOutcome:
         }
 
 
-def run_offices(offices: int, seed: int, engine: Engine, progress: Callable[[str], None]) -> list[OfficeOutcome]:
-    """Run offices of a population `seed` on both weeks; outcomes in their order."""
+def run_offices(
+    offices: int, seed: int, engine: Engine, progress: Callable[[str], None], keep: Path | None = None
+) -> list[OfficeOutcome]:
+    """Run offices of a population `seed` on both weeks; outcomes in their order. Finished ones are kept in `keep`."""
     rooms = np.random.default_rng([seed, 7]).integers(_ROOMS[0], _ROOMS[1] + 1, offices)
     cases = [
         OfficeCase(f"office:{n}rooms:{100 * seed + index}", week) for index, n in enumerate(rooms) for week in WEEKS
     ]
 
-    def on_done(n: int, outcome: OfficeOutcome) -> None:
+    def on_done(n: int, value: Mapping[str, Any]) -> None:
+        outcome = outcome_of(value)
         row = outcome.row()
         figures = f"{row[CONTROLLER]}, saving {row['saving']}" if not outcome.failed else f"FAILED, {outcome.failed}"
         progress(f"[{n}/{len(cases)}] {outcome.case.name}, {outcome.case.week}, {outcome.seconds:.0f} s: {figures}")
 
-    return run_all(run_office, cases, engine, on_done)
+    return [outcome_of(value) for value in run_all(run_as_json, cases, engine, on_done, keep)]
+
+
+def run_as_json(case: OfficeCase) -> dict[str, Any]:
+    """`run_office` as JSON, see `outcome_of`."""
+    value = asdict(run_office(case))
+    return value | {"thermostats": {str(lead_h): kpis for lead_h, kpis in value["thermostats"].items()}}
+
+
+def outcome_of(value: Mapping[str, Any]) -> OfficeOutcome:
+    """The outcome that `run_as_json` wrote."""
+    thermostats = {int(lead_h): kpis for lead_h, kpis in value["thermostats"].items()}
+    return OfficeOutcome(**{**value, "thermostats": thermostats, "case": OfficeCase(**value["case"])})
 
 
 def run_office(case: OfficeCase) -> OfficeOutcome:

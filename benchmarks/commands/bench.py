@@ -36,7 +36,7 @@ from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.loop.closed_loop import advanced
 from thermoforce_mpc.plants.rooms import house_of_rooms
 from thermoforce_mpc.plants.rooms.device import NORMAL, draw_device
-from thermoforce_mpc.plants.rooms.schedule import native_setpoints_C
+from thermoforce_mpc.plants.rooms.plant import native_setpoints_C
 
 Row = dict[str, Any]
 

@@ -12,8 +12,7 @@ from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.faults.faulty_plant import FaultyPlant
 from thermoforce_mpc.boundary.weather import CONTINENTAL, synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Levels, Measurement, Period, PlantInfo, Record
-from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S
-from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
+from thermoforce_mpc.plants.drawn_houses import GRID_S, WEEKS
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, PointEmulator
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, physics
 from thermoforce_mpc.plants.random_houses.draw import House
@@ -35,6 +34,8 @@ _OTHER_W, _SUN_K, _ASLEEP_H = 400.0, 2.5, 5.0
 _MORNING_H, _PURGES = (6.0, 7.5), 4.0
 # How far a door moves a sensor, K; a quarter of an hour, s; share of the name plate's heat that a worn machine gives.
 _DOOR_K, _QUARTER_S, _OF_PLATE = 1.0, 900.0, 0.65
+# Air through a door that stands open all day (`plants.rooms.draw`), W/K^1.5.
+_OPEN_W_K15 = 121.0
 
 
 @dataclass(frozen=True)
@@ -200,6 +201,41 @@ class MeddledPlant:
         self._plant.close()
 
 
+class RebuiltPlant(MeddledPlant):
+    """A plant that is another one from a reset at `from_s` on: what was probed is not what is controlled."""
+
+    def __init__(self, probed: Any, controlled: Any, from_s: float) -> None:
+        super().__init__(probed)
+        self._both, self._from_s = (probed, controlled), from_s
+
+    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
+        """See `Plant.reset`."""
+        self._plant = self._both[start_s >= self._from_s - 1.0]
+        return self._plant.reset(start_s, warmup_s, price)
+
+    def advance(self, u: Levels, duration_s: float) -> Measurement:
+        """See `Plant.advance`."""
+        return self._plant.advance(u, duration_s)
+
+
+def _with_doors(house: Any, open_W_K15: float) -> HouseOfRooms:
+    return HouseOfRooms(replace(house, doors=tuple(replace(door, open_W_K15=open_W_K15) for door in house.doors)))
+
+
+def _doors(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """Doors that stood wide open while probing and are shut since; every second case: the other way round."""
+    opened, shut = (_with_doors(found.plant.house, W) for W in (_OPEN_W_K15, 0.0))
+    probed, controlled = (opened, shut) if case.number % 2 == 0 else (shut, opened)
+    return replace(found, plant=RebuiltPlant(probed, controlled, found.period.start_s))
+
+
+def _new_schedule(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """An office whose schedule blows cold air and lets nothing come in the morning, since it was probed."""
+    cold = _cold_mornings(found, case)
+    probed = GeneratedHousePlant(replace(found.plant.house, pattern="office"))
+    return replace(cold, plant=RebuiltPlant(probed, cold.plant, cold.period.start_s))
+
+
 def _in_the_sun(found: BuiltCase, case: PanelCase) -> BuiltCase:
     house = replace(found.plant.house, sun_bias_K=_SUN_K, sun_facade="south")
     return replace(found, plant=GeneratedHousePlant(house))
@@ -314,5 +350,7 @@ FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "gate": ("generated house", _anothers_sensor),
     "meters and weather sensors": ("generated house", _stuck_meters),
     "shared machine at its limit": ("house of rooms", _weaker_than_named),
+    "worse days": ("house of rooms", _doors),
+    "worse days, mornings": ("generated house", _new_schedule),
 }
 """Faults by the rule they are for (up to a comma or 'of a'): the kind of plant, and what is done to it."""

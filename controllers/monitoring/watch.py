@@ -13,7 +13,8 @@ runs). With p that probability, 1 / (2 √p) is an e-value (Vovk and Wang 2021).
 predictions that do not overlap, the e-values enter a Shiryaev-Roberts e-detector M ← (M + 1) e (Shin, Ramdas and
 Rinaldo 2022). Under the promise M minus the number of predictions is a supermartingale, so M reaches A within n
 predictions with probability n / A at most, whatever the dependence between the detectors; A follows from `false_alarm`
-by summing over all of them.
+by summing over all of them. An error of the gain is no new error each hour: what of the errors goes with the predicted
+effect of acting is taken off, as far as those before tell it (Kalman's innovation, with the card's uncertainty before).
 
 Half of `false_alarm` is for these detectors, half for the check of `effect_fault` on the size of the effect of acting.
 Two direct checks are faster: levels measured against levels requested, and heat or power against the machine's model.
@@ -433,6 +434,8 @@ _LEAST_RATIOS = 12
 _INSIDE, _JUDGED = 0.7, 0.75
 # A second alarm within this time after a return doubles the wait, up to the limit; h.
 _RELAPSE_H, _LONGEST_WAIT_H = 48.0, 48.0
+# Most of its effect that acting may do more than predicted as an error of the gain.
+_MOST_MORE = 0.5
 # Scaling while standing back: prior standard deviation of the gain, and hours between two updates.
 _GAIN_PRIOR_SD, _ADAPT_EVERY_H = 0.5, 6.0
 _ADAPTED = "the model adapted since"
@@ -572,14 +575,30 @@ class Watch:
                     continue
                 phases = -(-self.leads[lead] // self.every)
                 phase = round(item.time_s / self.step_s) // self.every % phases
+                error_K = outcome.error_K - self._lasting_share(track, lead, item.time_s, hours) * outcome.effect_K
                 for side in (1, -1):
                     M = evidence.get((lead, phase, side), 0.0)
-                    evidence[lead, phase, side] = (M + 1.0) * e_value(side * outcome.error_K / outcome.promise_K)
+                    evidence[lead, phase, side] = (M + 1.0) * e_value(side * error_K / outcome.promise_K)
             if item.judged < len(self.leads):
                 pending.append(item)
         rows = np.concatenate([track.judged, np.array(outcomes)]) if outcomes else track.judged
         recent = rows[now - rows[:, 0] <= _KEPT_H * HOUR_S]
         return replace(track, pending=tuple(pending), judged=recent, evidence=evidence)
+
+    def _lasting_share(self, track: Track, lead: int, issued_s: float, hours: HourEffects) -> float:
+        """Share by which acting did more than predicted before a prediction was issued; below 0: less.
+
+        An error of the gain is one for the whole run and no new evidence each hour: it is estimated from the errors
+        at the lead, with the card's uncertainty before, and taken off. `effect_fault` tests its size.
+        """
+        rows = track.judged[(track.judged[:, 1] == lead) & (track.judged[:, 0] <= issued_s + 1.0)]
+        rows, sd = Judged.of(rows[~self._differing(hours, rows[:, 0], lead)]), float(self._gain_sd[lead])
+        if not rows.lead.size or sd <= 0.0:
+            return 0.0
+        # Predictions that overlap count as one.
+        weight = _NORMAL_90**2 / rows.promise_K**2 * min(1.0, self.every / self.leads[lead])
+        share = float(weight @ (rows.error_K * rows.effect_K)) / (float(weight @ rows.effect_K**2) + sd**-2)
+        return float(np.clip(share, -_LEAST_SHARE, _MOST_MORE))
 
     def _outcome(self, item: Issued, lead: int, history: Record, levels: Array, track: Track) -> Judged | None:
         """The prediction of `item` at `lead` beside what was measured; None where that or a level is not known."""
@@ -633,14 +652,15 @@ class Watch:
             return ""
         since = max(now - WINDOW_H * HOUR_S, state.returned_s) + 1.0
         rows = state.tracks[0].judged
-        last = Judged.of(rows[(rows[:, 1] == 0) & (rows[:, 0] > since) & ~self._differing(state, rows[:, 0])])
+        last = Judged.of(rows[(rows[:, 1] == 0) & (rows[:, 0] > since) & ~self._differing(state.hours, rows[:, 0], 0)])
         if last.error_K.size < _JUDGED * WINDOW_H * HOUR_S / (self.every * self.step_s):
             return ""
         return effect_fault(last.error_K, last.effect_K, last.promise_K, self._share)
 
-    def _differing(self, state: WatchState, time_s: Array) -> NDArray[np.bool_]:
-        """Which predictions an hour ahead, due at `time_s` (n,), were of hours that are known to differ (n,)."""
-        return np.array([state.hours.over(end_s - HOUR_S, HOUR_S) for end_s in time_s.tolist()], dtype=bool)
+    def _differing(self, hours: HourEffects, time_s: Array, lead: int) -> NDArray[np.bool_]:
+        """Which predictions at a lead, due at `time_s` (n,), were over hours that are known to differ (n,)."""
+        ahead_s = self.leads[lead] * self.step_s
+        return np.array([hours.over(end_s - ahead_s, ahead_s) for end_s in time_s.tolist()], dtype=bool)
 
     def _machine_fault(self, state: WatchState, history: Record) -> tuple[str, WatchState]:
         now = float(history.time_s[-1])

@@ -15,17 +15,17 @@ import pytest
 from click.testing import CliRunner
 from simple_house import SimpleHouse, simple_model
 
+from thermoforce_mpc import files as cache
 from thermoforce_mpc import report
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.data import cache
 from thermoforce_mpc.errors import ArtifactError, ConfigError
 from thermoforce_mpc.experiment import outside
 from thermoforce_mpc.experiment import run as experiment_run
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.explaining import alternatives_of, decision_at
 from thermoforce_mpc.experiment.run_book import RunBook
+from thermoforce_mpc.files import open_plain
 from thermoforce_mpc.plants.testcases import load_scenario
-from thermoforce_mpc.records.plain_files import open_plain
 from thermoforce_mpc.records.run_folder import kept_model
 
 TESTCASE = "bestest_hydronic_heat_pump"

@@ -22,13 +22,12 @@ from thermoforce_mpc.data import Block, Boundary, CommandValue, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ControllerRaised, NoForecast, PlantError, ThermoForceError
 from thermoforce_mpc.live.building import Applied, Kept, KeptState, LiveBuilding, SetCommand
-from thermoforce_mpc.loop.forecasts import OUTAGE_H
+from thermoforce_mpc.loop.inputs import OUTAGE_H, UnitDoubts
 from thermoforce_mpc.loop.loop import Believed, Decided, Loop, not_followed
-from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of, screened_history
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.records.live_journal import Given, LiveJournal
-from thermoforce_mpc.records.run_log import log_decision
+from thermoforce_mpc.records.run_folder import log_decision
 
 _LOG = logging.getLogger(__name__)
 # How often a building that does not take its levels back at the end is asked again, and how long between, s.

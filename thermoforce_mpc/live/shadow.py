@@ -31,8 +31,7 @@ from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.records.journal import NAME, making_sense, read_run
-from thermoforce_mpc.records.run_folder import write_json
-from thermoforce_mpc.records.saving import MOST_BYTES, SHADOW
+from thermoforce_mpc.records.run_folder import MOST_BYTES, SHADOW, write_json
 from thermoforce_mpc.records.told_steps import (
     forecast_of,
     history_before,

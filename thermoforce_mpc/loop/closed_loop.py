@@ -24,9 +24,8 @@ from thermoforce_mpc.data import (
     PlanStatus,
 )
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.loop.forecasts import OUTAGE_H
+from thermoforce_mpc.loop.inputs import OUTAGE_H, UnitDoubts
 from thermoforce_mpc.loop.loop import CLOCK_TOLERANCE_S, Believed, Decided, KeptSteps, Loop, wrong_blocks
-from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import ReadingLimits, limits_of, screened, screened_history
 from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
 

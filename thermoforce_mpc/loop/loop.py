@@ -27,9 +27,8 @@ from typing import Any, Protocol, TypeVar, overload
 from thermoforce_mpc.data import DAY_S, SINGLE, Block, Boundary, Names, Observation, Plan, Record
 from thermoforce_mpc.errors import ControllerRaised, InputError, ThermoForceError
 from thermoforce_mpc.files import storage_errors
-from thermoforce_mpc.loop.forecasts import OUTAGE_H, Forecasts
-from thermoforce_mpc.loop.unit_doubts import UnitDoubts
-from thermoforce_mpc.plants.checks import check_levels
+from thermoforce_mpc.loop.inputs import OUTAGE_H, Forecasts, UnitDoubts
+from thermoforce_mpc.plants.shell import check_levels
 from thermoforce_mpc.protocols import Controller
 
 # Steps in memory: a scored window of two weeks in steps of a quarter of an hour, some 50 kB each.

@@ -25,8 +25,8 @@ from thermoforce_mpc.data import (
 )
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.loop.closed_loop import advanced
+from thermoforce_mpc.loop.inputs import UnitDoubts
 from thermoforce_mpc.loop.loop import Believed, Decided, Loop
-from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.sun_on_sensor import LIKELY
 from thermoforce_mpc.protocols import Plant
 

@@ -17,16 +17,21 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, 
 from thermoforce_mpc.data.dataframes import clock_s, new_year, seconds_at, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError, counted
 from thermoforce_mpc.measurements import readings
-from thermoforce_mpc.measurements.map.entries import Signal
 from thermoforce_mpc.measurements.map.guesses import rooms_beside
-from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MappedActuator, MeasurementMap, load_map
-from thermoforce_mpc.measurements.signals import SignalReader
+from thermoforce_mpc.measurements.map.mapping import (
+    LEAST_STEP_S,
+    MOST_STEP_S,
+    MappedActuator,
+    MeasurementMap,
+    Signal,
+    load_map,
+)
+from thermoforce_mpc.measurements.signals import SignalReader, SignalSummary, Understood, missing, of_changes, of_clock
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_tables
 from thermoforce_mpc.measurements.tables.forms import TableForm
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, tables_of
-from thermoforce_mpc.measurements.understood import SignalSummary, Understood, missing, of_changes, of_clock
 from thermoforce_mpc.scenario.settings import validate
 
 if TYPE_CHECKING:  # pvlib is loaded only where an estimate is needed

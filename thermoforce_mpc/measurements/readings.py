@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import Array, limits
 from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.map.entries import Signal, likelier
+from thermoforce_mpc.measurements.map.mapping import Signal, likelier
 
 _MOST_REFUSED = 0.1
 # Flagged readings that are kept for a picture.

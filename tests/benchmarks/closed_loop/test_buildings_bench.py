@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.closed_loop import buildings
+from benchmarks.closed_loop import buildings, offices
 from benchmarks.closed_loop.buildings import Case, Outcome, run_buildings_bench, run_case, targets
 from benchmarks.closed_loop.offices import OfficeCase, OfficeOutcome
 from thermoforce_mpc.cli import cli
@@ -133,12 +133,12 @@ def test_native_control_is_a_yardstick_where_it_is_as_comfortable():
 def test_command_line_prints_every_window_and_says_what_is_missed(monkeypatch, tmp_path):
     asked = []
 
-    def cases_run(cases, engine, progress):
+    def cases_run(cases, engine, progress, keep):
         asked.append((len(cases), engine.width, cases[0].seed))
         kinds = [outcome(plot=b"png"), outcome(mpc=(1.2, 9.0)), outcome(refused="it explains 2 %", statuses={})]
         return [kinds[i % 3] for i, _ in enumerate(cases)]
 
-    def no_office(n, seed, engine, progress):
+    def no_office(n, seed, engine, progress, keep):
         asked.append((n, engine.width, seed))
         office = OfficeCase("office:3rooms:500", "cold_week")
         return [OfficeOutcome(office, "an office", {}, {}, {}, {}, "RuntimeError: broken")]
@@ -179,6 +179,22 @@ def test_command_line_prints_every_window_and_says_what_is_missed(monkeypatch, t
     assert len(json.loads((out / "outcomes.json").read_text())["cases"]) == 6
 
 
+@pytest.mark.parametrize("changes", [{}, {"plot": b"\x89PNG"}, {"equal": None, "failed": "RuntimeError: broken"}])
+def test_what_is_kept_of_a_window_is_all_of_it(monkeypatch, changes):
+    found = outcome(**changes)
+    monkeypatch.setattr(buildings, "run_case", lambda case: found)
+    assert buildings.outcome_of(json.loads(json.dumps(buildings.run_as_json(found.case)))) == found
+
+
+def test_what_is_kept_of_an_office_is_all_of_it(monkeypatch):
+    kpis = {"cost_tot": 1.0, "tdis_tot": 0.2}
+    found = OfficeOutcome(
+        OfficeCase("office:3rooms:500", "cold_week"), "", kpis, kpis, {0: kpis, 2: kpis}, {"solved": 3}
+    )
+    monkeypatch.setattr(offices, "run_office", lambda case: found)
+    assert offices.outcome_of(json.loads(json.dumps(offices.run_as_json(found.case)))) == found
+
+
 def test_the_shown_default_is_the_reported_population():
     command = cli.get_command(None, "bench").commands["buildings"]
     (seed,) = [option.default for option in command.params if option.name == "seed"]
@@ -188,15 +204,15 @@ def test_the_shown_default_is_the_reported_population():
 def test_quick_runs_a_few_houses_and_none_is_refused(monkeypatch):
     seen: list[Case] = []
 
-    def cases_run(cases, engine, progress):
+    def cases_run(cases, engine, progress, keep):
         seen.extend(cases)
         return [outcome() for _ in cases]
 
-    offices: list[int] = []
+    asked: list[int] = []
     monkeypatch.setattr(buildings, "run_cases", cases_run)
-    monkeypatch.setattr(buildings, "run_offices", lambda n, *others: offices.append(n) or [])
+    monkeypatch.setattr(buildings, "run_offices", lambda n, *others: asked.append(n) or [])
     result = run_buildings_bench(quick=True, engine=LocalEngine(1))
-    assert (len(seen), offices) == (8, [1])
+    assert (len(seen), asked) == (8, [1])
     assert not any("office" in target["name"] for target in result["targets"]), "none was run"
     assert not seen[0].draw
     with pytest.raises(InputError, match="0 houses"):

@@ -12,7 +12,7 @@ import pytest
 from benchmarks.detectors import bench
 from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.detectors.bench import WeekOutcome, rule_of, rule_rows, run_detectors_bench, targets
-from benchmarks.detectors.panel import FAULTS, KINDS, PanelCase, clean, faulty
+from benchmarks.detectors.panel import FAULTS, KINDS, PanelCase, built, clean, faulty
 from benchmarks.detectors.rules import RULES, ControlledWeek
 from thermoforce_mpc.data import DAY_S, Layout, PlantInfo
 from thermoforce_mpc.errors import InputError
@@ -55,6 +55,18 @@ def test_a_rule_is_charged_for_its_false_claims_and_credited_for_its_faults():
     assert not held["watch: false claims in 100 house-weeks"]
     assert held["watch: saved less cost, a week"]
     assert not {t.name: t.holds for t in targets([])}["gate: false claims in 100 house-weeks"], "nothing was run"
+
+
+def test_doors_that_stood_open_while_probing_are_shut_since():
+    place = built(PanelCase("house of rooms", 0, 3, "worse days"))
+
+    def spread_K(start_s: float) -> float:
+        """How far apart rooms are after a day in which the first alone is heated."""
+        place.plant.reset(start_s, 0.0)
+        return float(np.ptp(place.plant.advance((1.0, 0.0, 0.0), DAY_S).T_zone_C))
+
+    probed, controlled = (spread_K(place.period.start_s - days * DAY_S) for days in (1.0, 0.0))
+    assert controlled > probed + 1.0
 
 
 def test_rules_can_be_turned_off_by_options_that_exist():

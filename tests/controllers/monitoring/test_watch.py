@@ -330,10 +330,11 @@ COLDER_ZONE = INSIDE | {"T_zone_C": (15.0, 17.0)}
 WARMER_OUTDOORS = INSIDE | {"T_out_C": (5.0, 9.0)}
 
 
-def watch_of(ranges: dict[str, tuple[float, float]]) -> Watch:
-    """The watch over the simple model, its step response known without error."""
+def watch_of(ranges: dict[str, tuple[float, float]], gain_sd: float = 0.0) -> Watch:
+    """The watch over the simple model, its step response known to `gain_sd`, relative."""
     zone = simple_model().only
-    sure = replace(zone, card=replace(zone.card, ranges=ranges))
+    known = {"step_response_1h_K": 1.0, "step_response_1h_sd_K": gain_sd} if gain_sd else {}
+    sure = replace(zone, card=replace(zone.card, ranges=ranges, uncertainty=known))
     return Watch(WatchConfig(), sure, 48, lambda record: zone.power(record.u[0], record.T_out_C[:-1]))
 
 
@@ -386,19 +387,19 @@ def test_an_error_beyond_the_promise_is_no_evidence_where_the_model_was_not_iden
 _AIR_DAY = [0.0, -0.3, -0.5, -0.2, 0.1, -0.3, -0.4, 4.0, -2.5, -1.8, -1.2, -1.4, -1.3, -0.9, -0.6, -0.4] + 8 * [-0.1]
 
 
-def evidence_of(errors: list[float]) -> tuple[str, float]:
-    """Alarm, and the most evidence, of hours without action whose errors 1 h ahead are these, in half-widths."""
-    watch, operator, state, most = watch_of({}), simple_model().only.operator, WatchState(), 0.0
-    n, band = watch.leads[-1], np.full(len(watch.leads), 0.5)
+def evidence_of(errors: list[float], band_K: float = 0.5, u: float = 0.0, gain_sd: float = 0.0) -> tuple[str, float]:
+    """Alarm, and the most evidence, of hours at a level whose errors 1 h ahead are these, in half-widths."""
+    watch, operator, state, most = watch_of({}, gain_sd), simple_model().only.operator, WatchState(), 0.0
+    n, band = watch.leads[-1], np.full(len(watch.leads), band_K)
     for k, error in enumerate(errors):
         start_s = k * HOUR_S
-        median = np.full(band.size, ZONE_C - 0.5 * error)
+        median = np.full(band.size, ZONE_C - u * GAIN_K - band_K * error)
         issued = Issued(start_s, operator, np.zeros(1), np.zeros((n, 4)), median, band, band)
         track = state.tracks[0]
         track = replace(track, pending=(issued,), bands=np.array([[0.0, *band]]))
         out, nothing = np.full(2, OUT_C), np.full(1, np.nan)
         times = np.array([start_s, start_s + HOUR_S])
-        history = Record(times, np.full(2, ZONE_C), out, 0.0 * out, np.zeros(1), nothing, nothing)
+        history = Record(times, np.full(2, ZONE_C), out, 0.0 * out, np.full(1, u), nothing, nothing)
         state = watch.validate(replace(state, tracks=(track,)), history, None, None)
         if state.alarm:
             return state.alarm, watch.threshold
@@ -414,6 +415,16 @@ def test_what_a_jump_gives_back_is_no_evidence_against_the_model():
     assert "colder than predicted" in evidence_of(14 * without_jump)[0], "the same errors, of themselves"
     assert "warmer than predicted" in evidence_of(48 * [1.5])[0], "errors to the same side excuse nothing"
     assert "warmer" in evidence_of([-4.0, *48 * [1.5]])[0], "nor does one to the other side for long"
+
+
+def test_an_error_of_the_gain_is_not_new_evidence_each_hour():
+    quarter, acting = 100 * [1.0], {"band_K": 0.25 * GAIN_K, "u": 1.0}
+    assert "warmer" in evidence_of(quarter, 0.25 * GAIN_K)[0], "errors without an effect"
+    assert "warmer" in evidence_of(quarter, **acting)[0], "a gain that is known without error"
+    alarm, share = evidence_of(quarter, **acting, gain_sd=0.08)
+    assert alarm == ""
+    assert share < 0.01
+    assert "warmer" in evidence_of([*quarter, *24 * [4.0]], **acting, gain_sd=0.08)[0], "what comes besides is evidence"
 
 
 @pytest.mark.parametrize(("ranges", "alarm"), [({}, True), (INSIDE, True), (INSIDE | {"T_out_C": (40.0, 50.0)}, False)])

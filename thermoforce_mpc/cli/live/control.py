@@ -133,8 +133,7 @@ def control(
     from thermoforce_mpc.measurements.map.mapping import load_map
     from thermoforce_mpc.model.thermal_model import load_model
     from thermoforce_mpc.records.people import SHOWN
-    from thermoforce_mpc.records.run_folder import sole_use
-    from thermoforce_mpc.records.run_log import logging_to
+    from thermoforce_mpc.records.run_folder import logging_to, sole_use
     from thermoforce_mpc.report.display import RunDisplay
     from thermoforce_mpc.scenario.scenario import ProbingSpec
     from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate

@@ -19,7 +19,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.data.compiled import njit
-from thermoforce_mpc.plants.drawn_houses.envelope import WATER_J_KG_K, year
+from thermoforce_mpc.plants.drawn_houses import WATER_J_KG_K, year
 from thermoforce_mpc.plants.rooms.house import DrawnHouse
 
 # State of a device: whether it runs, and since when, s; time since it defrosted and left of a defrosting, s;
