@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from controllers.state_classes import STATE_CLASSES
+from controllers.state_classes import STATE_CLASSES, model_key
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import CONDITIONS, J_PER_KWH, Boundary, Period, Record
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
@@ -137,7 +137,8 @@ class ShadowBook:
             if f"{begin:%Y-%m-%d}" not in [known.day for known in self.days]:
                 self.days.append(self._judged(begin))
                 days = [asdict(day) for day in self.days]
-                write_json(self._folder / SHADOW, {"said": in_words(self.days), "of": self._key, "days": days})
+                of = {"of": self._key, "model": model_key(self._model)}
+                write_json(self._folder / SHADOW, {"said": in_words(self.days), **of, "days": days})
             return in_words(self.days)
         if self._today is not None and instant.date() != self._today:
             self._over = pd.Timestamp(self._today, tz=instant.tz)
