@@ -18,8 +18,7 @@ from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.measurements import readings
-from thermoforce_mpc.measurements.map.entries import COUNTER, PER_STEP, Signal, converted, likelier
-from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.measurements.map.mapping import COUNTER, PER_STEP, MeasurementMap, Signal, converted, likelier
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import timed
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files
@@ -159,7 +158,8 @@ def _point(
     point = replace(base, at_s=at_s, values=values, age_s=age_s, every_s=every_s)
     if gone_s > max(_GONE_S, _TIMES_USUAL * np.nan_to_num(every_s)):
         return replace(point, problem=f"not available, for {duration(age_s)}")
-    return replace(point, problem=_problem(point, rule, raw, command), doubts=_doubts(point, rule, command))
+    problem = _problem(point, rule, raw, command)
+    return replace(point, problem=problem, doubts=() if problem else _doubts(point, rule, command))
 
 
 def _summed(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:

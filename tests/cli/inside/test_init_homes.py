@@ -10,7 +10,7 @@ import yaml
 from click.testing import CliRunner
 
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.cli.inside.homes import KINDS
+from thermoforce_mpc.cli.inside.files import HOMES
 from thermoforce_mpc.connections.registry import connection_settings
 from thermoforce_mpc.errors import ConfigError
 
@@ -19,7 +19,7 @@ def told(*words, env=None):
     return CliRunner().invoke(cli, list(map(str, words)), env=env)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", HOMES)
 def test_its_files_are_valid_and_never_overwritten(kind, tmp_path):
     folder = tmp_path / kind
     assert told("init", folder, "--for", kind).exit_code == 0
@@ -32,6 +32,11 @@ def test_its_files_are_valid_and_never_overwritten(kind, tmp_path):
     assert "never overwritten" in str(again.exception)
     for path in folder.glob("*.yaml"):
         assert max(map(len, path.read_text().splitlines())) <= 120
+
+
+def test_what_is_to_be_done_next_is_said_as_one_types_it(tmp_path):
+    said = told("init", tmp_path / "my house", "--for", "mqtt").output
+    assert f"cd '{tmp_path / 'my house'}' && tf-mpc validate map.yaml\nThen: tf-mpc commission connection.yaml" in said
 
 
 def test_a_scenario_of_a_service_names_its_address(tmp_path):
