@@ -351,6 +351,6 @@ FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "meters and weather sensors": ("generated house", _stuck_meters),
     "shared machine at its limit": ("house of rooms", _weaker_than_named),
     "watch, doors": ("house of rooms", _doors),
-    "hours with less effect, since probed": ("generated house", _new_schedule),
+    "hours of the day, since probed": ("generated house", _new_schedule),
 }
 """Faults by the rule they are for (up to a comma or 'of a'): the kind of plant, and what is done to it."""
