@@ -10,6 +10,7 @@ import click
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange, base_options, probed_option, scenario_from, window_options
 from thermoforce_mpc.errors import ArtifactError, DataError
+from thermoforce_mpc.files import check_writable
 
 if TYPE_CHECKING:
     from thermoforce_mpc.data import Record
@@ -64,6 +65,7 @@ def identify(**options: Any) -> None:
     out: Path = options["out"]
     if out.exists() and not options["overwrite"]:
         raise ArtifactError(f"--out {out}: exists already; choose another folder or give --overwrite")
+    check_writable(out)
     if options["files"] or options["map_file"]:
         _from_measurements(options)
         return
