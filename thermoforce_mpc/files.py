@@ -162,7 +162,7 @@ def storage_errors(path: Path) -> Iterator[None]:
 
 
 def check_writable(path: Path) -> None:
-    """Raise `StorageError` where a file or folder `path` cannot be written, before what is to stand in it is computed."""
+    """Raise `StorageError` where a file or folder `path` cannot be written, before its content is computed."""
     there = next(one for one in (path, *path.absolute().parents) if one.exists())
     if there != path and not there.is_dir():
         raise StorageError(f"{path}: cannot be written: {there} is a file")
