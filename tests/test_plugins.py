@@ -13,8 +13,7 @@ from places import ROOT, SUPPORT
 
 from controllers.checks import ControllerConfigError
 from controllers.registry import REGISTRY, Entry, build_controller
-from thermoforce_mpc.comparison.cells import expand
-from thermoforce_mpc.comparison.variants import Variant
+from thermoforce_mpc.comparison.cells import Variant, expand
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.registry import REGISTRY as FREE_RESPONSES
 from thermoforce_mpc.plants.registry import choose_plant

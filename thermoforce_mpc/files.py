@@ -1,6 +1,8 @@
 """Files within bounds: what is written is whole or absent, what is read ends in a named error.
 
-What people give us may be a device, a pipe or a file of any size.
+What people give us may be a device, a pipe or a file of any size. A folder that may come from elsewhere holds plain
+files and folders only, opened without following links. What this user gave on this machine is noted in the cache
+folder, which no file from elsewhere forges.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ import errno
 import hashlib
 import io
 import json
+import logging
 import math
 import os
 import re
@@ -16,11 +19,12 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
+from thermoforce_mpc.dependencies import cache_folder
 from thermoforce_mpc.errors import ArtifactError, ConfigError, InputError, StorageError
 
 
@@ -301,3 +305,97 @@ def secret_from(file: Path | None, variables: Sequence[str], key: str) -> str:
     if not text or any(mark.isspace() for mark in text):
         raise ConfigError(f"{key}: {file} holds no secret: one line, without spaces")
     return text
+
+
+HARD_LINK = "has another name elsewhere (a hard link), where it would be changed too; copy the folder (cp -r)"
+
+
+def check_plain(folder: Path) -> None:
+    """Refuse a folder of a run in which anything is a link, pipe, socket or device, at any depth; raises `ConfigError`.
+
+    A link there could have another file read, or written over; a pipe could be waited for without end. The folder
+    itself may be a link: its name is the user's. What is exchanged later is not seen here, but files are opened by
+    `open_plain` and written by `write_plain`.
+    """
+    for where, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            path = Path(where, name)
+            try:
+                mode = path.lstat().st_mode
+            except FileNotFoundError:  # renamed meanwhile, by a run under way
+                continue
+            if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+                raise ConfigError(
+                    f"{path}: is {_kind(mode)}, and the folder of a run holds plain files only: look where it came "
+                    "from, and remove it or put the file in its place"
+                )
+
+
+def open_plain(path: Path, flags: int) -> int:
+    """Descriptor of a regular file (`flags` as of `os.open`), without following a link there or waiting for anything.
+
+    One to be written has one name only: with another, a file elsewhere would be written too.
+
+    Raises:
+        OSError: it cannot be opened, or is something else; its text says what.
+    """
+    # A device may do something when it is opened; where there are no such flags, this is all that can be said.
+    if os.path.lexists(path) and not stat.S_ISREG(mode := path.lstat().st_mode):
+        raise OSError(0, f"is {_kind(mode)}, not a plain file", str(path))
+    for flag in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):
+        flags |= getattr(os, flag, 0)
+    file = os.open(path, flags, 0o644)
+    found = os.fstat(file)
+    if stat.S_ISREG(mode := found.st_mode):
+        if found.st_nlink > 1 and flags & (os.O_WRONLY | os.O_RDWR):
+            os.close(file)
+            raise OSError(0, HARD_LINK, str(path))
+        return file
+    os.close(file)
+    raise OSError(0, f"is {_kind(mode)}, not a plain file", str(path))
+
+
+def write_plain(path: Path, content: str | bytes) -> None:
+    """Write a file as `write_whole`, but without following a link there: the file takes its place."""
+    write_whole(path, content, follow=False)
+
+
+def _kind(mode: int) -> str:
+    kinds = {
+        stat.S_IFLNK: "a link",
+        stat.S_IFIFO: "a pipe",
+        stat.S_IFSOCK: "a socket",
+        stat.S_IFDIR: "a folder",
+        stat.S_IFBLK: "a device",
+        stat.S_IFCHR: "a device",
+    }
+    return kinds.get(stat.S_IFMT(mode), "no file")
+
+
+_LOG = logging.getLogger(__name__)
+GIVEN, _MOST_GIVEN_BYTES = "given.jsonl", 10_000_000
+
+
+def known_marks() -> set[str]:
+    """All that was noted."""
+    try:
+        file = cache_folder() / GIVEN
+        if file.exists():
+            return set(read_bounded(file, _MOST_GIVEN_BYTES, ConfigError).decode("utf-8", "replace").splitlines())
+    except RuntimeError:  # who runs this has no home
+        pass
+    return set()
+
+
+def note_marks(marks: Iterable[str]) -> None:
+    """Note lines; where that cannot be written, they have to be given again some day."""
+    new = sorted(set(marks) - known_marks())
+    if not new:
+        return
+    try:
+        file = cache_folder() / GIVEN
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("a", encoding="utf-8", errors="backslashreplace") as notes:
+            notes.write("".join(f"{mark}\n" for mark in new))
+    except (OSError, RuntimeError) as error:  # RuntimeError: who runs this has no home
+        _LOG.info("what was given is not noted (%s): it has to be given again", error)

@@ -23,13 +23,13 @@ from thermoforce_mpc.errors import PlantError, ThermoForceError
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
-from thermoforce_mpc.loop.unit_doubts import UnitDoubts
+from thermoforce_mpc.loop.inputs import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.records.journal import NAME, read_journal
-from thermoforce_mpc.records.run_log import log_step, logging_to
+from thermoforce_mpc.records.run_folder import log_step, logging_to
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
 

@@ -47,7 +47,7 @@ from thermoforce_mpc.experiment.identifying import chosen_of, identification_set
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.screening import limits_of
-from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
+from thermoforce_mpc.plants.drawn_houses import WEEKS
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, House, draw_house
 from thermoforce_mpc.plants.random_houses.plant import bounds_C
 from thermoforce_mpc.protocols import Controller

@@ -31,7 +31,7 @@ from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.loop.probing import Identifying, probe_until_known
 from thermoforce_mpc.model.free_response.backbones.base import one_thread
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
+from thermoforce_mpc.plants.drawn_houses import WEEKS
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Controller

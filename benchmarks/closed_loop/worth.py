@@ -30,7 +30,7 @@ from thermoforce_mpc.experiment.windows import scored_period
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.free_response.registry import find_free_response
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
+from thermoforce_mpc.plants.drawn_houses import WEEKS
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant

@@ -23,7 +23,7 @@ from thermoforce_mpc.data import (
     PlantInfo,
     Record,
 )
-from thermoforce_mpc.plants.checks import check_levels
+from thermoforce_mpc.plants.shell import check_levels
 
 AIR_J_K, MASS_J_K = 8.0e5, 8.0e6
 AIR_MASS_W_K, AIR_OUT_W_K = 250.0, 45.0

@@ -26,7 +26,7 @@ from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings, identify_on
 from thermoforce_mpc.files import parse_json
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
-from thermoforce_mpc.loop.unit_doubts import UnitDoubts
+from thermoforce_mpc.loop.inputs import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.scenario.scenario import Scenario
 

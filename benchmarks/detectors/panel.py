@@ -12,8 +12,7 @@ from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.faults.faulty_plant import FaultyPlant
 from thermoforce_mpc.boundary.weather import CONTINENTAL, synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Levels, Measurement, Period, PlantInfo, Record
-from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S
-from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
+from thermoforce_mpc.plants.drawn_houses import GRID_S, WEEKS
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, PointEmulator
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, physics
 from thermoforce_mpc.plants.random_houses.draw import House
@@ -338,9 +337,9 @@ def _weaker_than_named(found: BuiltCase, case: PanelCase) -> BuiltCase:
 
 FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "sun on a sensor": ("generated house", _in_the_sun),
-    "blocked hours": ("generated house", _asleep),
-    "blocked hours of a unit": ("air unit", _unit_asleep),
-    "hours with less effect": ("generated house", _cold_mornings),
+    "hours of the day": ("generated house", _asleep),
+    "hours of the day of a unit": ("air unit", _unit_asleep),
+    "hours of the day, less effect": ("generated house", _cold_mornings),
     "foreign load": ("generated house", _other_load),
     "watch": ("embedded", _changed("weak")),
     "watch, actuator stuck": ("embedded", _changed("stuck", level=0.0)),

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
-from thermoforce_mpc.plants.checks import check_levels
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, kernel
+from thermoforce_mpc.plants.shell import check_levels
 
 Fault = Literal[
     "none", "weak", "window", "sensor", "stuck", "overridden", "frozen", "reads", "offset", "no weather", "no prices",

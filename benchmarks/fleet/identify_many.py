@@ -13,7 +13,7 @@ from thermoforce_mpc.experiment.identifying import chosen_of, identification_set
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.loop.probing import Probing
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
+from thermoforce_mpc.plants.drawn_houses import WEEKS
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
 from thermoforce_mpc.scenario.scenario import Scenario
 

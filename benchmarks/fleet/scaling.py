@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from thermoforce_mpc.comparison.cells import Cell
+from thermoforce_mpc.comparison.cells import Cell, Variant
 from thermoforce_mpc.comparison.store import Store
-from thermoforce_mpc.comparison.variants import Variant
 from thermoforce_mpc.execution import LocalEngine, Task, TaskOutcome, execute
 from thermoforce_mpc.fleet.file import BuildingSource, FleetFile, Generated, buildings_of
 from thermoforce_mpc.fleet.runs import runs_of, tasks_of

@@ -24,8 +24,7 @@ from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.machine.power import fit_power
 from thermoforce_mpc.model.operator.building import forced_rollout
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.plants.energyplus.plant import electric_power_W
-from thermoforce_mpc.plants.energyplus.zone import Climate, base_setpoint
+from thermoforce_mpc.plants.energyplus.zone import Climate, base_setpoint, electric_power_W
 from thermoforce_mpc.plants.testcases import load_testcase
 
 Row = dict[str, Any]

@@ -22,7 +22,7 @@ from thermoforce_mpc.plants.energyplus.engine import (
     weather_file,
     weather_reading,
 )
-from thermoforce_mpc.plants.energyplus.office_model import BUILDING, WEATHER, ZONES, office_model
+from thermoforce_mpc.plants.energyplus.office import BUILDING, WEATHER, ZONES, office_model
 
 STEP_S = 900.0
 FLOOR_AREA_M2 = {zone.engine_name: zone.floor_area_m2 for zone in ZONES}

@@ -19,8 +19,8 @@ from thermoforce_mpc.cli.inside.schemas import KINDS
 from thermoforce_mpc.connections.registry import REGISTRY as CONNECTIONS
 from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as BACKBONES
 from thermoforce_mpc.model.free_response.registry import REGISTRY as FREE_RESPONSES
-from thermoforce_mpc.plants.drawn_houses.plant import NAMES as WEEKS
-from thermoforce_mpc.plants.energyplus.office_plant import PERIODS as OF_OFFICE
+from thermoforce_mpc.plants.drawn_houses import NAMES as WEEKS
+from thermoforce_mpc.plants.energyplus.office import PERIODS as OF_OFFICE
 from thermoforce_mpc.plants.registry import REGISTRY as PLANTS
 from thermoforce_mpc.plants.testcases import MADE_TESTCASES, load_testcase
 from thermoforce_mpc.scenario.building import PRICES

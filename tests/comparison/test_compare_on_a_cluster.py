@@ -92,8 +92,7 @@ def test_a_cluster_that_cannot_be_used_leaves_no_folder_and_a_folder_that_cannot
 
 
 def test_an_identification_is_kept_whole_or_as_the_reason_why_there_is_none(tmp_path):
-    from thermoforce_mpc.comparison.cells import expand
-    from thermoforce_mpc.comparison.variants import Variant
+    from thermoforce_mpc.comparison.cells import Variant, expand
     from thermoforce_mpc.scenario.scenario import Scenario
 
     cells = expand(

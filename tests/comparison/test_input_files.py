@@ -6,13 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from thermoforce_mpc.comparison.cells import expand
+from thermoforce_mpc.comparison.cells import Variant, expand
 from thermoforce_mpc.comparison.input_files import (
     input_files,
     moved,
     paths_of,
 )
-from thermoforce_mpc.comparison.variants import Variant
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_task
 from thermoforce_mpc.plants.testcases import load_testcase

@@ -9,9 +9,9 @@ from pydantic import BaseModel
 
 from thermoforce_mpc.cli.running.comparing import contestants_in_words
 from thermoforce_mpc.comparison import cells
-from thermoforce_mpc.comparison.cells import expand
-from thermoforce_mpc.comparison.variants import (
+from thermoforce_mpc.comparison.cells import (
     Variant,
+    expand,
     load_comparison,
     numeric_option,
     swept_variants,

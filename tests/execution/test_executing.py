@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from benchmarks.cases import run_all
 from thermoforce_mpc.execution import Task, execute
-from thermoforce_mpc.execution.engine import Begun, Ended, Event, Lost, Told, answer_to
-from thermoforce_mpc.execution.execute import MOST_ATTEMPTS
+from thermoforce_mpc.execution.execute import MOST_ATTEMPTS, Begun, Ended, Event, Lost, Told, answer_to
 
 
 class Losing:

@@ -16,7 +16,7 @@ from waiting import LONG_S, wait_for
 from benchmarks.cases import JsonResults, TaskFailed, collect
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import LocalEngine, Task, TaskOutcome, execute, local
-from thermoforce_mpc.execution.engine import Begun
+from thermoforce_mpc.execution.execute import Begun
 
 
 class Watched:
@@ -170,7 +170,7 @@ def test_what_is_under_way_is_ended_and_released_when_nobody_wants_more(log):
 
 
 def functions_payload(log: Path) -> bytes:
-    from thermoforce_mpc.execution.engine import payload_of
+    from thermoforce_mpc.execution.execute import payload_of
 
     return payload_of(functions.hold, {"n": 0, "log": str(log)}, ())
 

@@ -12,11 +12,10 @@ from click.testing import CliRunner
 from controllers.registry import choose
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.comparison import tasks as comparison_tasks
-from thermoforce_mpc.comparison.cells import Inputs, expand
+from thermoforce_mpc.comparison.cells import Inputs, Variant, expand
 from thermoforce_mpc.comparison.outcome import outcome_rows, verdicts
 from thermoforce_mpc.comparison.store import Store
 from thermoforce_mpc.comparison.tasks import EqualComfort, follow
-from thermoforce_mpc.comparison.variants import Variant
 from thermoforce_mpc.experiment.equal_comfort import (
     AsComfortable,
     as_comfortable,

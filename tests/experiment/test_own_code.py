@@ -17,7 +17,7 @@ from thermoforce_mpc.experiment import run as experiment_run
 from thermoforce_mpc.experiment.run import run
 from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.records.own_kpis import own_kpis
+from thermoforce_mpc.records.run_folder import own_kpis
 
 TESTCASE = "bestest_hydronic_heat_pump"
 RULES = '''

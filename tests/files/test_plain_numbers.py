@@ -11,7 +11,7 @@ from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.files import plain_number
-from thermoforce_mpc.plants.checks import is_day
+from thermoforce_mpc.plants.shell import is_day
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 
 HOUSE = "bestest_hydronic_heat_pump"

@@ -23,7 +23,7 @@ from simple_house import simple_model
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.options import scenario_from
-from thermoforce_mpc.cli.running import executing
+from thermoforce_mpc.cli.running import comparing
 from thermoforce_mpc.cli.running.fleet import saving_cells
 from thermoforce_mpc.cli.running.run import run as run_one
 from thermoforce_mpc.comparison import cells
@@ -33,10 +33,9 @@ from thermoforce_mpc.comparison.tasks import failure
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.fleet import runs as fleet_runs
-from thermoforce_mpc.fleet.dataset import FORMAT, read_dataset, schema
 from thermoforce_mpc.fleet.file import buildings_of, load_fleet
 from thermoforce_mpc.fleet.page import causes, fleet_page, groups, headline, lost, paired, run_command
-from thermoforce_mpc.fleet.runs import runs_of, tasks_of
+from thermoforce_mpc.fleet.runs import FORMAT, read_dataset, runs_of, schema, tasks_of
 from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -192,7 +191,7 @@ def test_after_a_change_of_the_source_kept_runs_name_the_model_that_they_had(
     assert _fleet(path)[0] == 0
     models, rows = (tmp_path / "out" / name for name in ("models.parquet", "runs.parquet"))
     before = models.read_bytes(), rows.read_bytes()
-    for module in (cells, executing):
+    for module in (cells, comparing):
         monkeypatch.setattr(module, "source_fingerprint", lambda: "other")
     code, said = _fleet(path)
     assert code == 0, said

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controllers.registry import controller_config
-from thermoforce_mpc.comparison.variants import load_comparison
+from thermoforce_mpc.comparison.cells import load_comparison
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase

@@ -14,10 +14,9 @@ from simple_house import outdoor_C
 from thermoforce_mpc.boundary.tariffs import by_name
 from thermoforce_mpc.data import Block, Plan, PlanStatus
 from thermoforce_mpc.live import LiveBuilding, control
-from thermoforce_mpc.measurements.forecast import read_forecast
+from thermoforce_mpc.measurements.forecast import prices_over_steps, read_forecast
 from thermoforce_mpc.measurements.load import learned_commands, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
-from thermoforce_mpc.measurements.prices import prices_over_steps
 from thermoforce_mpc.measurements.tables.forms import TimeStampRules
 
 ZONE = "Europe/Berlin"

@@ -17,7 +17,7 @@ from thermoforce_mpc.boundary.tariffs import price_doubt
 from thermoforce_mpc.data import DAY_S, ZERO_C_K, Layout, Period
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
-from thermoforce_mpc.loop.unit_doubts import UnitDoubts
+from thermoforce_mpc.loop.inputs import UnitDoubts
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 
 # Day 10 to 12 with three days before it.

@@ -10,10 +10,9 @@ import pytest
 import yaml
 
 import thermoforce_mpc as tf
-from thermoforce_mpc.cli.building.data import show_measurements
+from thermoforce_mpc.cli.building.data import draw_measurements, measurements_figure, show_measurements
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.map.starting_map import starting_map
-from thermoforce_mpc.measurements.picture import draw_measurements, measurements_figure
 from thermoforce_mpc.report.display import RunDisplay
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from thermoforce_mpc.data import Block, Names
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.checks import check_levels
+from thermoforce_mpc.plants.shell import check_levels
 
 NAMES = Names(("bath", "hall"), ("radiator", "floor"), ("boiler",))
 BAND = (20.0, 24.0)

@@ -33,7 +33,7 @@ from thermoforce_mpc.files import write_whole, written
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.records import run_folder
 from thermoforce_mpc.records.journal import read_journal
-from thermoforce_mpc.records.run_log import logging_to
+from thermoforce_mpc.records.run_folder import logging_to
 
 WORDS = ("run", "--testcase", "bestest_hydronic_heat_pump", "--controller", "thermostat", "--baselines", "")
 

@@ -16,11 +16,9 @@ from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Layout, Names, Period, PlanStatus
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
-from thermoforce_mpc.report.courses import course_of
 from thermoforce_mpc.report.html import kpi_rows
-from thermoforce_mpc.report.model_panels import other_levels_json
 from thermoforce_mpc.report.page import packed, smooth
-from thermoforce_mpc.report.plans import decisions_json, plans_json
+from thermoforce_mpc.report.panels import course_of, decisions_json, other_levels_json, plans_json
 
 AREA_M2 = 100.0
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant
+from thermoforce_mpc.plants.energyplus.zone import EnergyPlusPlant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase

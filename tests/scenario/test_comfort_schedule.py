@@ -10,8 +10,7 @@ from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.experiment.identifying import chosen_of
-from thermoforce_mpc.plants.comfort import WithComfort
-from thermoforce_mpc.plants.registry import build_plant
+from thermoforce_mpc.plants.registry import WithComfort, build_plant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import OutlivingPlant, Plant, RoomSetpointPlant
 from thermoforce_mpc.scenario.comfort import Comfort

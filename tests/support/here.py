@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from thermoforce_mpc.execution.engine import Begun, Ended, Event, answer_to
+from thermoforce_mpc.execution.execute import Begun, Ended, Event, answer_to
 
 
 class Here:

@@ -42,7 +42,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "forecast": ("building.forecast:forecast", "Forecast the temperature, with its band."),
         "counterfactual": ("building.forecast:other_levels", "Show what another schedule would have done."),
         "worth": ("building.worth:worth", "What plans would have saved in past days, with a band."),
-        "saving": ("building.saving:saving", "What a changed operation saved, with an interval."),
+        "saving": ("building.worth:saving", "What a changed operation saved, with an interval."),
     },
     "Live": {
         "commission": ("live.commission:commission", "Take a building into service, step by step."),
@@ -52,7 +52,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "watch": ("live.watch:watch", "Watch a running controller, here or as a page."),
     },
     "Look inside": {
-        "inspect": ("inside.inspect:inspect", "Show a model, or a run's: parameters, certificate."),
+        "inspect": ("building.identify:inspect", "Show a model, or a run's: parameters, certificate."),
         "testcases": ("inside.listing:testcases", "List test cases, scenarios, comparisons and fleets."),
         "controllers": ("inside.listing:controllers", "List controllers and their options."),
         "plants": ("inside.listing:plants", "List plants and their options."),
@@ -68,7 +68,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "bench": ("benchmarks.cli.bench:command", "Run benchmarks; compare the results with targets."),
         "paper": ("benchmarks.cli.paper:command", "Measure the paper's tables here, beside its figures."),
         "chaos": ("benchmarks.cli.chaos:command", "Run controllers with everything around them failing."),
-        "cite": ("inside.cite:cite", "Print how to cite this software and the paper."),
+        "cite": ("inside.doctor:cite", "Print how to cite this software and the paper."),
     },
 }
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}

@@ -17,8 +17,7 @@ from thermoforce_mpc.comparison.cells import SEED
 from thermoforce_mpc.comparison.store import DONE
 from thermoforce_mpc.data import Array, PlanStatus
 from thermoforce_mpc.plants.kpis import zone_kpis
-from thermoforce_mpc.records.own_kpis import own_of
-from thermoforce_mpc.records.run_folder import environment
+from thermoforce_mpc.records.run_folder import environment, own_of
 from thermoforce_mpc.report.findings import COST, DISCOMFORT, most_comparable_Kh
 
 

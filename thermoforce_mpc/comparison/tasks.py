@@ -26,8 +26,7 @@ from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.records.own_kpis import with_own_kpis
-from thermoforce_mpc.records.run_folder import trajectory_frame
+from thermoforce_mpc.records.run_folder import trajectory_frame, with_own_kpis
 from thermoforce_mpc.report.findings import COST, DISCOMFORT
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.version import VERSION

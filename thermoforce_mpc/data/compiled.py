@@ -21,7 +21,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from thermoforce_mpc.data.cache import cache_folder
+from thermoforce_mpc.files import cache_folder
 
 _LOG = logging.getLogger(__name__)
 _ROOT = Path(__file__).parents[2]

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from thermoforce_mpc.errors import ConfigError, EngineError, counted
-from thermoforce_mpc.execution.engine import Begun, Ended, Event, Lost, Told, WorkerAnswer, answer_to
+from thermoforce_mpc.execution.execute import Begun, Ended, Event, Lost, Told, WorkerAnswer, answer_to
 from thermoforce_mpc.execution.keys import source_fingerprint
 from thermoforce_mpc.execution.local import LocalEngine
 from thermoforce_mpc.files import no_secret_in

@@ -20,14 +20,14 @@ from thermoforce_mpc.experiment.identifying import (
 )
 from thermoforce_mpc.experiment.windows import check_prices, check_window, scored_period
 from thermoforce_mpc.loop.closed_loop import RunResult, StepKeeper, StepRecord, run_closed_loop
+from thermoforce_mpc.loop.inputs import UnitDoubts
 from thermoforce_mpc.loop.loop import KeptSteps
-from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.free_response.registry import build_free_response, needs_identified
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.registry import ChosenPlant, choose_plant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Controller, Plant
-from thermoforce_mpc.records.own_kpis import OwnKpi, own_kpis
+from thermoforce_mpc.records.run_folder import OwnKpi, own_kpis
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
 

@@ -14,9 +14,8 @@ from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.errors import ArtifactError, DataError, InputError
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.outside import CODE, HUB, unknown
-from thermoforce_mpc.records.journal import NAME, JournalError, making_sense, read_run
-from thermoforce_mpc.records.journal_values import margins_of, planned_of
-from thermoforce_mpc.records.plain_files import check_plain
+from thermoforce_mpc.files import check_plain
+from thermoforce_mpc.records.journal import NAME, JournalError, making_sense, margins_of, planned_of, read_run
 from thermoforce_mpc.records.run_folder import kept_model
 from thermoforce_mpc.records.told_steps import (
     ToldBuilding,

@@ -17,7 +17,7 @@ from thermoforce_mpc.experiment.windows import check_window
 from thermoforce_mpc.loop.probing import Identifying, Probed, ProbingProgress, probe_until_known
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.records.kept_probing import (
+from thermoforce_mpc.records.recorded_plant import (
     find_probing,
     keeping_probing,
     note_end,

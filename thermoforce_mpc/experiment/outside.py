@@ -19,9 +19,8 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from thermoforce_mpc.data.cache import known_marks, note_marks
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.files import file_sha256
+from thermoforce_mpc.files import file_sha256, known_marks, note_marks
 from thermoforce_mpc.model.free_response.backbones.loading import is_fetched
 from thermoforce_mpc.plants.boptest.plant import allow_token
 from thermoforce_mpc.plants.registry import REGISTRY, plant_name

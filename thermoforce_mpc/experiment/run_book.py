@@ -29,7 +29,6 @@ from thermoforce_mpc.records.journal import (
 )
 from thermoforce_mpc.records.recorded_plant import JournaledPlant
 from thermoforce_mpc.records.run_folder import plain_json, write_partial
-from thermoforce_mpc.report.report_again import report_again
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.version import VERSION
@@ -202,6 +201,8 @@ def ended_early(book: RunBook, records: Mapping[str, Sequence[StepRecord]], erro
     with suppress(StorageError, OSError, MemoryError, JournalError):  # as far as that can be
         write_partial(book.folder, records, reason)
         if fault:
+            from thermoforce_mpc.report.html import report_again
+
             report_again(book.folder)
             there += ", with a report: report.html"
     again = f"tf-mpc resume {shlex.quote(str(book.folder))}"

@@ -18,8 +18,8 @@ from thermoforce_mpc.experiment.identifying import (
 )
 from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.records.journal_values import Json
-from thermoforce_mpc.records.kept_probing import FOLDER as PROBING
+from thermoforce_mpc.records.journal import Json
+from thermoforce_mpc.records.recorded_plant import FOLDER as PROBING
 from thermoforce_mpc.records.recorded_plant import JournaledPlant
 from thermoforce_mpc.records.run_folder import file_stem, kept_model, plain_json
 from thermoforce_mpc.report.display import RunDisplay

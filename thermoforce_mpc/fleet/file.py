@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, field_validator, model_validator
 
-from thermoforce_mpc.comparison.variants import ManyRuns, Variant
+from thermoforce_mpc.comparison.cells import ManyRuns, Variant
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.experiment.measured_model import check_measurements
 from thermoforce_mpc.files import read_bounded

@@ -1,4 +1,7 @@
-"""The runs and identifications of a fleet as tasks, its trajectories, and the verdicts on its models."""
+"""The runs and identifications of a fleet as tasks, its trajectories, the verdicts on its models, and its dataset.
+
+The dataset has one row a run, as Parquet with a schema of its own.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +10,25 @@ import os
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import pandas as pd
+
 from thermoforce_mpc.comparison.cells import Cell, Inputs, expand
 from thermoforce_mpc.comparison.input_files import NO_FILES, SentFiles, input_files, task_of
-from thermoforce_mpc.comparison.store import Identified, Store
+from thermoforce_mpc.comparison.store import DONE, Identified, Store
 from thermoforce_mpc.comparison.tasks import tasks_of as cell_tasks
+from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.errors import ArtifactError, ConfigError, DataError
 from thermoforce_mpc.execution import Task, content_key
 from thermoforce_mpc.experiment.measured_model import model_of_measurements
-from thermoforce_mpc.files import pyarrow_for, storage_errors
+from thermoforce_mpc.files import pyarrow_for, storage_errors, write_plain
 from thermoforce_mpc.fleet.file import FleetBuilding, FleetFile
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.thermal_model import load_model
-from thermoforce_mpc.records.plain_files import write_plain
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, validate
 
@@ -110,7 +116,7 @@ def place_trajectories(store: Store, runs: Iterable[FleetRun]) -> None:
                 shutil.copyfile(trajectory, place / trajectory.name)
 
 
-NAME = "models.parquet"
+MODELS = "models.parquet"
 _LEAD_H = (1, 6, 24)
 
 
@@ -210,7 +216,7 @@ def write_models(
     for key, run in first.items():
         place = {"building": run.building.name, "window": run.cell.window, "from": "probing", "key": key}
         rows += _rows(store.model_path(key), {**place, "seed": run.cell.scenario.seed})
-    content, path = io.BytesIO(), store.folder / NAME
+    content, path = io.BytesIO(), store.folder / MODELS
     pa = pyarrow_for(path, ConfigError)
     pa.parquet.write_table(pa.Table.from_pylist(rows, schema=_schema(pa)), content)
     write_plain(path, content.getvalue())
@@ -238,3 +244,120 @@ def _judged(competence: Competence | None) -> dict[str, Any]:
     for score in competence.horizons:
         row |= {f"{what}_{score.hours:g}h_K": getattr(score, f"{what}_K") for what in _FORECASTS}
     return row
+
+
+RUNS = "runs.parquet"
+# Increased whenever a column changes its meaning, its type or its name.
+FORMAT = "1"
+_FORMAT_KEY = b"thermoforce_mpc.fleet"
+
+_TEXT = ("building", "source", "emitter", "machine", "mass", "description", "window", "price", "variant", "controller",
+         "uncertainty", "status", "reason", "plant", "weather", "key", "identification", "version", "code")  # fmt: skip
+# Units: areas m²; costs currency/m²; energy kWh/m²; emissions kg/m²; peaks kW/m²; discomfort K·h per zone; times s.
+_NUMBERS = ("area_m2", "days", "start_day", "cost_tot", "tdis_tot", "ener_tot", "emis_tot", "pele_tot", "pgas_tot",
+            "pdih_tot", "seconds", "plan_median_s", "plan_longest_s")  # fmt: skip
+_PLANS = tuple(f"plans_{status.value}" for status in PlanStatus)
+
+
+@cache
+def schema() -> Any:
+    """Columns and types of the dataset; raises `ConfigError` where pyarrow is not installed."""
+    pa = pyarrow_for(RUNS, ConfigError)
+    texts = [pa.field(name, pa.string(), nullable=False) for name in _TEXT]
+    numbers = [pa.field(name, pa.float64()) for name in _NUMBERS]
+    whole = [pa.field(name, pa.int64(), nullable=False) for name in (*_PLANS, "plans_refused")]
+    seed = pa.field("seed", pa.int64(), nullable=False)
+    return pa.schema([*texts, seed, *numbers, *whole], metadata={_FORMAT_KEY: FORMAT.encode()})
+
+
+def row_of(run: FleetRun, record: Mapping[str, Any]) -> dict[str, Any]:
+    """The row of a run with its record; what a failed run has not is missing."""
+    cell = run.cell
+    plans, kpis, seconds = (record.get(name) or {} for name in ("fallback_levels", "kpis", "seconds"))
+    plant = record.get("plant") or {}
+    row = _place(run) | {
+        "controller": cell.scenario.controller.name,
+        "days": cell.scenario.days,
+        "status": record["status"],
+        "reason": record["reason"],
+        "plant": plant.get("kind", ""),
+        "weather": plant.get("weather", ""),
+        "key": cell.key,
+        # That of the model the run had: after a change of the source the cell's key is another.
+        "identification": record["model"] if cell.identification_key else "",
+        "version": record["version"],
+        "code": record["source"],
+        "start_day": record.get("start_day"),
+        "seconds": seconds.get("total"),
+        "plan_median_s": seconds.get("plan_median"),
+        "plan_longest_s": seconds.get("plan_longest"),
+    }
+    row |= {name: kpis.get(name) for name in _NUMBERS if name.endswith("_tot")}
+    return row | {name: plans.get(name.removeprefix("plans_"), 0) for name in (*_PLANS, "plans_refused")}
+
+
+def _place(run: FleetRun) -> dict[str, Any]:
+    """Where a run stands in its fleet: the building and the axes."""
+    building, cell = run.building, run.cell
+    of_building = ("source", "emitter", "machine", "mass", "description", "area_m2")
+    place = {"building": building.name} | {name: getattr(building, name) for name in of_building}
+    of_cell = {name: getattr(cell, name) for name in ("window", "price", "uncertainty", "variant")}
+    return place | of_cell | {"seed": cell.scenario.seed}
+
+
+def finished_rows(datasets: Iterable[Path]) -> dict[str, dict[str, Any]]:
+    """Rows of the finished runs of datasets (folders or files), by key; raises `ConfigError` for another schema."""
+    by_key: dict[str, dict[str, Any]] = {}
+    for path in datasets:
+        rows = read_dataset(path)
+        finished = rows[rows["status"] == DONE].astype(object)
+        by_key |= {row["key"]: row for row in finished.where(finished.notna(), None).to_dict("records")}
+    return by_key
+
+
+def reused_row(run: FleetRun, row: Mapping[str, Any]) -> dict[str, Any]:
+    """The `row` of a run with the same inputs as a row of this run."""
+    return {**row, **_place(run)}
+
+
+def write_dataset(folder: Path, rows: Iterable[Mapping[str, Any]]) -> Path:
+    """Write the rows (`row_of`) in the order given as `runs.parquet`, whole or not at all; raises `StorageError`."""
+    path, content = folder / RUNS, io.BytesIO()
+    pa = pyarrow_for(path, ConfigError)
+    pa.parquet.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema=schema()), content)
+    write_plain(path, content.getvalue())
+    return path
+
+
+def check_dataset(path: Path) -> None:
+    """Refuse a dataset, the file or its folder, of another schema; raises `ConfigError`."""
+    pa, path = pyarrow_for(path, ConfigError), _file(path)
+    if not path.exists():
+        return
+    try:
+        found = pa.parquet.read_schema(path)
+    except (OSError, pa.ArrowException) as error:
+        raise ConfigError(f"{path}: is no dataset of a fleet ({error}); give another folder, or remove it") from error
+    version = (found.metadata or {}).get(_FORMAT_KEY, b"none").decode(errors="replace")
+    if version != FORMAT or found.names != schema().names or found.types != schema().types:
+        version += " with other columns" if version == FORMAT else ""
+        raise ConfigError(
+            f"{path}: its schema is {version}, this release writes {FORMAT}; give another folder, or remove it to have "
+            "it written anew from the runs beside it"
+        )
+
+
+def read_dataset(path: Path) -> pd.DataFrame:
+    """The dataset in a fleet's folder or file, one row a run; raises `ConfigError` for another one."""
+    path = _file(path)
+    if not path.exists():
+        raise ConfigError(f"{path}: is missing; make it with `tf-mpc fleet`")
+    check_dataset(path)
+    try:
+        return pd.read_parquet(path)
+    except (OSError, pyarrow_for(path, ConfigError).ArrowException) as error:
+        raise ConfigError(f"{path}: is damaged ({str(error).strip()}); remove it, or give another dataset") from error
+
+
+def _file(path: Path) -> Path:
+    return path if path.suffix == ".parquet" else path / RUNS

@@ -12,7 +12,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.gym.boptest import BoptestGymEnv, EmbeddedBoptestGymEnv, check_keywords
 from thermoforce_mpc.gym.env import BuildingEnv, Episodes
-from thermoforce_mpc.gym.levels import LevelsView
+from thermoforce_mpc.gym.view import LevelsView
 from thermoforce_mpc.plants.boptest.plant import allow_token
 from thermoforce_mpc.plants.testcases import load_scenario
 

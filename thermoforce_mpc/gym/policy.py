@@ -13,8 +13,8 @@ from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.gym.env import BuildingEnv
-from thermoforce_mpc.gym.levels import LevelsView
 from thermoforce_mpc.gym.model_env import ModelVectorEnv
+from thermoforce_mpc.gym.view import LevelsView
 from thermoforce_mpc.gym.wrappers import DiscretizedActionWrapper, NormalizedActionWrapper, NormalizedObservationWrapper
 from thermoforce_mpc.scenario.own_code import policy_settings
 

@@ -31,12 +31,11 @@ from thermoforce_mpc.measurements.load import Measurements, learned_commands, re
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.points import LivePoint, read_points
 from thermoforce_mpc.model.thermal_model import load_model
-from thermoforce_mpc.records.run_folder import plain_json
-from thermoforce_mpc.records.saving import MOST_BYTES, SHADOW
+from thermoforce_mpc.records.run_folder import MOST_BYTES, SHADOW, plain_json
 
 _LOG = logging.getLogger(__name__)
 _FORMAT = 1
-# What a model is learned from at least, days (as `measurements.understood` says); whole days before a shadow says
+# What a model is learned from at least, days (as `measurements.signals` says); whole days before a shadow says
 # what it would have saved.
 _LEAST_DAYS, _SHADOW_DAYS = 2.9, 7
 # Readings of fewer steps are a record that has just begun.

@@ -31,8 +31,7 @@ from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.records.journal import NAME, making_sense, read_run
-from thermoforce_mpc.records.run_folder import write_json
-from thermoforce_mpc.records.saving import MOST_BYTES, SHADOW
+from thermoforce_mpc.records.run_folder import MOST_BYTES, SHADOW, write_json
 from thermoforce_mpc.records.told_steps import (
     forecast_of,
     history_before,
@@ -218,8 +217,8 @@ def _told_day(path: Path, begin: pd.Timestamp) -> _ToldDay:
         record = replace(history_before(steps[: later + 1]), origin=origin)
         forecasts = {float(round(steps[i].time_s)): given for i in at if (given := steps[i].forecast()[0]) is not None}
         known = [forecast_of(steps[: i + 1]) for i in [*at, later]]
-    first, n = (round((s - float(record.time_s[0])) / record.step_s) for s in (begin_s, end_s))
-    n -= first
+    first = record.nearest(begin_s)
+    n = record.nearest(end_s) - first
     if first < 1 or first + n > record.n_steps or len(at) < _LEAST_DECIDED * n:
         raise DataError(f"{begin:%d %b}: {len(at)} of {n} decisions were made in it: the day does not count")
     period = Period("day", float(record.time_s[first]), n * record.step_s, 0.0)
@@ -243,7 +242,7 @@ def _in_force(record: Record, forecasts: Sequence[Boundary]) -> Boundary:
 
 
 def _day(begin: pd.Timestamp, told: _ToldDay, lived: Sequence[Lived], *, goes_on: bool) -> ShadowDay:
-    likeliest, first = lived[0], round((told.period.start_s - told.record.time_s[0]) / told.record.step_s)
+    likeliest, first = lived[0], told.record.nearest(told.period.start_s)
     was = likeliest.was
     energy_was = was.power_W * was.step_s / J_PER_KWH
     price = told.conditions.price_per_kWh[:, first : first + was.n_steps]

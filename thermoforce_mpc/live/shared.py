@@ -18,8 +18,7 @@ from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.live.control import Decision
 from thermoforce_mpc.protocols import Connection
 from thermoforce_mpc.records.people import SHOWN, People
-from thermoforce_mpc.records.run_folder import plain_json
-from thermoforce_mpc.records.saving import saving_so_far
+from thermoforce_mpc.records.run_folder import plain_json, saving_so_far
 
 _LOG = logging.getLogger(__name__)
 ACTING = ("control", "probe")

@@ -18,8 +18,7 @@ from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.measurements import readings
-from thermoforce_mpc.measurements.map.entries import COUNTER, PER_STEP, Signal, converted, likelier
-from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.measurements.map.mapping import COUNTER, PER_STEP, MeasurementMap, Signal, converted, likelier
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import timed
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import Array, limits
 from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.map.entries import Signal, likelier
+from thermoforce_mpc.measurements.map.mapping import Signal, likelier
 
 _MOST_REFUSED = 0.1
 # Flagged readings that are kept for a picture.
@@ -64,6 +64,7 @@ SIGNED_LEVEL = replace(LEVEL, range=(-1.0 - LEVEL_SLACK, 1.0 + LEVEL_SLACK))
 HUMIDITY = replace(LEVEL, range=(0.0, 1.0 + LEVEL_SLACK))
 BOUND = SignalRule("temperature", "°C", ZONE.range, ZONE.usual)
 PRICE = SignalRule("price", "per kWh")
+TANK = SignalRule("temperature", "°C", WATER.range, (25.0, 75.0))
 COMMAND = SignalRule("command", "")
 
 

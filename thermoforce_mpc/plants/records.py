@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import ACTING, ZERO_C_K, Array, Block, Boundary, Measurement, Record
-from thermoforce_mpc.plants.checks import plant_inputs
+from thermoforce_mpc.plants.shell import plant_inputs
 from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
-from thermoforce_mpc.scenario.building import BuildingPoints, Machine, Price
-from thermoforce_mpc.scenario.heat import HeatMeter, weighted_sum
+from thermoforce_mpc.scenario.building import BuildingPoints, HeatMeter, Machine, Price, weighted_sum
 
 # Applied value above which the signal of a machine's pump or fan means that it runs, and share from which a valve is
 # open.

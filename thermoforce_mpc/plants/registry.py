@@ -1,17 +1,21 @@
 """Registry of plants by name: which one implements a scenario's building. A new plant needs one entry here.
 
 Other distributions announce a class, a function or a `PlantEntry` in the group `thermoforce_mpc.plants`, see
-docs/how-to/plugins.md.
+docs/how-to/plugins.md. Comfort bounds of a scenario take the place of a plant's own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from thermoforce_mpc.data import HOUR_S, Boundary, Measurement
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.plants.kpis import excess
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.registry import Registry
 from thermoforce_mpc.scenario.comfort import Comfort
@@ -28,6 +32,54 @@ if TYPE_CHECKING:
     from thermoforce_mpc.boundary.weather.year import Weather
     from thermoforce_mpc.data import Array
     from thermoforce_mpc.plants.embedded.emulator import Emulator
+
+
+# Distance of the readings from which discomfort is integrated, s.
+_SAMPLE_S = 60.0
+
+
+class WithComfort:
+    """A `Plant` with the comfort bounds of a schedule in forecasts and KPIs; all else is that of the plant inside.
+
+    Discomfort is integrated over readings a minute apart, by the trapezoidal rule: where a plant's own discomfort is
+    that of true temperatures, this one has the error of its sensors.
+    """
+
+    def __init__(self, plant: Plant, comfort: Comfort, testcase: TestCase) -> None:
+        """Wrap `plant`; raises `ConfigError` for a zone that the test case does not have."""
+        self._plant, self._comfort, self._zones = plant, comfort, testcase.layout.names.zones
+        # The engine's year begins on a Monday, BOPTEST's and that of drawn houses on a Tuesday.
+        self._first = "monday" if testcase.energyplus or testcase.plant == "small_office" else "tuesday"
+        self._start_s = 0.0
+        self._comfort.bounds_C(np.zeros(1), self._zones, self._first)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._plant, name)
+
+    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
+        """See `Plant.reset`."""
+        self._start_s = float(start_s)
+        return self._plant.reset(start_s, warmup_s, price)
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """See `Plant.forecast`."""
+        ahead = self._plant.forecast(horizon_s, interval_s)
+        lower, upper = self._comfort.bounds_C(ahead.time_s, self._zones, self._first)
+        return replace(ahead, lower_C=lower, upper_C=upper)
+
+    def kpis(self) -> dict[str, float]:
+        """See `Plant.kpis`; discomfort in K·h also zone by zone."""
+        return dict(self._plant.kpis()) | self._discomfort()
+
+    def _discomfort(self) -> dict[str, float]:
+        record = self._plant.past(_SAMPLE_S)
+        scored = record.time_s >= self._start_s
+        time_s, T_zone = record.time_s[scored], record.T_zone_C[:, scored]
+        outside = excess(T_zone, *self._comfort.bounds_C(time_s, self._zones, self._first))
+        of_zones = np.atleast_1d(np.trapezoid(np.nan_to_num(outside), time_s / HOUR_S, axis=1))
+        named = {f"tdis_tot[{zone}]": float(Kh) for zone, Kh in zip(self._zones, of_zones, strict=True)}
+        return {"tdis_tot": float(of_zones.mean()), **(named if len(self._zones) > 1 else {})}
+
 
 WEATHER, PRICES, UNCERTAINTY, PEOPLE = "weather", "prices_file", "forecast_uncertainty", "people"
 
@@ -102,7 +154,6 @@ def with_comfort(plant: Plant, comfort: Comfort | None, testcase: TestCase) -> P
     """`plant` with the comfort bounds of a scenario, where it has any; raises `ConfigError` for an unknown zone."""
     if comfort is None:
         return plant
-    from thermoforce_mpc.plants.comfort import WithComfort
 
     return WithComfort(plant, comfort, testcase)
 
@@ -187,13 +238,13 @@ def _generated(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> 
 
 
 def _small_office(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
-    from thermoforce_mpc.plants.energyplus.office_plant import SmallOfficePlant
+    from thermoforce_mpc.plants.energyplus.office import SmallOfficePlant
 
     return SmallOfficePlant(testcase, **_on_engine(spec, seed))
 
 
 def _energyplus(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
-    from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant
+    from thermoforce_mpc.plants.energyplus.zone import EnergyPlusPlant
 
     return EnergyPlusPlant(testcase, **_on_engine(spec, seed))
 
@@ -286,13 +337,13 @@ def _of_weather(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
 
 
 def _weeks(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
-    from thermoforce_mpc.plants.drawn_houses.plant import NAMES
+    from thermoforce_mpc.plants.drawn_houses import NAMES
 
     return NAMES
 
 
 def _of_office(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
-    from thermoforce_mpc.plants.energyplus.office_plant import PERIODS
+    from thermoforce_mpc.plants.energyplus.office import PERIODS
 
     return PERIODS
 

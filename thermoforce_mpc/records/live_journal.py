@@ -20,7 +20,6 @@ from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Block, Boundary,
 from thermoforce_mpc.errors import StorageError
 from thermoforce_mpc.files import storage_errors
 from thermoforce_mpc.loop.loop import CLOCK_TOLERANCE_S, Decided
-from thermoforce_mpc.records import journal_values as values
 from thermoforce_mpc.records.journal import (
     FORMAT,
     NAME,
@@ -28,12 +27,18 @@ from thermoforce_mpc.records.journal import (
     Journal,
     JournalError,
     JournalText,
+    Json,
+    block_json,
+    boundary_rows,
     making_sense,
+    measurement_json,
+    plan_json,
     read_journal,
     read_run,
+    record_json,
+    rows_json,
     set_aside,
 )
-from thermoforce_mpc.records.journal_values import Json
 from thermoforce_mpc.records.run_folder import plain_json
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.version import VERSION
@@ -99,7 +104,7 @@ class LiveJournal:
 
     def applied(self, block: Block, start_s: float) -> None:
         """Note a block that was set from `start_s` on, s; one that was not taken is one of native control."""
-        self._applied.append({"asked": values.block_json(block), "start_s": float(start_s)})
+        self._applied.append({"asked": block_json(block), "start_s": float(start_s)})
 
     def ended(self, why: str) -> None:
         """Note that control has ended, and close."""
@@ -149,21 +154,21 @@ class LiveJournal:
             self._loops.add(controller)
         if given.as_read is not None:
             self._write_record(given.as_read)
-        rows = None if given.forecast is None else values.boundary_rows(given.forecast)
+        rows = None if given.forecast is None else boundary_rows(given.forecast)
         horizon_s, interval_s = asked
         content: Json = {
             "index": self._index,
             "time_s": float(time_s),
             "at": _now(),
             "asked": {"horizon_s": float(horizon_s), "interval_s": float(interval_s)},
-            "forecast": None if rows is None else values.rows_json(rows, self._rows),
+            "forecast": None if rows is None else rows_json(rows, self._rows),
             "before": now,
             "notes": list(decided.notes),
             "plan_seconds": float(decided.plan_seconds),
             "forecast_seconds": float(decided.forecast_seconds),
             "seconds": {name: float(value) for name, value in decided.plan.seconds.items()},
             **({"no_forecast": given.no_forecast} if rows is None else {}),
-            **values.plan_json(decided.plan, decided.blocks, decided.refused),
+            **plan_json(decided.plan, decided.blocks, decided.refused),
         }
         self._write("step", content)
         self._rows = self._rows if rows is None else rows
@@ -261,7 +266,7 @@ class LiveJournal:
         advances = []
         for one, end_s in zip(applied, ends, strict=True):
             answer = _measured(record, float(told["time_s"]), end_s, len(applied) > 1, layout)
-            advances.append({"asked": one["asked"], "answer": values.measurement_json(answer)})
+            advances.append({"asked": one["asked"], "answer": measurement_json(answer)})
         content = {name: told[name] for name in ("index", "notes", "plan_seconds", "forecast_seconds", "seconds")}
         self._write("done", {**content, "advances": advances, "plant_seconds": 0.0})
 
@@ -269,9 +274,9 @@ class LiveJournal:
         """The readings that a step begins with."""
         if record is None:
             nothing = np.full(len(layout.names.zones), np.nan)
-            return values.measurement_json(Measurement(time_s, nothing, np.nan, np.nan, names=layout.names))
+            return measurement_json(Measurement(time_s, nothing, np.nan, np.nan, names=layout.names))
         acting: dict[str, Any] = {name: getattr(record, name)[:, -1] for name in ACTING if record.n_steps}
-        return values.measurement_json(
+        return measurement_json(
             Measurement(
                 float(record.time_s[-1]),
                 record.T_zone_C[:, -1],
@@ -287,10 +292,10 @@ class LiveJournal:
         now_s = float(record.time_s[-1])
         since = None if self._seen is None or now_s - self._whole_s >= _WHOLE_S else _changed(self._seen, record)
         if since is None:
-            self._write("past", {"asked": {"step_s": record.step_s}, "answer": values.record_json(record)})
+            self._write("past", {"asked": {"step_s": record.step_s}, "answer": record_json(record)})
             self._whole_s = now_s
         elif since < record.n_steps:
-            self._write("tail", {"answer": values.record_json(record.slice(since, record.n_steps))})
+            self._write("tail", {"answer": record_json(record.slice(since, record.n_steps))})
         self._seen = record
 
 
@@ -334,7 +339,7 @@ def _changed(before: Record, now: Record) -> int | None:
     """The first step of `now` that is not as `before` had it; None where `now` does not go on from it."""
     if before.names != now.names or not (before.n_steps and now.n_steps) or before.step_s != now.step_s:
         return None
-    shift = round((float(now.time_s[0]) - float(before.time_s[0])) / now.step_s)
+    shift = before.nearest(float(now.time_s[0]))
     if not 0 <= shift <= before.n_steps or abs(float(before.time_s[shift] - now.time_s[0])) > CLOCK_TOLERANCE_S:
         return None
     first = min(before.n_steps - shift, now.n_steps)

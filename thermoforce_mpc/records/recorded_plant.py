@@ -2,16 +2,23 @@
 
 Everything that a controller gets passes through here, and the same observations give the same plans. A resumed run
 therefore plans again what was planned, and its state is that of the run that was killed, whatever controller it is.
+
+A probing is kept in a journal of its own: `probing/NAME.jsonl` begins with what was probed and how (`probing`) and ends
+with why probing ended (`end`). With an end it is a record that a model can be identified from again; without one, the
+probing can go on.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from thermoforce_mpc.data import (
+    DAY_S,
     SINGLE,
     Array,
     Block,
@@ -24,13 +31,40 @@ from thermoforce_mpc.data import (
     PlantInfo,
     Record,
 )
-from thermoforce_mpc.errors import NoForecast
+from thermoforce_mpc.errors import ConfigError, NoForecast
+from thermoforce_mpc.files import check_plain, storage_errors
 from thermoforce_mpc.loop.closed_loop import StepRecord, advanced
+from thermoforce_mpc.loop.probing import Probed
 from thermoforce_mpc.protocols import OutlivingPlant, Plant, RestartingPlant
-from thermoforce_mpc.records import journal_values as values
-from thermoforce_mpc.records.journal import Journal, JournalEntry, JournalError, making_sense
-from thermoforce_mpc.records.journal_values import Json, block_json, measurement_of, repeated_rows
+from thermoforce_mpc.records.journal import (
+    DamagedJournal,
+    Journal,
+    JournalEntry,
+    JournalError,
+    JournalText,
+    Json,
+    block_json,
+    block_of,
+    boundary_of,
+    boundary_rows,
+    kpis_json,
+    kpis_of,
+    making_sense,
+    measurement_json,
+    measurement_of,
+    names_of,
+    pack,
+    plan_json,
+    read_journal,
+    record_json,
+    record_of,
+    repeated_rows,
+    rows_json,
+    unpack,
+)
 from thermoforce_mpc.records.run_folder import plain_json
+from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.version import VERSION
 
 _Answer = TypeVar("_Answer")
 
@@ -83,7 +117,7 @@ class RecordedPlant:
             return self._told(measurement) | {"names": plain_json(asdict(measurement.names))}
 
         def read(told: Mapping[str, Any]) -> Measurement:
-            return measurement_of(told, values.names_of(told["names"]))
+            return measurement_of(told, names_of(told["names"]))
 
         self._last = self._answer("reset", request, call, read)
         self._names, self._reset = self._last.names, request
@@ -101,8 +135,8 @@ class RecordedPlant:
         return self._answer(
             "forecast",
             {"horizon_s": float(horizon_s), "interval_s": float(interval_s)},
-            lambda: values.pack(values.boundary_rows(self.inside.forecast(horizon_s, interval_s))),
-            lambda told: values.boundary_of(values.unpack(told), self._names),
+            lambda: pack(boundary_rows(self.inside.forecast(horizon_s, interval_s))),
+            lambda told: boundary_of(unpack(told), self._names),
         )
 
     def past(self, step_s: float) -> Record:
@@ -110,13 +144,13 @@ class RecordedPlant:
         return self._answer(
             "past",
             {"step_s": float(step_s)},
-            lambda: values.record_json(self.inside.past(step_s)),
-            lambda told: values.record_of(told, self._names),
+            lambda: record_json(self.inside.past(step_s)),
+            lambda told: record_of(told, self._names),
         )
 
     def kpis(self) -> dict[str, float]:
         """See `Plant.kpis`; asked for once, at the end of a loop."""
-        return self._answer("kpis", {}, lambda: values.kpis_json(self.inside.kpis()), values.kpis_of)
+        return self._answer("kpis", {}, lambda: kpis_json(self.inside.kpis()), kpis_of)
 
     def leave(self) -> None:
         """Leave a plant that outlives us where it stands; nothing for another."""
@@ -161,7 +195,7 @@ class RecordedPlant:
     def _told(self, measurement: Measurement) -> Json:
         """A measurement, with how the plant was started again since its reset."""
         restarts = self.inside.restarts if isinstance(self.inside, RestartingPlant) else ()
-        return values.measurement_json(measurement) | ({"restarts": list(restarts)} if restarts else {})
+        return measurement_json(measurement) | ({"restarts": list(restarts)} if restarts else {})
 
     def _compare(self, entry: JournalEntry, kind: str, recorded: object, call: Callable[[], object]) -> None:
         """Have a simulated plant answer again, as it did then; one that outlives the process is not asked.
@@ -247,8 +281,8 @@ class JournaledPlant(RecordedPlant):
 
         def call() -> Json:
             try:
-                rows = values.boundary_rows(self.inside.forecast(horizon_s, interval_s))
-                return {"asked": request, "forecast": values.rows_json(rows, self._rows)}
+                rows = boundary_rows(self.inside.forecast(horizon_s, interval_s))
+                return {"asked": request, "forecast": rows_json(rows, self._rows)}
             except NoForecast as error:
                 return {"asked": request, "forecast": None, "no_forecast": str(error)}
 
@@ -258,7 +292,7 @@ class JournaledPlant(RecordedPlant):
                 raise self._mismatch(entry, f"'forecast' {request}")
             with making_sense(entry.where):
                 recorded = entry.content["forecast"]
-                recorded is None or values.boundary_of(repeated_rows(recorded, self._rows), self._names)
+                recorded is None or boundary_of(repeated_rows(recorded, self._rows), self._names)
             self._compare(entry, "forecast", recorded, lambda: call()["forecast"])
             self._ahead = {name: entry.content.get(name) for name in ("asked", "forecast", "no_forecast")}
         else:
@@ -267,7 +301,7 @@ class JournaledPlant(RecordedPlant):
         if self._ahead["forecast"] is None:
             raise NoForecast(str(self._ahead["no_forecast"]), past=bool(self._entries))
         self._rows = repeated_rows(self._ahead["forecast"], self._rows)
-        return values.boundary_of(self._rows, self._names)
+        return boundary_of(self._rows, self._names)
 
     def kpis_so_far(self) -> dict[str, float]:
         """The plant's KPIs for the display; none while a service is not asked."""
@@ -275,7 +309,7 @@ class JournaledPlant(RecordedPlant):
 
     def decided(self, index: int, time_s: float, plan: Plan, blocks: Sequence[Block], refused: str) -> Sequence[Block]:
         """Record a decision before it acts; while catching up, what acted then acts again."""
-        content = {"index": index, "time_s": float(time_s), **self._ahead, **values.plan_json(plan, blocks, refused)}
+        content = {"index": index, "time_s": float(time_s), **self._ahead, **plan_json(plan, blocks, refused)}
         self._advances, self._to_come = [], len(blocks)
         if not self._entries:
             self._journal.write("step", content)
@@ -284,7 +318,7 @@ class JournaledPlant(RecordedPlant):
         if entry.content.get("index") != index or entry.content.get("time_s") != content["time_s"]:
             raise self._mismatch(entry, f"step {index} at {time_s:.10g} s")
         with making_sense(entry.where):
-            recorded = tuple(values.block_of(block) for block in entry.content["blocks"])
+            recorded = tuple(block_of(block) for block in entry.content["blocks"])
         self.differing += entry.content["blocks"] != content["blocks"]
         self._to_come = len(recorded)
         return recorded
@@ -302,3 +336,133 @@ class JournaledPlant(RecordedPlant):
             plan = replace(record.plan, seconds={name: float(s) for name, s in entry.content["seconds"].items()})
             recorded_seconds: dict[str, Any] = {name: float(entry.content[name]) for name in seconds}
         return replace(record, plan=plan, **recorded_seconds)
+
+
+FOLDER = "probing"
+_PROBING_FORMAT = 2
+
+
+@dataclass(frozen=True)
+class ToldProbing:
+    """A probing as its journal at `path` tells it, whole or as far as it came."""
+
+    path: Path
+    entries: Sequence[JournalEntry]
+
+    @property
+    def head(self) -> Mapping[str, Any]:
+        """What was probed and how; raises `JournalError` where it is another journal."""
+        head = self.entries[0] if self.entries else None
+        if head is None or head.kind != "probing" or head.content.get("format") != _PROBING_FORMAT:
+            raise JournalError(f"{self.path}: holds no probing of format {_PROBING_FORMAT}; probe again")
+        return head.content
+
+    @property
+    def days(self) -> float:
+        """Days that were probed."""
+        with making_sense(self.path):
+            return sum(advance["asked"]["duration_s"] for advance in self._advances) / DAY_S
+
+    @property
+    def _advances(self) -> Iterator[Mapping[str, Any]]:
+        return (entry.content for entry in self.entries if entry.kind == "advance")
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether it need not go on."""
+        return self.entries[-1].kind == "end"
+
+    @property
+    def probed(self) -> Probed:
+        """The probing; raises `JournalError` where no step was probed."""
+        if not self.days:
+            raise JournalError(f"{self.path}: was ended before its first step; name another run")
+        plant, end = self.head["plant"], self.entries[-1].content
+        with making_sense(self.path):
+            why = str(end["why"]) if self.has_ended else "its run was ended before its time"
+            reset = next(entry.content["answer"] for entry in self.entries if entry.kind == "reset")
+            names = names_of(reset["names"])
+            record, blocks = Record.beginning(measurement_of(reset, names)), []
+            for advance in self._advances:
+                record = record.extended(measurement_of(advance["answer"], names))
+                blocks.append(block_of(advance["asked"]))
+            return Probed(record, tuple(blocks), PlantInfo(**plant), why)
+
+
+def told_probing(path: Path) -> ToldProbing | None:
+    """The probing whose journal is at `path`; None where none has begun. Raises `JournalError` for a damaged one."""
+    told = ToldProbing(path, _read(path).entries) if path.exists() else None
+    return told if told and told.entries else None
+
+
+def _read(path: Path) -> JournalText:
+    try:
+        return read_journal(path)
+    except DamagedJournal as damage:
+        raise JournalError(f"{damage}; move the file away, and it is probed again") from damage
+
+
+def find_probing(place: Path, testcase: TestCase, how: Json) -> Probed:
+    """The probing of an earlier run, as far as it came: that which was probed as `how` says, or the only one.
+
+    `place`: folder of the run, its folder `probing`, or one of the journals in that; `how`: as of `how_probed`.
+
+    Raises:
+        ConfigError: there is none, or several and none is as `how` says.
+        JournalError: it is damaged, holds no step, or is of another test case; names the file.
+    """
+    where = place_of_journals(place)
+    if where.is_dir():
+        check_plain(where)
+    journals = [where] if where.is_file() else sorted(where.glob("*.jsonl"))
+    found = [told for path in journals if (told := told_probing(path))]
+    alike = [told for told in found if told.head["how"] == how] or found
+    if not found:
+        raise ConfigError(f"{place}: holds no probing ({FOLDER}/*.jsonl): name the folder of a run that has probed")
+    if len(alike) > 1:
+        files = ", ".join(str(told.path) for told in alike)
+        raise ConfigError(f"{place}: holds several probings, none with the settings of this run: name one of {files}")
+    told = alike[0]
+    of = {name: told.head.get(name) for name in ("testcase", "names")}
+    if of != _building(testcase):
+        raise JournalError(
+            f"{told.path}: is a probing of {of['testcase']}, not of {testcase.name} as it is now; probe again"
+        )
+    return told.probed
+
+
+def place_of_journals(place: Path) -> Path:
+    """What is read of a place: the folder `probing` of a run folder; that folder or a journal in it as it is."""
+    return place if place.is_file() or place.name == FOLDER else place / FOLDER
+
+
+@contextmanager
+def keeping_probing(plant: Plant, path: Path | None, testcase: TestCase, how: Json) -> Iterator[Plant]:
+    """`plant`, whose answers are written to the journal at `path`, if any, as they come, after those that are there.
+
+    Raises:
+        JournalError: the journal is damaged (names the line), or another one.
+        StorageError: it cannot be written.
+    """
+    if path is None:
+        yield plant
+        return
+    text = _read(path) if path.exists() else None
+    with storage_errors(path):
+        path.parent.mkdir(exist_ok=True)
+    # A service goes on where a power failure ends us.
+    with closing(Journal(path, text, durable=isinstance(plant, OutlivingPlant))) as journal:
+        kept = RecordedPlant(plant, journal, text.entries if text else ())
+        head = {"format": _PROBING_FORMAT, "version": VERSION, **_building(testcase), "how": how}
+        kept.noted("probing", lambda: {**head, "plant": plain_json(asdict(plant.info))})
+        yield kept
+
+
+def note_end(kept: Plant, why: str) -> None:
+    """Note in the journal, where there is one, that the probing has ended."""
+    if isinstance(kept, RecordedPlant):
+        kept.noted("end", lambda: {"why": why})
+
+
+def _building(testcase: TestCase) -> Json:
+    return {"testcase": testcase.name, "names": plain_json(asdict(testcase.layout.names))}

@@ -1,28 +1,48 @@
-"""Run folder: configuration, trajectories, step log, KPIs and manifest of one run. Never overwritten."""
+"""Run folder: configuration, trajectories, steps, KPIs, manifest and log of one run. Never overwritten.
+
+`log.jsonl` has one JSON object a line, of messages and of every step with its reason; warnings are shown to people too.
+KPIs may be the user's own: functions of a trajectory. What a run at a building saved so far is in the accounts there.
+"""
 
 from __future__ import annotations
 
 import json
+import logging
+import os
 import platform
 import re
-from collections.abc import Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 import pandas as pd
 from filelock import FileLock, Timeout
 
+from boptest_client import safe_text
 from thermoforce_mpc.data import Names, Plan
-from thermoforce_mpc.errors import ArtifactError, ConfigError, StorageError
-from thermoforce_mpc.files import storage_errors, sweep, write_whole
-from thermoforce_mpc.loop.closed_loop import StepRecord
-from thermoforce_mpc.records.plain_files import HARD_LINK, check_plain, write_plain
+from thermoforce_mpc.errors import ArtifactError, ConfigError, InputError, StorageError
+from thermoforce_mpc.files import (
+    HARD_LINK,
+    DoubtfulInput,
+    check_plain,
+    open_plain,
+    read_bounded,
+    storage_errors,
+    sweep,
+    write_plain,
+    write_whole,
+)
+from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.registry import plugins
+from thermoforce_mpc.scenario.own_code import line_in, own_code
 from thermoforce_mpc.version import VERSION, installed
 
-LOCK = ".lock"
+LOCK, LOG = ".lock", "log.jsonl"
 _PACKAGES = ("casadi", "torch", "chronos-forecasting", "numpy", "pandas", "requests", "numba", "scipy", "pydantic")
 
 
@@ -73,7 +93,7 @@ def sole_use(folder: Path) -> Iterator[None]:
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
     check_plain(folder)
-    for name in (LOCK, "journal.jsonl", "log.jsonl"):  # written where they stand; all else is replaced
+    for name in (LOCK, "journal.jsonl", LOG):  # written where they stand; all else is replaced
         with suppress(FileNotFoundError):
             if (folder / name).stat().st_nlink > 1:
                 raise ConfigError(f"{folder / name}: {HARD_LINK}")
@@ -228,3 +248,171 @@ def plain_json(value: Any) -> Any:
     if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
         return None
     return value
+
+
+_LOGGERS = ("thermoforce_mpc", "controllers", "boptest_client")
+# A message of ours may name many keys; what it quotes is cut where it enters.
+_MOST_SAID = 20_000
+_STEPS = logging.getLogger("thermoforce_mpc.step")
+
+
+class _JsonLines(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        """The record as one line of JSON; `fields` are those of a step."""
+        content = {
+            "at": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+            "level": record.levelname.lower(),
+            **({} if record.name == _STEPS.name else {"from": record.name}),
+            **getattr(record, "fields", {}),
+            "message": record.getMessage(),
+        }
+        if record.exc_info:
+            content["exception"] = self.formatException(record.exc_info)
+        return json.dumps(content, ensure_ascii=False, separators=(",", ":"))
+
+
+class _Announcer(logging.Handler):
+    """Says warnings, as they come."""
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        super().__init__(logging.WARNING)
+        self._say = say
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Say one."""
+        self._say(safe_text(f"{record.levelname.lower()}: {record.getMessage()}", _MOST_SAID))
+
+
+class _Lines(logging.StreamHandler[TextIO]):
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Say nothing: where the disk is full the journal ends the run, and says so."""
+
+    def close(self) -> None:
+        """Close the file; lines that a full disk did not take are lost."""
+        super().close()
+        with suppress(OSError):
+            self.stream.close()
+
+
+@contextmanager
+def logging_to(folder: Path, say: Callable[[str], None] = lambda text: None) -> Iterator[None]:
+    """Append what the package logs to `log.jsonl` in `folder`, and `say` warnings; raises `StorageError`."""
+    with storage_errors(folder / LOG):
+        file = open_plain(folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        file_handler = _Lines(os.fdopen(file, "a", encoding="utf-8", errors="backslashreplace"))
+    file_handler.setFormatter(_JsonLines())
+    handlers = (file_handler, _Announcer(say))
+    levels_before = {name: logging.getLogger(name).level for name in _LOGGERS}
+    for name in _LOGGERS:
+        for handler in handlers:
+            logging.getLogger(name).addHandler(handler)
+        logging.getLogger(name).setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        for name, level in levels_before.items():
+            for handler in handlers:
+                logging.getLogger(name).removeHandler(handler)
+            logging.getLogger(name).setLevel(level)
+        file_handler.close()
+
+
+def log_step(controller: str, step: StepRecord) -> None:
+    """Log one step: what acted, and why."""
+    levels = [sample.u_applied for sample in step.samples]
+    log_decision(controller, step.index, step.time_s, step.plan, levels, step.refused, step.notes)
+
+
+def log_decision(
+    controller: str,
+    index: int,
+    time_s: float,
+    plan: Plan,
+    levels: Sequence[Sequence[float | None]],
+    refused: str,
+    notes: Sequence[str],
+) -> None:
+    """Log what was decided at `time_s`: the levels of each block, and why."""
+    fields = {
+        "controller": controller,
+        "step": index,
+        "time_s": time_s,
+        "status": plan.status.value,
+        "u": [list(block) for block in levels],
+    } | {key: value for key, value in (("refused", refused), ("notes", list(notes))) if value}
+    _STEPS.info("%s", plan.why, extra={"fields": fields})
+
+
+_UNIT_AFTER = ", "
+
+
+@dataclass(frozen=True)
+class OwnKpi:
+    """A KPI by `key`, its name and unit as `starts_per_day, 1/d`, and the function that computes it."""
+
+    key: str
+    function: Callable[[pd.DataFrame], float]
+
+    def of(self, trajectory: pd.DataFrame) -> float:
+        """The KPI; NaN with a warning that says where, if the function raises or gives no number."""
+        try:
+            return float(self.function(trajectory))
+        except Exception as error:  # whatever a function of the user raises: the run is over, nothing of it is lost
+            at = line_in(self.function.__code__.co_filename, error) if hasattr(self.function, "__code__") else ""
+            warnings.warn(f"kpis: {self.key}{at}: {type(error).__name__}: {error}", DoubtfulInput, stacklevel=2)
+            return float("nan")
+
+
+def own_kpis(given: Iterable[str | Callable[[pd.DataFrame], float]]) -> tuple[OwnKpi, ...]:
+    """KPIs from functions, or from where they stand (`file.py:name`).
+
+    Name and unit are the function's name, and what follows the last comma of the first line of its docstring:
+    `def starts_per_day(trajectory): "Starts of the machine, 1/d"`.
+
+    Raises:
+        ConfigError: there is no such function, or two have one name.
+    """
+    found = []
+    for one in given:
+        function = own_code(one, "kpis", ConfigError) if isinstance(one, str) else one
+        name = getattr(function, "__name__", type(function).__name__)
+        words = (function.__doc__ or "").strip().partition("\n")[0]
+        unit = words.rpartition(",")[2].strip(" .") if "," in words else ""
+        found.append(OwnKpi(f"{name}{_UNIT_AFTER}{unit or '–'}", function))
+    twice = {kpi.key for kpi in found if sum(other.key == kpi.key for other in found) > 1}
+    if twice:
+        raise ConfigError(f"kpis: {', '.join(twice)}: given twice")
+    return tuple(found)
+
+
+def with_own_kpis(result: RunResult, own: Iterable[OwnKpi]) -> RunResult:
+    """A result with its KPIs and those of the user's."""
+    own = tuple(own)
+    if not own:
+        return result
+    trajectory = trajectory_frame(result.steps)
+    return replace(result, kpis=result.kpis | {kpi.key: kpi.of(trajectory) for kpi in own})
+
+
+def own_of(kpis: Mapping[str, float | None]) -> dict[str, float | None]:
+    """Those of `kpis` that are the user's, by name and unit."""
+    return {key: value for key, value in kpis.items() if _UNIT_AFTER in key}
+
+
+# Accounts in the folder of a run, the first one counts: of what was set (`tf-mpc saving`), of what a shadow would have.
+VERIFIED, SHADOW = "saving.json", "shadow.json"
+MOST_BYTES = 10_000_000
+_NOT_KNOWN = "not known yet: --mode shadow says what would be saved, `tf-mpc saving --out` into this folder what was"
+
+
+def saving_so_far(folder: Path) -> dict[str, Any]:
+    """The account in `folder`: `said` in a sentence, and numbers, where there are some."""
+    for name in (VERIFIED, SHADOW):
+        try:
+            told = json.loads(read_bounded(folder / name, MOST_BYTES, InputError))
+            return {key: one for key, one in told.items() if isinstance(one, str | int | float)} | {
+                "said": str(told["said"])
+            }
+        except (OSError, InputError, ValueError, KeyError, AttributeError, TypeError):
+            continue
+    return {"said": _NOT_KNOWN}

@@ -15,7 +15,6 @@ from thermoforce_mpc.data import (
     ACTING,
     DAY_S,
     SAMPLED,
-    SIGNALS,
     SINGLE,
     Array,
     Block,
@@ -31,13 +30,27 @@ from thermoforce_mpc.data import (
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S, seconds_of, words_of
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord, sample_of, time_rat, with_level
-from thermoforce_mpc.loop.forecasts import empty_forecast, holes
+from thermoforce_mpc.loop.inputs import empty_forecast, holes
 from thermoforce_mpc.loop.loop import KeptSteps
 from thermoforce_mpc.model.forecast_gaps import completed, lengthened
 from thermoforce_mpc.model.screening import ReadingLimits, screened_history
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.records import journal_values as values
-from thermoforce_mpc.records.journal import NAME, JournalEntry, JournalError, making_sense, read_run
+from thermoforce_mpc.records.journal import (
+    NAME,
+    JournalEntry,
+    JournalError,
+    block_of,
+    boundary_of,
+    kpis_of,
+    making_sense,
+    margins_of,
+    measurement_of,
+    names_of,
+    planned_of,
+    read_run,
+    record_of,
+    repeated_rows,
+)
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
 
@@ -73,12 +86,12 @@ class ToldStep:
     @property
     def blocks(self) -> tuple[Block, ...]:
         """What the plant was asked to apply, in order."""
-        return tuple(values.block_of(advance["asked"]) for advance in self.advances)
+        return tuple(block_of(advance["asked"]) for advance in self.advances)
 
     @property
     def after(self) -> tuple[Measurement, ...]:
         """The readings at the end of each block."""
-        return tuple(values.measurement_of(advance["answer"], self.names) for advance in self.advances)
+        return tuple(measurement_of(advance["answer"], self.names) for advance in self.advances)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -100,11 +113,11 @@ class ToldStep:
             variables=int(told["variables"]),
             parameters=int(told["parameters"]),
             seconds={name: float(s) for name, s in seconds.items()},
-            margins=values.margins_of(told),
+            margins=margins_of(told),
             names=self.names,
             acting=tuple(PlanStatus(status) for status in told["acting"]),
         )
-        courses: dict[str, Any] = values.planned_of(told)
+        courses: dict[str, Any] = planned_of(told)
         return replace(plan, **courses)
 
     def record(self, boundary: Boundary) -> StepRecord:
@@ -173,8 +186,8 @@ class StepReader:
         """Take the next record; the step that it closes, if it does."""
         content = entry.content
         if entry.kind == "reset":
-            self.names = values.names_of(content["answer"]["names"])
-            self.before = values.measurement_of(content["answer"], self.names)
+            self.names = names_of(content["answer"]["names"])
+            self.before = measurement_of(content["answer"], self.names)
         elif entry.kind == "past":
             self._past, self._tail = content["answer"], None
         elif entry.kind == "tail":
@@ -184,9 +197,9 @@ class StepReader:
             texts = {key: content[key] for key in _TEXTS if isinstance(content.get(key), str)}
             self._step, self._advances = {**content, **{k: safe_text(v, _MOST_SHOWN) for k, v in texts.items()}}, []
             if content["forecast"] is not None:
-                self._rows = values.repeated_rows(content["forecast"], self._rows)
+                self._rows = repeated_rows(content["forecast"], self._rows)
             if "before" in content:
-                self.before = values.measurement_of(content["before"], self.names)
+                self.before = measurement_of(content["before"], self.names)
         elif entry.kind == "advance":
             self._advances.append(content)
         elif entry.kind == "done" and self._step is not None:
@@ -199,7 +212,7 @@ class StepReader:
         assert self._step is not None
         given = None
         if self._rows is not None and self._step["forecast"] is not None:
-            given = values.boundary_of(self._rows, self.names)
+            given = boundary_of(self._rows, self.names)
         return ToldStep(self._step, self.names, self.before, given, advances, done, self._past, self._tail)
 
 
@@ -223,21 +236,17 @@ def history_before(steps: Sequence[ToldStep]) -> Record:
     first = max((i for i, step in enumerate(steps) if step.past is not None), default=-1)
     if (past := steps[first].past) is None:
         raise JournalError("the journal does not hold the record that the run began with")
-    record = values.record_of(past, steps[first].names)
+    record = record_of(past, steps[first].names)
     if any("before" in step.told or step.tail is not None for step in steps[first:]):  # of a real building
         for step in steps[first + 1 :]:
-            record = record if step.tail is None else spliced(record, values.record_of(step.tail, step.names))
+            record = record if step.tail is None else spliced(record, record_of(step.tail, step.names))
         return screened_history(record, ReadingLimits(u_min=-1.0))[0]
     ends = []
     for step in steps[first:-1]:
         parts = [(b.duration_s, with_level(reading, b)) for b, reading in zip(step.blocks, step.after, strict=True)]
         ends.append(parts[-1][1].averaged_with(parts))
-    if ends:
-        columns = {name: np.stack([np.asarray(getattr(end, name)) for end in ends], axis=-1) for name in SIGNALS}
-        columns = {name: np.concatenate([getattr(record, name), new], axis=-1) for name, new in columns.items()}
-        record = Record(**columns, names=record.names)
     # Limits that need a model or a floor area are left to the notes of the run.
-    return screened_history(record, ReadingLimits(u_min=-1.0))[0]
+    return screened_history(record.extended(*ends), ReadingLimits(u_min=-1.0))[0]
 
 
 def forecast_of(steps: Sequence[ToldStep]) -> Boundary:
@@ -324,7 +333,7 @@ def told_building(head: Mapping[str, Any]) -> ToldBuilding:
         testcase = load_testcase(str(head["scenario"]["testcase"]))
         return ToldBuilding(testcase.name, testcase.layout, testcase.currency, testcase.area_m2)
     told = dict(content["layout"])
-    names = values.names_of(told.pop("names"))
+    names = names_of(told.pop("names"))
     areas = tuple(float("nan") if area is None else float(area) for area in told.pop("floor_area_m2"))
     exclusive = tuple(tuple(group) for group in told.pop("exclusive"))
     others: dict[str, Any] = {key: tuple(each) for key, each in told.items()}
@@ -371,7 +380,7 @@ def told_run(folder: Path) -> ToldRun:
         for name, loop in told_loops(entries).items():
             if steps := _ended_steps(loop):
                 reset = next(entry.content["answer"] for entry in loop if entry.kind == "reset")
-                kpis = next((values.kpis_of(entry.content["answer"]) for entry in loop if entry.kind == "kpis"), {})
+                kpis = next((kpis_of(entry.content["answer"]) for entry in loop if entry.kind == "kpis"), {})
                 kpis["time_rat"] = time_rat(steps, steps[0].boundary.step_s)
                 if building.is_real:
                     last = steps[-1].samples[-1]
@@ -379,7 +388,7 @@ def told_run(folder: Path) -> ToldRun:
                     period = Period(name, steps[0].time_s, ended_s - steps[0].time_s, 0.0)
                 else:
                     period = replace(windows[0], scored_s=scenario.days * DAY_S)
-                start = values.measurement_of(reset, values.names_of(reset["names"]))
+                start = measurement_of(reset, names_of(reset["names"]))
                 results[name] = RunResult(period, name, kpis, steps, start)
         if not results:
             raise JournalError(f"{path}: no step has ended yet, so that there is nothing to show")

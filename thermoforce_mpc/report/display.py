@@ -21,7 +21,7 @@ from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.loop.closed_loop import Sample, StepRecord
 from thermoforce_mpc.loop.probing import ProbingProgress
 from thermoforce_mpc.plants.kpis import zone_kpis
-from thermoforce_mpc.records.own_kpis import own_of
+from thermoforce_mpc.records.run_folder import own_of
 from thermoforce_mpc.report.findings import best_values
 from thermoforce_mpc.report.whole_tables import figure, plain_table, print_whole
 

@@ -15,12 +15,19 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Re
 from thermoforce_mpc.data.clock import words_of
 from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.files import check_plain
 from thermoforce_mpc.loop.closed_loop import in_force, with_level
-from thermoforce_mpc.loop.forecasts import holes, price_paid
+from thermoforce_mpc.loop.inputs import holes, price_paid
 from thermoforce_mpc.model.forecast_gaps import completed
-from thermoforce_mpc.records.journal import FORMAT, NAME, JournalEntry, JournalError, JournalTail, making_sense
-from thermoforce_mpc.records.journal_values import planned_of
-from thermoforce_mpc.records.plain_files import check_plain
+from thermoforce_mpc.records.journal import (
+    FORMAT,
+    NAME,
+    JournalEntry,
+    JournalError,
+    JournalTail,
+    making_sense,
+    planned_of,
+)
 from thermoforce_mpc.records.run_folder import is_complete, plain_json
 from thermoforce_mpc.records.told_steps import StepReader, ToldBuilding, ToldStep, told_building
 

@@ -16,11 +16,14 @@ from thermoforce_mpc.registry import known_name
 from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
 from thermoforce_mpc.scenario.building import (
     ELECTRICITY,
+    HEAT_IS,
     PRICES,
     ActuatorPoints,
     AnyActuator,
     AnyZoneActuator,
     BuildingPoints,
+    Heat,
+    HeatMeter,
     Machine,
     Price,
     Zone,
@@ -28,7 +31,6 @@ from thermoforce_mpc.scenario.building import (
     ZoneRoomSetpoints,
     layout_of,
 )
-from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
 from thermoforce_mpc.scenario.settings import MOST_BYTES, PointName, StrictModel, one_of, parse_yaml, validate
 
 __all__ = ["PRICES", "Actuator", "ForecastPoints", "MeasuredPoints", "Price", "TestCase"]

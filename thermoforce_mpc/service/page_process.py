@@ -27,7 +27,7 @@ from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.files import parse_json, read_bounded, secret_from
 from thermoforce_mpc.records.journal import NAME
 from thermoforce_mpc.records.people import KEYS, SHOWN, People
-from thermoforce_mpc.records.saving import MOST_BYTES, saving_so_far
+from thermoforce_mpc.records.run_folder import MOST_BYTES, saving_so_far
 from thermoforce_mpc.report.live_view import LiveRun
 
 _LOG = logging.getLogger(__name__)

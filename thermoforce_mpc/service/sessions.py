@@ -13,14 +13,14 @@ import threading
 import time
 import uuid
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H
+from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError, Level
 from thermoforce_mpc.data import HOUR_S, Array, Period
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.files import plain_number
@@ -29,7 +29,36 @@ from thermoforce_mpc.plants.embedded.kernel import STEP_S
 from thermoforce_mpc.plants.kpis import PEAKS
 from thermoforce_mpc.service.access import Refusal
 from thermoforce_mpc.service.points import served_points
-from thermoforce_mpc.service.scenario import LEVELS, NOTHING, choice, forecast_error, seed
+
+# What stands for no value where one may be left out.
+NOTHING = (None, "")
+LEVELS: tuple[Level, ...] = ("low", "medium", "high")
+
+
+def choice(body: Mapping[str, Any], key: str, choices: Sequence[str], nothing: Sequence[str | None] = NOTHING) -> Any:
+    """One of `choices`, given in a request; None for what stands for `nothing`. Raises `Refusal`."""
+    value = body.get(key)
+    if value in nothing:
+        return None
+    if value not in choices:
+        also = [name for name in nothing if name]
+        raise Refusal(400, f"Invalid {key} {value!r}; expected one of {', '.join([*also, *choices])}.")
+    return value
+
+
+def seed(value: Any) -> int | None:
+    """Seed of a request; None for null, '' and 0. As in BOPTEST, text is refused and whole floats are allowed."""
+    if value in NOTHING:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or value < 0 or value != value // 1:
+        raise Refusal(400, f"Invalid seed {value!r}: expected a nonnegative integer.")
+    return int(value) or None
+
+
+def forecast_error(temperature: Level | None, solar: Level | None, seed: int | None) -> ForecastError | None:
+    """Forecast errors of a scenario, or None for a perfect forecast."""
+    return ForecastError(temperature, solar, seed) if temperature or solar else None
+
 
 __all__ = ["DEFAULT_STEP_S", "LEAST_STEP_S", "MOST_STEP_S", "MOST_VALUES", "Reply", "Session"]
 

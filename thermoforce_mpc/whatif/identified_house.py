@@ -33,8 +33,7 @@ from thermoforce_mpc.errors import DataError, InputError, NoForecast
 from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.plants.checks import check_levels, day_period, forecast_times
-from thermoforce_mpc.plants.shell import Releasing
+from thermoforce_mpc.plants.shell import Releasing, check_levels, day_period, forecast_times
 from thermoforce_mpc.version import VERSION
 from thermoforce_mpc.whatif.counterfactual import machine_W
 
@@ -195,7 +194,7 @@ class IdentifiedHouse(Releasing):
 
     def lived(self, start_s: float) -> Record:
         """The record of this house from `start_s` until now."""
-        return self._lived(round((start_s - self._was.time_s[0]) / self._was.step_s), self._k)
+        return self._lived(self._was.nearest(start_s), self._k)
 
     @property
     def warmth_Kh(self) -> Array:

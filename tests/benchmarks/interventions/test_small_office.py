@@ -14,9 +14,9 @@ from benchmarks.interventions.small_office import (
 )
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.execution import LocalEngine
-from thermoforce_mpc.plants.energyplus import office_model as office_model_of
+from thermoforce_mpc.plants.energyplus import office
 from thermoforce_mpc.plants.energyplus.engine import is_available, reference_building
-from thermoforce_mpc.plants.energyplus.office_model import office_model
+from thermoforce_mpc.plants.energyplus.office import office_model
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
 
@@ -38,7 +38,7 @@ def test_a_shift_of_the_set_point_changes_nothing_before_it_and_heats_after():
 
 
 def test_only_run_period_step_and_reports_of_the_shipped_building_are_changed():
-    shipped = reference_building(office_model_of.BUILDING).read_text(encoding="latin-1")
+    shipped = reference_building(office.BUILDING).read_text(encoding="latin-1")
     ours = office_model(21, 10, 4)
     assert re.search(r"RunPeriod, Ours, 1, 22, 2018, 1, 31, 2018", ours)
     assert "Timestep,4;" in ours
@@ -51,6 +51,6 @@ def test_only_run_period_step_and_reports_of_the_shipped_building_are_changed():
 def test_another_version_of_the_building_is_refused(monkeypatch, tmp_path):
     other = tmp_path / "other.idf"
     other.write_text("Version,25.2;\nTimestep,6;\n")
-    monkeypatch.setattr(office_model_of, "reference_building", lambda name: other)
+    monkeypatch.setattr(office, "reference_building", lambda name: other)
     with pytest.raises(PlantError, match="0 places"):
         office_model(21, 10, 4)

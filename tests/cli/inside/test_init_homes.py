@@ -10,7 +10,7 @@ import yaml
 from click.testing import CliRunner
 
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.cli.inside.homes import KINDS
+from thermoforce_mpc.cli.inside.files import HOMES
 from thermoforce_mpc.connections.registry import connection_settings
 from thermoforce_mpc.errors import ConfigError
 
@@ -19,7 +19,7 @@ def told(*words, env=None):
     return CliRunner().invoke(cli, list(map(str, words)), env=env)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", HOMES)
 def test_its_files_are_valid_and_never_overwritten(kind, tmp_path):
     folder = tmp_path / kind
     assert told("init", folder, "--for", kind).exit_code == 0

@@ -10,10 +10,9 @@ from emulator_service import running_emulator_service
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.running.comparing import Axes, axes_from
-from thermoforce_mpc.comparison.cells import expand
+from thermoforce_mpc.comparison.cells import ComparisonFile, Variant, expand
 from thermoforce_mpc.comparison.store import Ran, Store
 from thermoforce_mpc.comparison.tasks import failure
-from thermoforce_mpc.comparison.variants import ComparisonFile, Variant
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.scenario.scenario import Scenario

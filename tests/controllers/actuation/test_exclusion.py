@@ -27,7 +27,7 @@ from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
-from thermoforce_mpc.plants.checks import check_levels
+from thermoforce_mpc.plants.shell import check_levels
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.scenario.testcase import TestCase
 

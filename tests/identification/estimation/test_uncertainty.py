@@ -14,7 +14,7 @@ from matplotlib.text import Text
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.model.thermal_model import load_model
-from thermoforce_mpc.whatif.identified import plot_identification, rollouts
+from thermoforce_mpc.whatif.counterfactual import plot_identification, rollouts
 
 pytestmark = pytest.mark.slow
 

@@ -30,7 +30,7 @@ HEATED, COOLED = load_testcase("energyplus:heating_chicago"), load_testcase("ene
 
 
 def plant_of(testcase):
-    from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant
+    from thermoforce_mpc.plants.energyplus.zone import EnergyPlusPlant
 
     return EnergyPlusPlant(testcase)
 
@@ -66,7 +66,7 @@ def test_it_is_a_plant_that_remembers_what_it_was_told():
 
 @needs_engine
 def test_electric_power_is_that_of_the_machine_described():
-    from thermoforce_mpc.plants.energyplus.plant import electric_power_W
+    from thermoforce_mpc.plants.energyplus.zone import electric_power_W
 
     heat = electric_power_W(HEATED.energyplus, "heating", np.array([4000.0]), np.array([-5.0]))
     assert heat == pytest.approx(4000.0 * 40.0 / (0.40 * 308.15))
@@ -168,13 +168,13 @@ def test_its_own_weather_is_not_replaced_in_silence():
 def test_an_engine_that_hangs_is_ended_in_time(monkeypatch, caplog, hangs_at, what):
     import hanging_zone
 
-    from thermoforce_mpc.plants.energyplus import plant, process
+    from thermoforce_mpc.plants.energyplus import process, zone
 
     before = children()
     monkeypatch.setenv("PYTHONPATH", str(Path(hanging_zone.__file__).parent))
-    monkeypatch.setattr(plant, "ZoneActing", lambda job: hanging_zone.Hanging(job, hangs_at))
+    monkeypatch.setattr(zone, "ZoneActing", lambda job: hanging_zone.Hanging(job, hangs_at))
     monkeypatch.setattr(process, "START_S", 20.0 if hangs_at > 0 else 2.0)
-    with plant.EnergyPlusPlant(HEATED, patience_s=2.0) as hanging:
+    with zone.EnergyPlusPlant(HEATED, patience_s=2.0) as hanging:
         began = time.monotonic()
         with pytest.raises(PlantError, match=f"{what} took more than 2 s and was ended.*patience_min"):
             hanging.reset(20.25 * DAY_S, 0.25 * DAY_S)
@@ -204,7 +204,7 @@ def test_a_script_needs_no_guard(tmp_path):
     """The engine's process does not import the script that started it."""
     script = tmp_path / "script.py"
     script.write_text(
-        "from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant\n"
+        "from thermoforce_mpc.plants.energyplus.zone import EnergyPlusPlant\n"
         "from thermoforce_mpc.plants.testcases import load_testcase\n"
         "with EnergyPlusPlant(load_testcase('energyplus:heating_chicago')) as plant:\n"
         "    print(plant.reset(0.0, 0.0).time_s)\n"

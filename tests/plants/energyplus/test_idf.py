@@ -5,7 +5,7 @@ import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import PlantError
-from thermoforce_mpc.plants.energyplus.idf import Calendar, Schedule, idf_objects
+from thermoforce_mpc.plants.energyplus.office import Calendar, Schedule, idf_objects
 
 TEXT = """
   RunPeriodControl:SpecialDays, New Year, January 1, 1, Holiday;  ! a comment, with commas; and more

@@ -11,14 +11,14 @@ from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.energyplus.engine import Wiring, is_available, run_engine, weather_file
-from thermoforce_mpc.plants.energyplus.office_model import (
+from thermoforce_mpc.plants.energyplus.office import (
     STEPS_PER_HOUR,
     WEATHER,
     ZONES,
+    SmallOfficePlant,
     office_model,
     office_schedules,
 )
-from thermoforce_mpc.plants.energyplus.office_plant import SmallOfficePlant
 from thermoforce_mpc.plants.testcases import load_testcase
 
 pytestmark = pytest.mark.slow

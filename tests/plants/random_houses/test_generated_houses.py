@@ -10,8 +10,8 @@ import pytest
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError
-from thermoforce_mpc.plants.drawn_houses import envelope
-from thermoforce_mpc.plants.drawn_houses.envelope import MASSES
+from thermoforce_mpc.plants import drawn_houses
+from thermoforce_mpc.plants.drawn_houses import MASSES
 from thermoforce_mpc.plants.people import HOUSEHOLDS, at_home
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, house_testcase, physics
 from thermoforce_mpc.plants.random_houses.draw import MACHINES, heat_pump_cop
@@ -47,7 +47,7 @@ def run(house, u: float, hours: float, grid: np.ndarray, state: np.ndarray | Non
         state[physics.INTEGRAL :] = 0.0
     rows = np.empty((round(hours * 120), len(physics.RECORD)))
     p = physics.parameters(house)
-    physics.advance(state, 0.0, rows.shape[0], envelope.STEP_S, u, grid, np.zeros(10), p, rows)
+    physics.advance(state, 0.0, rows.shape[0], drawn_houses.STEP_S, u, grid, np.zeros(10), p, rows)
     return rows
 
 
@@ -111,8 +111,8 @@ def test_the_energy_balance_closes(emitter):
         plant.advance(None if rng.uniform() < 0.3 else rng.uniform(), HOUR_S)
     r = plant.recorded(40 * DAY_S, 42 * DAY_S)
     stored = r["stored_J"][-1] - r["stored_J"][0]
-    into = envelope.STEP_S * (r["Q_machine"] + r["gain_W"] - r["loss_W"])[1:].sum()
-    exchanged = envelope.STEP_S * r["loss_W"][1:].sum()
+    into = drawn_houses.STEP_S * (r["Q_machine"] + r["gain_W"] - r["loss_W"])[1:].sum()
+    exchanged = drawn_houses.STEP_S * r["loss_W"][1:].sum()
     assert r["Q_machine"].max() > 0
     assert stored == pytest.approx(into, abs=1e-9 * exchanged)
 

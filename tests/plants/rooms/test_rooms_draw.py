@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.drawn_houses.envelope import FACADES, HEIGHT_M
+from thermoforce_mpc.plants.drawn_houses import FACADES, HEIGHT_M
 from thermoforce_mpc.plants.rooms import draw_rooms, house_of_rooms
 from thermoforce_mpc.plants.rooms.draw import emulator_fixed_share
 from thermoforce_mpc.plants.rooms.house import facade_lengths

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S
-from thermoforce_mpc.plants.drawn_houses.envelope import STEP_S
+from thermoforce_mpc.plants.drawn_houses import STEP_S
 from thermoforce_mpc.plants.random_houses.draw import heat_pump_cop
 from thermoforce_mpc.plants.rooms import DrawnHouse, HouseOfRooms, draw_rooms, physics
 from thermoforce_mpc.plants.rooms.house import curve_supply_C

@@ -8,11 +8,10 @@ import pytest
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import DAY_S, HOUR_S, Names
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S
+from thermoforce_mpc.plants.drawn_houses import GRID_S
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.plants.rooms import HouseOfRooms, draw_rooms, house_of_rooms, physics
-from thermoforce_mpc.plants.rooms.plant import weather_grid
-from thermoforce_mpc.plants.rooms.schedule import bounds_C, gains_W, in_use, native_setpoints_C, people
+from thermoforce_mpc.plants.rooms.plant import bounds_C, gains_W, in_use, native_setpoints_C, people, weather_grid
 from thermoforce_mpc.protocols import Plant
 
 SEED = 7

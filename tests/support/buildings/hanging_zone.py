@@ -6,8 +6,8 @@ import os
 import time
 from pathlib import Path
 
-from thermoforce_mpc.plants.energyplus import plant
-from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant, ZoneActing
+from thermoforce_mpc.plants.energyplus import zone
+from thermoforce_mpc.plants.energyplus.zone import EnergyPlusPlant, ZoneActing
 from thermoforce_mpc.plants.testcases import load_testcase
 
 
@@ -28,5 +28,5 @@ class Hanging(ZoneActing):
 
 def hang(mark: str) -> None:
     """Start an engine that hangs, in this process; it writes its process number to the file `mark`."""
-    plant.ZoneActing = lambda job: Hanging(job, mark=mark)
+    zone.ZoneActing = lambda job: Hanging(job, mark=mark)
     EnergyPlusPlant(load_testcase("energyplus:heating_chicago")).reset(0.0, 0.0)

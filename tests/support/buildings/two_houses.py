@@ -10,7 +10,7 @@ from simple_house import SimpleHouse, simple_model
 from thermoforce_mpc.data import ACTING, CONDITIONS, Measurement, Names, Observation, Record
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.plants.checks import check_levels
+from thermoforce_mpc.plants.shell import check_levels
 
 TWO = Names(("bath", "hall"), ("radiator", "floor"), ("boiler", "heat pump"))
 SHARED = Names(TWO.zones, TWO.actuators, ("boiler",))

@@ -1,22 +1,35 @@
-"""`tf-mpc identify`: probe a plant or read measurements, identify a model, print it and save it."""
+"""`tf-mpc identify` and `inspect`: a model of a plant or of measurements, identified, printed and saved; a saved one.
+
+What is printed of a model: its parameters, certificate, scores and data ranges.
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping, Sequence, Set
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from rich.table import Table
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange, base_options, probed_option, scenario_from, window_options
 from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.files import check_writable
+from thermoforce_mpc.report.whole_tables import plain_table
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from thermoforce_mpc.data import Record
     from thermoforce_mpc.identification.config import IdentificationConfig
+    from thermoforce_mpc.model.card import ModelCard
+    from thermoforce_mpc.model.machine.power import PowerModel
+    from thermoforce_mpc.model.operator.parameters import OperatorParameters
     from thermoforce_mpc.model.thermal_model import ThermalModel
     from thermoforce_mpc.report.display import RunDisplay
+
 
 # Exit code of a model that was identified and saved but is not competent.
 NOT_COMPETENT = 4
@@ -129,9 +142,8 @@ def _options(options: dict[str, Any]) -> IdentificationConfig:
 
 def _finish(model: ThermalModel, record: Record, out: Path, display: RunDisplay, *, overwrite: bool) -> None:
     """Save and show a model and the plot of its fit; exit code 4 where it is not competent."""
-    from thermoforce_mpc.cli.inside.inspect import show_model
     from thermoforce_mpc.experiment.identifying import may_act
-    from thermoforce_mpc.whatif.identified import PLOT_NAME, plot_identification
+    from thermoforce_mpc.whatif.counterfactual import PLOT_NAME, plot_identification
 
     model.save(out, overwrite=overwrite)
     show_model(str(out), model, display.console)
@@ -139,3 +151,243 @@ def _finish(model: ThermalModel, record: Record, out: Path, display: RunDisplay,
     display.say(f"Plot of fit and step response: {out / PLOT_NAME}")
     if not may_act(model):
         click.get_current_context().exit(NOT_COMPETENT)
+
+
+_LAGS_H = (1, 2, 4, 8, 12, 24, 48)
+_CERTIFIED_H = 48
+# Meaning of the scores of a model card, in printing order.
+_MEANING = {
+    "acts_log_odds": "log odds that the actuator acts on the zone at all",
+    "held_out_linear": "held-out error with a constant gain, in standard deviations",
+    "held_out_neural": "the same with a network as gain",
+    "modulation_kept": "network kept (1) or not (0)",
+    "sun_on_sensor": "probability that the sun shines on the zone sensor; it is taken off above 0.9",
+}
+_UNITS = {"T_zone_C": "zone, °C", "T_out_C": "outdoors, °C", "solar_W_m2": "sun, W/m²", "u": "action u"}
+
+
+@click.command()
+@click.argument("model", type=PATH)
+def inspect(model: Path) -> None:
+    """Show the saved MODEL (its folder, or a run's): parameters, certificate, power model, scores and data ranges.
+
+    The certificate is recomputed from the weights; a model that fails it is refused with exit code 2.
+    """
+    from rich.console import Console
+
+    from thermoforce_mpc.model.thermal_model import load_model
+
+    console = Console(highlight=False, markup=False)
+    for folder in _models_in(model):
+        show_model(str(folder), load_model(folder), console)
+
+
+def _models_in(folder: Path) -> list[Path]:
+    """The folder of a model itself, or those of the models in a run's; raises `InputError` where a run has none."""
+    from thermoforce_mpc.errors import InputError
+    from thermoforce_mpc.model.saved import JSON_NAME
+
+    if (folder / JSON_NAME).exists() or not (folder / "journal.jsonl").exists():
+        return [folder]
+    found = sorted(path.parent for path in folder.glob(f"model*/{JSON_NAME}"))
+    if not found:
+        raise InputError(f"{folder}: this run identified no model, or took one of --model; its controllers: kpis.csv")
+    return found
+
+
+def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
+    """Print parameters, certificate, power models, scores and data ranges of a model, actuator by actuator."""
+    single = thermal.names.single
+    if not single:
+        _show_building(name, thermal, console)
+    machines_shown: set[int] = set()
+    notes_shown: set[str] = set()
+    for a, actuator in enumerate(thermal.operator.actuators):
+        zone = thermal.actuator(a)
+        home = thermal.operator.zones[thermal.operator.home[a]]
+        if not single:
+            console.rule(f"{actuator} in {home}", align="left")
+        _show_operator(name if single else actuator, zone.operator, zone.card, console)
+        machine = thermal.machine_of[a]
+        if machine not in machines_shown:  # shown with the first actuator that it feeds
+            machines_shown.add(machine)
+            _show_power("Power" if single else f"Power of {thermal.machines[machine]}", thermal.power[machine], console)
+        _show_card(zone.card, console, notes_shown)
+        notes_shown |= set(zone.card.notes)
+
+
+def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
+    operator = thermal.operator
+    Z, A, _ = operator.shape
+    pairs = list(operator.each())
+    proofs = operator.certificates(n_steps=round(_CERTIFIED_H * 3600 / operator.step_s))
+    wrong = [f"{actuator} on {zone}" for (zone, actuator), proof in proofs.items() if not proof.certified]
+    console.print(
+        f"{name}: zones: {Z}, actuators: {A}, machines: {len(thermal.machines)}; {len(pairs)} pairs with an effect, "
+        f"{operator.n_trained} trained parameters, {operator.n_used} used, step {operator.step_s / 3600:g} h",
+        soft_wrap=True,
+    )
+    for m, machine in enumerate(thermal.machines):
+        fed = [operator.actuators[a] for a, other in enumerate(thermal.machine_of) if other == m]
+        console.print(f"  {machine} feeds {', '.join(fed) or 'nothing'}", soft_wrap=True)
+    certified = f"NOT CERTIFIED: {', '.join(wrong)}" if wrong else "every pair CERTIFIED"
+    console.print(f"Certificate: {certified}", soft_wrap=True)
+    from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
+    from thermoforce_mpc.whatif.counterfactual import step_response_of
+
+    hours = STEP_RESPONSE_H[-1]
+    table = plain_table(["zone", *operator.actuators])
+    for z, zone in enumerate(operator.zones):
+        cells = []
+        for a in range(A):
+            pair = operator.pairs[z][a]
+            mean, sd = step_response_of(thermal, z, a)
+            if pair is None:
+                cells.append("no effect")
+            elif mean.size:
+                cells.append(f"{mean[-1]:.2f} ({mean[-1] - BAND * sd[-1]:.2f} to {mean[-1] + BAND * sd[-1]:.2f})")
+            else:
+                cells.append(f"{pair.impulse(round(hours * 3600 / pair.step_s)).sum():.2f}")
+        table.add_row(zone, *cells)
+    _titled(f"Change of each zone after {hours:g} h at full level, K (90 % band)", table, console)
+
+
+def _show_operator(name: str, operator: OperatorParameters, card: ModelCard, console: Console) -> None:
+    from thermoforce_mpc.model.operator.certificate import certificate
+
+    proof = certificate(operator, n_steps=round(_CERTIFIED_H * 3600 / operator.step_s))
+    say = console.print
+    say(f"{name}: order {operator.order}, {operator.parameters_in_words}, step {operator.step_s / 3600:g} h")
+    say(f"source: {card.source}")
+    modes = plain_table(["mode", "time constant, h", "steady gain, K"])
+    for i, (tau, gain) in enumerate(zip(operator.time_constants_h, operator.steady_gains_K, strict=True), start=1):
+        modes.add_row(str(i), f"{tau:.2f}", f"{gain:.2f}")
+    _titled("Modes of the forced response", modes, console)
+    if operator.order > 1 and operator.steady_gains_K[0] * operator.sign < 0:
+        say("  the first gain has the opposite sign: it represents the delay of the heat of the other modes")
+    _show_step_response(card.uncertainty, operator.sign, console)
+    low, high = proof.modulation_bounds
+    say(
+        f"Certificate: {'CERTIFIED' if proof.certified else 'NOT CERTIFIED'}; sign {proof.sign:+d}, "
+        f"modulation within [{low:.3f}, {high:.3f}]"
+    )
+    if proof.feedback:
+        least, most = proof.feedback_slope_per_K
+        say(
+            "  the modulation depends on the predicted temperature; proven for a feedback v dm/dT within "
+            f"[{least:.4f}, {most:.4f}] per K, for the {len(proof.effect_low_K)} steps below"
+        )
+    effects = plain_table(["hours later", "at least", "at most"])
+    for hours in _LAGS_H:
+        k = round(hours * 3600 / operator.step_s) - 1
+        if 0 <= k < len(proof.effect_low_K):
+            effects.add_row(f"{hours:g}", f"{proof.effect_low_K[k]:.4f}", f"{proof.effect_high_K[k]:.4f}")
+    title = f"Zone response to full actuation for one step of {operator.step_s / 3600:g} h, K (proven interval)"
+    _titled(title, effects, console)
+    if operator.heat_input.law is not None:
+        c0, c1, c2, c3 = operator.heat_input.law.coefficients
+        say(
+            f"Heat: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W; full actuation above is "
+            f"{operator.heat_input.reference_W:.0f} W, the heat at {operator.heat_input.reference_C:.1f} °C outdoors"
+        )
+    elif operator.heat_input.per_K:
+        say(
+            f"Heat of a level: {100 * operator.heat_input.per_K:+.1f} % per K outdoors; full actuation above is at "
+            f"{operator.heat_input.reference_C:.1f} °C outdoors"
+        )
+
+
+def _show_power(what: str, power: PowerModel | None, console: Console) -> None:
+    if power is None:
+        return
+    c0, c1, c2, c3 = power.coefficients
+    water = power.water
+    bend = f" + u^2 x {power.load.curve_W:.0f}" if power.load.curve_W else ""
+    follows = f", the last part in water that follows u in {power.water_s / 3600:g} h" if power.water_s else ""
+    times = f", times 1 {water.per_K:+.4f} (T_return - {water.reference_C:.1f})" if water else ""
+    console.print(
+        f"{what}: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out){bend} W{follows}{times}; "
+        f"RMSE {power.rmse_W:.0f} W, R2 {power.r2:.4f}"
+    )
+
+
+def _show_card(card: ModelCard, console: Console, notes_shown: Set[str]) -> None:
+    say = console.print
+    if card.scores:
+        say("Scores:")
+    in_order = [key for key in _MEANING if key in card.scores]
+    scores = Table.grid(padding=(0, 2))
+    for key in [*in_order, *(key for key in card.scores if key not in _MEANING)]:
+        scores.add_row(f"  {card.scores[key]:.3g}", _MEANING.get(key, key))
+    say(scores)
+    ranges = [
+        f"{_UNITS.get(k, k)} {least:.4g} to {most:.4g}" for k, (least, most) in card.ranges.items() if k != "days"
+    ]
+    if ranges:
+        days = card.ranges.get("days")
+        say(f"Data ranges{f' in {days[1]:.3g} days' if days else ''}: " + "; ".join(ranges))
+    for name, digest in card.data.items():
+        say(f"  data {name}: sha256 {digest[:16]}")
+    for note in _collapsed([note for note in card.notes if note not in notes_shown]):
+        say(f"  note: {note}")
+    if notes_shown & set(card.notes):
+        say("  and the notes above that are of the same measurements")
+    from thermoforce_mpc.model.machine.power import level_costs
+
+    for cost in level_costs(card.uncertainty):
+        heat = f"; heat per level {cost.heat:.2f} ± {cost.heat_sd:.2f} times that of full level"
+        say(f"Tried: {cost}{heat}", soft_wrap=True)
+    _show_competence(card, console)
+
+
+def _collapsed(notes: Sequence[str]) -> list[str]:
+    """Notes that differ in their figures only (of pieces of a record between gaps) as one, with their number."""
+    kinds: dict[str, list[str]] = {}
+    for note in notes:
+        kinds.setdefault(re.sub(r"\d+(\.\d+)?", "#", note), []).append(note)
+    more = {key: f" (and {len(alike) - 1} more of its kind)" if len(alike) > 1 else "" for key, alike in kinds.items()}
+    return [alike[0] + more[key] for key, alike in kinds.items()]
+
+
+def _titled(title: str, table: Table, console: Console) -> None:
+    """Print a table under its title, which may be longer than the table is wide."""
+    console.print(title, style="italic")
+    console.print(table)
+
+
+def _show_competence(card: ModelCard, console: Console) -> None:
+    verdict = card.competence
+    if verdict is None:
+        console.print("Competence: not judged" + (f". {card.unfit}" if card.unfit else ""), soft_wrap=True)
+        return
+    table = plain_table(["hours ahead", "model", "unchanged", "weather alone", "better by, t", "than unchanged, t"])
+    for score in verdict.horizons:
+        numbers = (f"{value:.2f}" for value in (score.model_K, score.persistence_K, score.weather_K))
+        table.add_row(f"{score.hours:g}", *numbers, f"{score.better_t:.1f}", f"{-score.persistence_t:.1f}")
+    _titled(f"Errors on the {verdict.held_out_h:.0f} h held out, RMSE in K (weather known)", table, console)
+    console.print(
+        f"Effect of 8 h at full level: {verdict.effect_K:+.1f} ± {verdict.effect_sd_K:.1f} K, of the expected sign "
+        f"with probability {verdict.sign_probability:.3f}; log odds that it acts at all {verdict.log_odds:.0f}"
+    )
+    console.print(
+        "Competence: " + ("COMPETENT" if verdict.competent else "NOT COMPETENT, controllers do not act on it")
+    )
+    console.print(f"  {verdict.sentence()}", soft_wrap=True)
+    for reason in verdict.reasons:
+        console.print(f"  missed: {reason}", soft_wrap=True)
+    for advice in verdict.advice:
+        console.print(f"  advice: {advice}", soft_wrap=True)
+
+
+def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Console) -> None:
+    lags_h = [h for h in _LAGS_H if f"step_response_{h}h_sd_K" in uncertainty]
+    if not lags_h:
+        return
+    from thermoforce_mpc.identification.estimation.regression import BAND
+
+    table = plain_table(["hours later", "expected", "from", "to"])
+    for hours in lags_h:
+        name = f"step_response_{hours}h"
+        mean, sd = sign * uncertainty[f"{name}_K"], uncertainty[f"{name}_sd_K"]
+        table.add_row(str(hours), f"{mean:.2f}", f"{mean - BAND * sd:.2f}", f"{mean + BAND * sd:.2f}")
+    _titled("Step response of the zone to full actuation, K (90 % band)", table, console)

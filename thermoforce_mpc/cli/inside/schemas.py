@@ -14,7 +14,7 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode, models_json
 
 from controllers.actuation.actuator import ActuationConfig
 from controllers.registry import REGISTRY
-from thermoforce_mpc.comparison.variants import ComparisonFile, Variant
+from thermoforce_mpc.comparison.cells import ComparisonFile, Variant
 from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.fleet.file import FleetFile
 from thermoforce_mpc.identification.config import IdentificationConfig

@@ -86,8 +86,7 @@ def commission(
     from thermoforce_mpc.live.commissioning import CommissioningBook, CommissioningReport, stages
     from thermoforce_mpc.live.trial import planned_trials
     from thermoforce_mpc.measurements.map.mapping import load_map
-    from thermoforce_mpc.records.run_folder import sole_use
-    from thermoforce_mpc.records.run_log import logging_to
+    from thermoforce_mpc.records.run_folder import logging_to, sole_use
     from thermoforce_mpc.report.display import RunDisplay
     from thermoforce_mpc.scenario.settings import parse_overrides
 

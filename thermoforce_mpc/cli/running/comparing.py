@@ -1,10 +1,13 @@
-"""`tf-mpc compare` and `tf-mpc sweep`: controllers on the same windows and tariffs."""
+"""`tf-mpc compare` and `tf-mpc sweep`: controllers on the same windows and tariffs.
+
+Runs, those of `tf-mpc fleet` too, are shown while they are made, and kept.
+"""
 
 from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +17,7 @@ from rich.console import Console
 
 from thermoforce_mpc.cli.options import (
     PATH,
+    Opening,
     added,
     base_options,
     check_named_code,
@@ -22,8 +26,21 @@ from thermoforce_mpc.cli.options import (
     learned_options,
     scenario_from,
 )
-from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, run_cells, sayer
-from thermoforce_mpc.comparison.cells import Cell, Inputs, expand
+from thermoforce_mpc.comparison.cells import (
+    Cell,
+    ComparisonFile,
+    Inputs,
+    Variant,
+    building_limits,
+    comma_list,
+    expand,
+    known_names,
+    load_comparison,
+    numeric_option,
+    shared_limits,
+    swept_variants,
+    variants_by_name,
+)
 from thermoforce_mpc.comparison.files import (
     FORMS,
     HEADINGS,
@@ -34,30 +51,79 @@ from thermoforce_mpc.comparison.files import (
     write_outcome,
 )
 from thermoforce_mpc.comparison.outcome import group_title, grouped, verdicts
-from thermoforce_mpc.comparison.store import DONE, Store
-from thermoforce_mpc.comparison.tasks import EqualComfort, tasks_of
-from thermoforce_mpc.comparison.variants import (
-    ComparisonFile,
-    Variant,
-    building_limits,
-    comma_list,
-    known_names,
-    load_comparison,
-    numeric_option,
-    shared_limits,
-    swept_variants,
-    variants_by_name,
-)
+from thermoforce_mpc.comparison.store import DONE, Ran, Store
+from thermoforce_mpc.comparison.tasks import EqualComfort, failure, tasks_of
 from thermoforce_mpc.errors import ConfigError, counted
+from thermoforce_mpc.execution import Task, TaskOutcome, TaskProgress, execute, source_fingerprint
+from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.windows import check_window
 from thermoforce_mpc.files import plain_number
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.report.display import zone_table
+from thermoforce_mpc.report.findings import COST, DISCOMFORT
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 from thermoforce_mpc.scenario.comfort import window_name
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.testcase import PRICES
+
+FAILED = 3
+"""Exit code where a run has no result."""
+
+
+def sayer(console: Console, quiet: bool) -> Callable[[str], None]:
+    """Prints a line unless `quiet`."""
+    return lambda text: None if quiet else console.print(text, soft_wrap=True)
+
+
+def outcomes_of(
+    tasks: Iterable[Task], store: Store, console: Console, engine: Opening, quiet: bool
+) -> Iterator[TaskOutcome]:
+    """The outcomes of tasks as they come; raises as `execute`."""
+    with TaskProgress(console, quiet=quiet, line=_line) as progress, engine(sayer(console, quiet)) as where:
+        store.create()  # not before: a cluster that cannot be used leaves no folder
+        yield from execute(tasks, where, store, progress)
+
+
+def run_cells(
+    tasks: Sequence[Task],
+    store: Store,
+    console: Console,
+    engine: Opening,
+    quiet: bool,
+    records: dict[str, dict[str, Any]],
+) -> None:
+    """Run tasks; the record of each cell, its result or the reason of its failure, goes into `records` by key.
+
+    An interrupt says how many of all are kept.
+    """
+    everyone = {*records, *(task.key for task in tasks if isinstance(task.inputs, Cell))}
+    try:
+        for outcome in outcomes_of(tasks, store, console, engine, quiet) if tasks else ():
+            cell = outcome.task.inputs
+            if isinstance(cell, Cell):
+                ran = Ran(failure(cell, outcome.reason)) if outcome.reason else outcome.value
+                if outcome.reason:
+                    store.write(cell, ran)
+                records[cell.key] = ran.record
+    except KeyboardInterrupt:
+        kept = sum(record["status"] == DONE for record in records.values())
+        click.echo(f"{kept} of {len(everyone)} runs are kept in {store.folder}; repeat the command to resume", err=True)
+        raise
+
+
+def note_other_code(sources: Iterable[str], say: Callable[[str], None], anew: str = "take another --out") -> None:
+    """Say how many kept runs were made by other source code of this version, and what runs them `anew`."""
+    if stale := sum(source != source_fingerprint() for source in sources):
+        say(f"Note: {stale} of them made by other source code of this version; to run all anew, {anew}")
+
+
+def _line(outcome: TaskOutcome) -> str:
+    if not isinstance(outcome.value, Ran):
+        return summary(outcome)
+    kpis = outcome.value.record["kpis"]
+    return f"{outcome.task.title}: {kpis[COST]:.4f} / {kpis[DISCOMFORT]:.2f} K·h ({outcome.seconds:.0f} s)"
+
 
 _CONTESTANTS = "thermoforce_mpc,thermostat,native"
 _VALUES = "0.0026,0.005,0.01,0.026,0.05,0.1"

@@ -14,31 +14,29 @@ import pandas as pd
 from rich.console import Console
 
 from thermoforce_mpc.cli.options import PATH, Opening, check_named_code, code_option, execution_options
-from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, outcomes_of, run_cells, sayer
+from thermoforce_mpc.cli.running.comparing import FAILED, note_other_code, outcomes_of, run_cells, sayer
 from thermoforce_mpc.comparison.store import DONE, Store
 from thermoforce_mpc.comparison.tasks import failure
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import write_whole
-from thermoforce_mpc.fleet.dataset import (
-    check_dataset,
-    finished_rows,
-    read_dataset,
-    reused_row,
-    row_of,
-    write_dataset,
-)
 from thermoforce_mpc.fleet.file import buildings_of, load_fleet
 from thermoforce_mpc.fleet.page import RunGroup, causes, fleet_page, groups, headline, lost, paired
 from thermoforce_mpc.fleet.runs import (
     FleetRun,
     Measured,
+    check_dataset,
+    finished_rows,
     models_again,
     place_trajectories,
+    read_dataset,
+    reused_row,
+    row_of,
     runs_of,
     tasks_of,
     tasks_of_records,
     with_models,
+    write_dataset,
     write_models,
 )
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole

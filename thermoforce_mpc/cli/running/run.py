@@ -142,7 +142,7 @@ def report(run: Path, out: Path | None) -> None:
     Example:
       tf-mpc report runs/my-run --out /tmp/so_far.html
     """
-    from thermoforce_mpc.report.report_again import report_again
+    from thermoforce_mpc.report.html import report_again
 
     path, notes = report_again(run, out)
     for line in notes:

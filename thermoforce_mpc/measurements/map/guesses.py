@@ -22,8 +22,7 @@ from itertools import pairwise
 import numpy as np
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.measurements.map.entries import converted
-from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap, converted
 
 # Tag: (whole words, beginnings or ends and parts of compound words of five letters and more).
 _WORDS: dict[str, tuple[str, str]] = {

@@ -40,13 +40,19 @@ from thermoforce_mpc.data import (
     PlantInfo,
     Record,
 )
-from thermoforce_mpc.data.cache import known_marks, note_marks
 from thermoforce_mpc.errors import ConfigError, InputError, NoForecast, NoSuchTest, PlantError
-from thermoforce_mpc.plants import checks
+from thermoforce_mpc.files import known_marks, note_marks
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.checks import day_period, is_day
 from thermoforce_mpc.plants.records import acting_means, boundary, inputs, mean_levels, measurement, past_record
-from thermoforce_mpc.plants.shell import Releasing
+from thermoforce_mpc.plants.shell import (
+    Releasing,
+    check_levels,
+    check_record_step,
+    day_period,
+    forecast_times,
+    is_day,
+    record_times,
+)
 from thermoforce_mpc.scenario.testcase import PRICES, TestCase
 
 
@@ -211,7 +217,7 @@ class BoptestPlant(Releasing):
             PlantError: the service failed, or its scenario is over.
         """
         layout = self._points.layout
-        block = checks.check_levels(u, duration_s, command, names=layout.names, u_min=layout.u_min)
+        block = check_levels(u, duration_s, command, names=layout.names, u_min=layout.u_min)
         applied = inputs(self._points, block, self._T_zone_C, self._last)
         if self._now_s + duration_s > self._end_s + _CLOCK_TOLERANCE_S:
             raise PlantError(
@@ -242,7 +248,7 @@ class BoptestPlant(Releasing):
                 instants than requested. After that it is asked without patience, until it answers again.
             PlantError: the test is gone.
         """
-        instants = checks.forecast_times(self._now_s, horizon_s, interval_s)
+        instants = forecast_times(self._now_s, horizon_s, interval_s)
         tariff = next(name for name in PRICES if name == self._scenario.electricity_price)
         names = self._points.forecast(tariff)
         if self._missed:
@@ -262,11 +268,11 @@ class BoptestPlant(Releasing):
 
     def past(self, step_s: float) -> Record:
         """Return the record since the start of the warm-up, without the oldest partial step; raises as `reset`."""
-        checks.check_record_step(step_s)
+        check_record_step(step_s)
         with failures():
             record = self._recorded(self._begin_s, self._now_s, self._watched_names())
         # Services that do not record the warm-up start the record at the present.
-        edges = checks.record_times(float(record["time"][0]), self._now_s, step_s)
+        edges = record_times(float(record["time"][0]), self._now_s, step_s)
         return past_record(record, self._points, mean_levels(record, self._points, edges, "_u"), edges)
 
     def kpis(self) -> dict[str, float]:

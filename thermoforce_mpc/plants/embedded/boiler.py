@@ -12,8 +12,8 @@ import numpy as np
 
 from thermoforce_mpc.data import ZERO_C_K
 from thermoforce_mpc.data.compiled import njit
-from thermoforce_mpc.plants.embedded import constructions as c
 from thermoforce_mpc.plants.embedded import exposure as x
+from thermoforce_mpc.plants.embedded import houses as c
 from thermoforce_mpc.plants.embedded import schedule as s
 from thermoforce_mpc.plants.embedded.envelope import (
     COOKING,

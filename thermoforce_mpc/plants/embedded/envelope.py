@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from thermoforce_mpc.data.compiled import njit
-from thermoforce_mpc.plants.embedded import constructions as c
 from thermoforce_mpc.plants.embedded import exposure as x
+from thermoforce_mpc.plants.embedded import houses as c
 
 _SIGMA = 5.670374419e-8
 _ZERO_ROUNDING_K = 1e-4

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from thermoforce_mpc.data import ZERO_C_K
-from thermoforce_mpc.plants.drawn_houses.envelope import (
+from thermoforce_mpc.plants.drawn_houses import (
     AIR_WH_M3_K,
     FACADES,
     HEIGHT_M,

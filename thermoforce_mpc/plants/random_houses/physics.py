@@ -17,7 +17,7 @@ import numpy as np
 
 from thermoforce_mpc.data import ZERO_C_K
 from thermoforce_mpc.data.compiled import njit
-from thermoforce_mpc.plants.drawn_houses import envelope
+from thermoforce_mpc.plants import drawn_houses
 from thermoforce_mpc.plants.random_houses.draw import House, ground_C, heat_pump_cop
 
 # States, °C. PI integral in levels, on/off flag of the native thermostat.
@@ -59,12 +59,12 @@ def parameters(house: House) -> np.ndarray:
     """Return the parameter vector of a house for `advance`, shape (33,), SI units and °C."""
     p = np.zeros(N_PARAMETERS)
     area = house.floor_area_m2
-    surface_m2 = envelope.SURFACE_PER_FLOOR * area
-    p[P_AIR_J], p[P_SURFACE_J] = envelope.AIR_J_M2_K * area, envelope.SURFACE_J_M2_K * surface_m2
+    surface_m2 = drawn_houses.SURFACE_PER_FLOOR * area
+    p[P_AIR_J], p[P_SURFACE_J] = drawn_houses.AIR_J_M2_K * area, drawn_houses.SURFACE_J_M2_K * surface_m2
     p[P_MASS_J] = house.mass_J_K - p[P_SURFACE_J]
     p[P_SLAB_J], p[P_WATER_J] = house.slab_J_K or 1.0, house.emitter_J_K
-    p[P_IS], p[P_WINDOWS] = envelope.SURFACE_AIR_W_M2_K * surface_m2, house.windows_W_K
-    p[P_MS] = envelope.SURFACE_MASS_W_M2_K * house.mass_area_m2
+    p[P_IS], p[P_WINDOWS] = drawn_houses.SURFACE_AIR_W_M2_K * surface_m2, house.windows_W_K
+    p[P_MS] = drawn_houses.SURFACE_MASS_W_M2_K * house.mass_area_m2
     p[P_EM] = 1.0 / (1.0 / house.opaque_W_K - 1.0 / p[P_MS])
     p[P_SLAB_ROOM], p[P_SLAB_GROUND] = house.slab_room_W_K, house.slab_ground_W_K
     p[P_GROUND_C] = ground_C(house.warmer_K)
@@ -165,14 +165,14 @@ def advance(
     a, b = np.empty((5, 5)), np.empty(5)
     for k in range(n_steps):
         now = time_s + k * dt
-        held = grid[envelope.read(grid, now, w)]
-        reading = measured_C(p, state[SENSOR], noise[int(now / envelope.STEP_S + 1e-6) % noise.size])
+        held = grid[drawn_houses.read(grid, now, w)]
+        reading = measured_C(p, state[SENSOR], noise[int(now / drawn_houses.STEP_S + 1e-6) % noise.size])
         native = native_level(p, state, reading, held[SETPOINT], dt)
         level = native if math.isnan(forced) else forced
         heat, power, spread = machine(p, level, w[T_OUT], state[WATER])
         # Weather at the end of the step, schedules of its start.
         gains = held[GAINS]
-        envelope.read(grid, now + dt, w)
+        drawn_houses.read(grid, now + dt, w)
 
         room = p[P_CONVECTIVE] * state[AIR] + (1.0 - p[P_CONVECTIVE]) * state[SURFACE]
         excess = max(abs(state[WATER] - room), 0.01)
@@ -199,15 +199,15 @@ def advance(
         a[4, 4] = p[P_WATER_J] / dt + to_air + to_surface + to_slab
         a[4, 0], a[4, 1], a[4, 3] = -to_air, -to_surface, -to_slab
         b[4] = p[P_WATER_J] / dt * state[WATER] + heat
-        envelope.solve(a, b)
+        drawn_houses.solve(a, b)
         for i in range(5):
             state[i] = b[i]
 
-        operative = envelope.AIR_SHARE * state[AIR] + (1.0 - envelope.AIR_SHARE) * state[SURFACE]
+        operative = drawn_houses.AIR_SHARE * state[AIR] + (1.0 - drawn_houses.AIR_SHARE) * state[SURFACE]
         felt = operative + p[P_BIAS] * w[SUN_ON_SENSOR]
         lag = p[P_LAG]
         state[SENSOR] = felt + (state[SENSOR] - felt) * math.exp(-dt / lag) if lag > 0.0 else felt
-        reading = measured_C(p, state[SENSOR], noise[int((now + dt) / envelope.STEP_S + 1e-6) % noise.size])
+        reading = measured_C(p, state[SENSOR], noise[int((now + dt) / drawn_houses.STEP_S + 1e-6) % noise.size])
         row = record[k]
         row[0], row[1] = operative + ZERO_C_K, reading + ZERO_C_K
         row[2], row[3] = power, heat

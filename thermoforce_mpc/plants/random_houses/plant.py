@@ -12,16 +12,17 @@ from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import HOUR_S, YEAR_S, ZERO_C_K, Array, Measurement, Record
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.drawn_houses.envelope import (
+from thermoforce_mpc.plants.drawn_houses import (
     AIR_WH_M3_K,
     FACADES,
     HEIGHT_M,
     STEP_S,
+    THERMOSTAT_ABOVE_K,
+    DrawnHousePlant,
     air_change,
     on_facades,
     year,
 )
-from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
 from thermoforce_mpc.plants.people import PERSON_W, at_home, live, set_back, varying
 from thermoforce_mpc.plants.random_houses import physics
 from thermoforce_mpc.plants.random_houses.draw import House, draw_house

@@ -19,7 +19,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.data.compiled import njit
-from thermoforce_mpc.plants.drawn_houses.envelope import WATER_J_KG_K, year
+from thermoforce_mpc.plants.drawn_houses import WATER_J_KG_K, year
 from thermoforce_mpc.plants.rooms.house import DrawnHouse
 
 # State of a device: whether it runs, and since when, s; time since it defrosted and left of a defrosting, s;
@@ -52,6 +52,17 @@ class Device:
     def tank_C(self) -> float:
         """Target of the tank, °C; 0 where there is none."""
         return float(self.parameters[TANK_TARGET]) if self.parameters[TANK_J_K] else 0.0
+
+    def told(self, target_C: float | None, charges: bool) -> Array:
+        """Its parameters with another target of the tank, °C, and without its band where it is to be charged now."""
+        if target_C is None and not charges:
+            return self.parameters
+        parameters = self.parameters.copy()
+        if target_C is not None:
+            parameters[TANK_TARGET] = target_C
+        if charges:
+            parameters[TANK_BAND] = 0.0
+        return parameters
 
     def begin(self) -> Array:
         """The state at the begin: it stands, and may start."""

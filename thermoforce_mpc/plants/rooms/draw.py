@@ -8,7 +8,7 @@ import numpy as np
 
 from thermoforce_mpc.data import ZERO_C_K
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.drawn_houses.envelope import AIR_WH_M3_K, FACADES, HEIGHT_M, WATER_J_KG_K, Facade
+from thermoforce_mpc.plants.drawn_houses import AIR_WH_M3_K, FACADES, HEIGHT_M, WATER_J_KG_K, Facade
 from thermoforce_mpc.plants.embedded import heat_pump as emulator
 from thermoforce_mpc.plants.random_houses.draw import ground_C
 from thermoforce_mpc.plants.rooms.house import (

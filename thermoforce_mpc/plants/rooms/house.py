@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from thermoforce_mpc.plants.drawn_houses.envelope import AIR_WH_M3_K, FACADES, HEIGHT_M, Facade, Mass
+from thermoforce_mpc.plants.drawn_houses import AIR_WH_M3_K, FACADES, HEIGHT_M, Facade, Mass
 from thermoforce_mpc.plants.people import Pattern
 from thermoforce_mpc.plants.random_houses.draw import ground_C
 from thermoforce_mpc.plants.rooms.use import Kind, RoomEmitter

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from thermoforce_mpc.data.compiled import njit
-from thermoforce_mpc.plants.drawn_houses import envelope
+from thermoforce_mpc.plants import drawn_houses
 from thermoforce_mpc.plants.random_houses.draw import ground_C, heat_pump_cop
 from thermoforce_mpc.plants.rooms.device import (
     BUFFER,
@@ -90,14 +90,14 @@ def network(house: DrawnHouse) -> HouseNetwork:
     """Return the parameters of a house."""
     rooms, n = house.rooms, len(house.rooms)
     area = np.array([room.area_m2 for room in rooms])
-    mass_area, mass_J_K = envelope.MASSES[house.mass]
+    mass_area, mass_J_K = drawn_houses.MASSES[house.mass]
     floor = np.array([room.emitter == "floor" for room in rooms])
-    surface_J_K = envelope.SURFACE_J_M2_K * envelope.SURFACE_PER_FLOOR * area
+    surface_J_K = drawn_houses.SURFACE_J_M2_K * drawn_houses.SURFACE_PER_FLOOR * area
     # A room without a slab has a node that is coupled to nothing.
     slab_J_K = np.array([room.slab_J_K or 1.0 for room in rooms])
     water_J_K = np.array([room.emitter_J_K for room in rooms])
     capacity = np.concatenate(
-        [water_J_K, slab_J_K, surface_J_K, envelope.AIR_J_M2_K * area, mass_J_K * area - surface_J_K]
+        [water_J_K, slab_J_K, surface_J_K, drawn_houses.AIR_J_M2_K * area, mass_J_K * area - surface_J_K]
     )
 
     between = np.zeros((N_BLOCKS * n, N_BLOCKS * n))
@@ -106,10 +106,10 @@ def network(house: DrawnHouse) -> HouseNetwork:
         between[a, b] += W_K
         between[b, a] += W_K
 
-    to_mass = envelope.SURFACE_MASS_W_M2_K * mass_area * area
+    to_mass = drawn_houses.SURFACE_MASS_W_M2_K * mass_area * area
     outdoors, ground = np.zeros(N_BLOCKS * n), np.zeros(N_BLOCKS * n)
     for i, room in enumerate(rooms):
-        couple(SURFACE * n + i, AIR * n + i, envelope.SURFACE_AIR_W_M2_K * envelope.SURFACE_PER_FLOOR * area[i])
+        couple(SURFACE * n + i, AIR * n + i, drawn_houses.SURFACE_AIR_W_M2_K * drawn_houses.SURFACE_PER_FLOOR * area[i])
         couple(SURFACE * n + i, MASS * n + i, to_mass[i])
         outdoors[SURFACE * n + i] = room.windows_W_K
         outdoors[MASS * n + i] = 1.0 / (1.0 / room.opaque_W_K - 1.0 / to_mass[i])
@@ -141,7 +141,7 @@ def network(house: DrawnHouse) -> HouseNetwork:
         is_floor=floor,
         flow_W_K=np.array([room.flow_W_K for room in rooms]),
         curve=np.array([(c.design_C, c.exponent, c.shift_K, c.limit_C) for c in curves]),
-        mass_share=mass_area / envelope.SURFACE_PER_FLOOR,
+        mass_share=mass_area / drawn_houses.SURFACE_PER_FLOOR,
         heat_pump=np.array(
             [pump.capacity_W, pump.capacity_per_K, house.design_out_C, pump.lowest_level, pump.carnot, pump.fixed_W]
         ),
@@ -153,7 +153,7 @@ def operative_C(T: np.ndarray, out: np.ndarray) -> None:
     """Write the operative temperatures of the nodes `T` (n,) into `out` (Z,), °C."""
     n = out.size
     for i in range(n):
-        out[i] = envelope.AIR_SHARE * T[AIR * n + i] + (1.0 - envelope.AIR_SHARE) * T[SURFACE * n + i]
+        out[i] = drawn_houses.AIR_SHARE * T[AIR * n + i] + (1.0 - drawn_houses.AIR_SHARE) * T[SURFACE * n + i]
 
 
 @njit(cache=True)
@@ -201,6 +201,15 @@ def circuits_W(
 
 
 @njit(cache=True)
+def _curve_C(h: HouseNetwork, i: int, raised_K: float, T_out_C: float) -> float:
+    """Supply temperature, °C, by the heating curve of circuit `i`, raised by so much."""
+    curve = h.curve[i]
+    return _supply(
+        curve[DESIGN], curve[EXPONENT], curve[SHIFT] + raised_K, curve[LIMIT], h.heat_pump[DESIGN_OUT], T_out_C
+    )
+
+
+@njit(cache=True)
 def machine(
     h: HouseNetwork, T: np.ndarray, levels: np.ndarray, T_out_C: float, q: np.ndarray
 ) -> tuple[float, float, float]:
@@ -215,14 +224,7 @@ def machine(
     own = np.empty(n)
     supply, any_C = -1e9, -1e9
     for i in range(n):
-        own[i] = _supply(
-            h.curve[i, DESIGN],
-            h.curve[i, EXPONENT],
-            h.curve[i, SHIFT],
-            h.curve[i, LIMIT],
-            h.heat_pump[DESIGN_OUT],
-            T_out_C,
-        )
+        own[i] = _curve_C(h, i, 0.0, T_out_C)
         any_C = max(any_C, own[i])
         if levels[i] > 0.0:
             supply = max(supply, own[i])
@@ -264,14 +266,7 @@ def own_controller(
     asked = np.empty(n)
     raised, wanted, is_open = device[RAISE] if contact >= RECOMMENDED else 0.0, -1e9, False
     for i in range(n):
-        asked[i] = _supply(
-            h.curve[i, DESIGN],
-            h.curve[i, EXPONENT],
-            h.curve[i, SHIFT] + raised,
-            h.curve[i, LIMIT],
-            h.heat_pump[DESIGN_OUT],
-            T_out_C,
-        )
+        asked[i] = _curve_C(h, i, raised, T_out_C)
         if levels[i] > 0.0:
             wanted, is_open = max(wanted, asked[i]), True
     switched(state, device, wanted, is_open, contact, dt)
@@ -340,7 +335,7 @@ def advance(
     operative_C(T, room_C)
     for k in range(n_steps):
         now = time_s + k * dt
-        row = envelope.read(weather, now, w)
+        row = drawn_houses.read(weather, now, w)
         thermostats(on, room_C, setpoints[row])
         for i in range(n):
             levels[i] = on[i] if math.isnan(forced[i]) else forced[i]
@@ -349,7 +344,7 @@ def advance(
         else:
             heat, power, supply = machine(h, T, levels, w[T_OUT], q)
         # Weather at the end of the step, schedules of its start.
-        envelope.read(weather, now + dt, w)
+        drawn_houses.read(weather, now + dt, w)
         T_out = w[T_OUT]
 
         a[:] = fixed
@@ -373,7 +368,7 @@ def advance(
         for d in range(h.door_leak_W_K.size):
             first, second = AIR * n + h.door_rooms[d, 0], AIR * n + h.door_rooms[d, 1]
             _couple(a, first, second, h.door_leak_W_K[d] + h.door_open[d] * math.sqrt(abs(T[first] - T[second])))
-        envelope.solve(a, b)
+        drawn_houses.solve(a, b)
 
         lost, gained, stored = 0.0, 0.0, 0.0
         for i in range(nodes):

@@ -1,4 +1,7 @@
-"""Plant and test case of a house of rooms, see `house.DrawnHouse` and docs/how-it-works/random-buildings.md."""
+"""Plant and test case of a house of rooms, see `house.DrawnHouse` and docs/how-it-works/random-buildings.md.
+
+When each room is used, its comfort bounds, native set-point, people and internal gains, stands first.
+"""
 
 from __future__ import annotations
 
@@ -6,24 +9,116 @@ import math
 import re
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather as WeatherYear
-from thermoforce_mpc.data import J_PER_KWH, Array, Commands, Levels, Measurement, Record
+from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Commands, Levels, Measurement, Record
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.checks import check_levels
-from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S, air_change, on_facades, year
-from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
-from thermoforce_mpc.plants.people import PERSON_W, live
+from thermoforce_mpc.plants.drawn_houses import (
+    GRID_S,
+    THERMOSTAT_ABOVE_K,
+    DrawnHousePlant,
+    air_change,
+    on_facades,
+    year,
+)
+from thermoforce_mpc.plants.people import PERSON_W, at_home, hour_of_day, live, set_back, varying
+from thermoforce_mpc.plants.random_houses.plant import PREHEAT_H, SET_BACK_K
 from thermoforce_mpc.plants.records import means_between
-from thermoforce_mpc.plants.rooms import physics, schedule
+from thermoforce_mpc.plants.rooms import physics
 from thermoforce_mpc.plants.rooms.device import N_STATES, NORMAL, TANK, TANK_J_K, Device
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
-from thermoforce_mpc.plants.rooms.house import DrawnHouse
-from thermoforce_mpc.plants.rooms.use import USES
+from thermoforce_mpc.plants.rooms.house import DrawnHouse, Room
+from thermoforce_mpc.plants.rooms.use import USES, Kind
+from thermoforce_mpc.plants.shell import check_levels
 from thermoforce_mpc.scenario.building import Machine, Zone, ZoneActuator
 from thermoforce_mpc.scenario.testcase import MeasuredWeather, TestCase
+
+# Comfort bounds of a room that is not used, °C (BOPTEST's of an empty house).
+UNUSED_LOWER_C, UNUSED_UPPER_C = 15.0, 30.0
+# Native set-point above the lower bound in use, K: more than the dead band of the thermostat.
+NATIVE_ABOVE_K = 0.4
+_NIGHT_FROM_H, _NIGHT_TO_H = 22.0, 6.0
+
+
+def at_home_or_asleep(house: DrawnHouse, time_s: Array) -> NDArray[np.bool_]:
+    """Return whether people are in at `time_s`: by the pattern of presence, and in a house from 22 to 6 h."""
+    present = at_home(house.pattern, time_s)
+    return present if house.use == "office" else np.asarray(present | _night(hour_of_day(time_s)))
+
+
+def in_use(house: DrawnHouse, kind: Kind, time_s: Array) -> NDArray[np.bool_]:
+    """Bedrooms 20 to 9 h, baths 6 to 9 and 18 to 22 h, others 6 to 22 h, while people are in; like `time_s`."""
+    hour = hour_of_day(time_s)
+    if kind == "bedroom":
+        used = (hour < 9.0) | (hour >= 20.0)
+    elif kind == "bath":
+        used = ((hour >= _NIGHT_TO_H) & (hour < 9.0)) | ((hour >= 18.0) & (hour < _NIGHT_FROM_H))
+    else:
+        used = ~_night(hour)
+    return np.asarray(used & at_home_or_asleep(house, time_s))
+
+
+def bounds_C(house: DrawnHouse, time_s: Array) -> tuple[Array, Array]:
+    """Return lower and upper comfort bounds of the rooms at `time_s` (n,), °C, shape (Z, n) each."""
+    used = {kind: in_use(house, kind, time_s) for kind in {room.kind for room in house.rooms}}
+    lower = [np.where(used[room.kind], room.lower_C, UNUSED_LOWER_C) for room in house.rooms]
+    upper = [np.where(used[room.kind], room.upper_C, UNUSED_UPPER_C) for room in house.rooms]
+    return np.array(lower), np.array(upper)
+
+
+def native_setpoints_C(house: DrawnHouse, time_s: Array) -> Array:
+    """Return the rooms' native set-points at `time_s` (n,), °C, shape (Z, n): set back while unused, preheated before.
+
+    Set-back, its shrinking with the machine, and preheating are those of the emitter in a generated house.
+    """
+    shrink = min(max((house.sizing - 0.8) / 0.5, 0.0), 1.0)
+    unused: dict[tuple[str, str], NDArray[np.bool_]] = {}
+    rows = []
+    for room in house.rooms:
+        key = (room.kind, room.emitter)
+        if key not in unused:
+            unused[key] = set_back(
+                lambda t, room=room: in_use(house, room.kind, t),  # type: ignore[misc]
+                time_s,
+                lead_s=PREHEAT_H[room.emitter] * HOUR_S,
+            )
+        rows.append(room.lower_C + NATIVE_ABOVE_K - unused[key] * SET_BACK_K[room.emitter] * shrink)
+    return np.array(rows)
+
+
+def people(house: DrawnHouse, time_s: Array) -> Array:
+    """Return the expected number of people in each room at `time_s` (n,), shape (Z, n)."""
+    return in_rooms(house, time_s, np.where(at_home_or_asleep(house, time_s), float(house.people), 0.0))
+
+
+def in_rooms(house: DrawnHouse, time_s: Array, home: Array) -> Array:
+    """Return people in each room, shape (Z, n), where `home` (n,) of them are in at `time_s` (n,)."""
+    night = _night(hour_of_day(time_s))
+    return np.array([home * np.where(night, room.people_night, room.people_day) for room in house.rooms])
+
+
+def gains_W(house: DrawnHouse, time_s: Array) -> Array:
+    """Return internal gains of each room on an equally spaced grid `time_s` (n,), W, shape (Z, n).
+
+    People, and appliances that vary at random (see `varying`) in each room on its own, seeded by the house.
+    """
+    home = at_home(house.pattern, time_s)
+    level_W_m2 = np.where(home, house.gains_home_W_m2, house.gains_empty_W_m2)
+
+    def appliances_W(i: int, room: Room) -> Array:
+        rng = np.random.default_rng([house.seed, len(house.rooms), 1, i])
+        return level_W_m2 * room.appliances * room.area_m2 * varying(rng, time_s, house.gains_sd)
+
+    appliances = np.array([appliances_W(i, room) for i, room in enumerate(house.rooms)])
+    return np.asarray(PERSON_W * people(house, time_s) + appliances)
+
+
+def _night(hour: Array) -> NDArray[np.bool_]:
+    return np.asarray((hour >= _NIGHT_FROM_H) | (hour < _NIGHT_TO_H))
+
 
 # Set-points that the thermostats of rooms take, °C.
 LEAST_SETPOINT_C, MOST_SETPOINT_C = 5.0, 30.0
@@ -99,6 +194,8 @@ class HouseOfRooms(DrawnHousePlant):
         curve_offset_K: offset of the heating curves of all circuits, K.
         device: the controller of the heat pump itself; None: an ideal machine, which gives what is asked at once.
         contact: state of its SG-Ready contacts, from 1 to 4; only with a device.
+        tank_target_C: target of the tank of hot water, °C; None: the device's own.
+        charges: whether the tank is charged up to its target now, however little is missing.
         layout: rooms, valves and the heat pump; valve i stands in room i.
         zones, actuators: names by row of all arrays.
         thermostat_C: of the baseline thermostat of each room, shape (Z,).
@@ -108,6 +205,8 @@ class HouseOfRooms(DrawnHousePlant):
     curve_offset_K: float = 0.0
     device: Device | None = None
     contact: int = NORMAL
+    tank_target_C: float | None = None
+    charges: bool = False
     _told: tuple[float | None, ...] = ()
     _kind = "house of rooms"
     _changing = (*DrawnHousePlant._changing, "_T", "_on", "_device_state")
@@ -122,10 +221,10 @@ class HouseOfRooms(DrawnHousePlant):
         self.zones, self.actuators = self._names.zones, self._names.actuators
         self.thermostat_C = np.array([room.lower_C for room in house.rooms]) + THERMOSTAT_ABOVE_K
         time_s = year()
-        gains = np.ascontiguousarray(schedule.gains_W(house, time_s).T)
+        gains = np.ascontiguousarray(gains_W(house, time_s).T)
         self._scheduled = weather_grid(house, self.weather), gains
         self._lived = self._scheduled if people is None else _with_people(*self._scheduled, house, people)
-        self._setpoints = np.ascontiguousarray(schedule.native_setpoints_C(house, time_s).T)
+        self._setpoints = np.ascontiguousarray(native_setpoints_C(house, time_s).T)
         self._network = physics.network(house)
         self._tariffs = tariffs.by_name(highly_dynamic)
         self.reset(0.0, 0.0)
@@ -137,10 +236,10 @@ class HouseOfRooms(DrawnHousePlant):
         return T_out_C, weather[:, physics.GLOBAL], self.house.loss_W_K * (20.0 - T_out_C) - heat_W
 
     def _bounds_C(self, time_s: Array) -> tuple[Array, Array]:
-        return schedule.bounds_C(self.house, time_s)
+        return bounds_C(self.house, time_s)
 
     def _people(self, time_s: Array) -> Array:
-        return schedule.people(self.house, time_s)
+        return people(self.house, time_s)
 
     def _power_and_rooms(self, rows: Array) -> tuple[Array, Array]:
         return rows[:, physics.POWER], rows[:, self._blocks()[0]].T
@@ -171,6 +270,11 @@ class HouseOfRooms(DrawnHousePlant):
         """Mean supply temperature between `edges` (n + 1,), s: (n,), °C."""
         times, rows = self._samples.times, self._samples.rows
         return means_between(times, rows[:, [physics.SUPPLY]].T, edges)[0]
+
+    def tank_C(self, start_s: float, final_s: float) -> tuple[Array, Array]:
+        """Times (n,), s, and temperature of the tank of hot water (n,), °C, NaN without one; as `recorded`."""
+        time_s, rows = self.recorded(start_s, final_s)
+        return time_s, rows[:, physics.TANK]
 
     def stored_kWh(self) -> float:
         """Heat in the house and its tank of hot water now, above 0 °C, kWh."""
@@ -213,7 +317,9 @@ class HouseOfRooms(DrawnHousePlant):
             curve[:, physics.SHIFT] += self.curve_offset_K
             network = network._replace(curve=curve)
         state = self._T, self._on, before_s, len(rows), dt_s
-        parameters, draws = (np.empty(0),) * 2 if self.device is None else (self.device.parameters, self.device.draw_W)
+        parameters, draws = np.empty(0), np.empty(0)
+        if self.device is not None:
+            parameters, draws = self.device.told(self.tank_target_C, self.charges), self.device.draw_W
         own = self._device_state, parameters, draws, float(self.contact)
         physics.advance(*state, forced, weather, gains, setpoints, network, rows, *own)
 
@@ -270,7 +376,7 @@ def weather_grid(house: DrawnHouse, weather: WeatherYear) -> Array:
 
 def _with_people(weather: Array, gains: Array, house: DrawnHouse, seed: int) -> tuple[Array, Array]:
     time_s, n = year(), len(house.rooms)
-    usual = schedule.at_home_or_asleep(house, time_s)
+    usual = at_home_or_asleep(house, time_s)
     life = live(
         [seed, house.seed, n],
         usual,
@@ -281,7 +387,7 @@ def _with_people(weather: Array, gains: Array, house: DrawnHouse, seed: int) -> 
         cooks=house.use == "house",
     )
     kitchen = max(range(n), key=lambda i: (house.rooms[i].kind == "kitchen", house.rooms[i].kind == "living"))
-    heat_W = PERSON_W * schedule.in_rooms(house, time_s, life.present - house.people * usual)
+    heat_W = PERSON_W * in_rooms(house, time_s, life.present - house.people * usual)
     heat_W[kitchen] += life.cooking_W
     shaded = weather.copy()
     shaded[:, physics.SUN : physics.SUN + n] *= life.sun.T

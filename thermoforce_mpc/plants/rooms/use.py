@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from thermoforce_mpc.plants.drawn_houses.envelope import MASSES, Mass
+from thermoforce_mpc.plants.drawn_houses import MASSES, Mass
 from thermoforce_mpc.plants.people import HOUSEHOLDS, Pattern
 
 Kind = Literal["living", "kitchen", "bedroom", "bath", "study", "hall", "open", "cell", "meeting", "corridor"]
