@@ -129,7 +129,7 @@ def run_house(case: tuple[int, str, int]) -> Row:
         "map_r2": float(np.mean([one.loop.r2 for one in commands.values()])),
     }
     config = MPCConfig(step_s=_STEP_S, horizon_h=_HORIZON_H)
-    kept_C = _kept_C(copy.deepcopy(home), days)
+    kept_C = left_alone_C(copy.deepcopy(home), days)
     own, _ = _days(copy.deepcopy(home), None, days, kept_C)
     direct = None
     if kind == "set-points":
@@ -282,7 +282,7 @@ def _command(kind: str, name: str) -> Command:
     return SGReady(kind="sg_ready", column="contact")
 
 
-def _kept_C(home: Home, days: int) -> Array:
+def left_alone_C(home: Home, days: int) -> Array:
     """Temperatures of the rooms at the ends of all hours of `days` and one horizon more, left alone, (Z, n), °C."""
     hours = round(24 * days + _HORIZON_H) + 1
     return np.stack([home.advance((None,) * ROOMS, HOUR_S).T_zone_C for _ in range(hours)], axis=1)
@@ -293,7 +293,7 @@ def _days(
 ) -> tuple[Lived, dict[str, float]]:
     """Days under planned commands (or levels), or left alone without a `controller`; and what the plans said.
 
-    At equal comfort: no room is asked to be warmer than it is when the house is left alone (`kept_C`, see `_kept_C`).
+    At equal comfort: no room is asked to be warmer than it is when left alone (`kept_C`, see `left_alone_C`).
     """
     plant = home.plant
     state = None

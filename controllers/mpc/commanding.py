@@ -625,14 +625,16 @@ def _heat(operator: BuildingOperator, problem: MPCProblem, level: Array, k: int)
         operator.of_actuator(a).heat_input(level[:, a], np.full(len(level), T_out_C[home]))
         for a, home in enumerate(operator.home)
     ]
-    return np.stack(each, axis=-1)
+    heat = np.stack(each, axis=-1)
+    return heat if problem.available is None else heat * problem.available[:, k]
 
 
 def _zone_C(problem: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
     """Zone temperatures at the boundaries under levels (A, N), (Z, N + 1), °C."""
     forced_K = problem.forced_state_K.sum(axis=(1, 2))
     now = problem.features[:, 0, ZONE] + forced_K
-    brought = operator.rollout(problem.forced_state_K, u, problem.features).sum(axis=(1, 3))
+    comes = u if problem.available is None else u * problem.available
+    brought = operator.rollout(problem.forced_state_K, comes, problem.features).sum(axis=(1, 3))
     return np.concatenate([now[:, None], compose(problem.T_free_C, brought)], axis=1)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -23,6 +23,7 @@ from controllers.mpc.commanding import (
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.courses import Courses, Mornings
 from controllers.mpc.formulation import Formulation, Instance
+from controllers.mpc.hot_water import MOST_TANK_SOLVES, HotWater, TankWay
 from controllers.mpc.margins import Margins
 from controllers.mpc.planner import (
     Planners,
@@ -67,6 +68,7 @@ from controllers.safety.overrides import (
     decide,
 )
 from thermoforce_mpc.commands.loop import LearnedCommand, left_alone
+from thermoforce_mpc.commands.tank import LearnedTank
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -104,12 +106,14 @@ class ThermoForceMPC(ActuatedController):
         free_response: FreeResponse | Sequence[FreeResponse] | None = None,
         solver: SolverBuilder | None = None,
         commands: Mapping[str, LearnedCommand] | None = None,
+        hot_water: LearnedTank | None = None,
         name: str = "thermoforce_mpc",
     ) -> None:
         """Build what the stations of a step need.
 
         `free_response` (one for all zones, or one per zone (Z,)) and `solver` replace those that `config` names;
-        `commands`: what is set in the place of the level of an actuator, by name; `name`: in reports.
+        `commands`: what is set in the place of the level of an actuator, by name; `hot_water`: a tank that one of its
+        machines heats too; `name`: in reports.
 
         Raises:
             ControllerConfigError: the horizon is shorter than a step, the model is not certified at that step and
@@ -138,6 +142,10 @@ class ThermoForceMPC(ActuatedController):
         super().__init__(name, model.operator.step_s, n_steps, layout, actuations, c.fallback, by_number)
         cards = [zone.card for zone in zone_models]
         self._commands = BuildingCommands(layout, by_number, cards)
+        if hot_water is not None:
+            check_names("hot_water.machine", [hot_water.machine], "machine", layout.names.machines)
+        self.hot_water = hot_water
+        self._tank = None if hot_water is None else HotWater(hot_water, layout, self.step_s)
         self._shared = SharedCommands(layout, by_number, cards)
         reasons = (
             layout.names.of_actuator(a, by_number[a].in_words if a in by_number else choice.why)
@@ -286,6 +294,20 @@ class ThermoForceMPC(ActuatedController):
             forecast = yield from self._prediction.predict(readings, state)
             instance = self._formulate(forecast, readings, state, overrides)
             result = yield from self._solve(instance, forecast, readings, overrides, joined_in)
+            if self._tank is not None and not isinstance(result, Failure):
+                assert not isinstance(instance, Failure)
+                assert not isinstance(forecast, Failure)
+                solve = partial(
+                    self._solve, forecast=forecast, readings=readings, overrides=overrides, joined_in=joined_in
+                )
+                ways = self._tank.ways(
+                    forecast.context.boundary,
+                    readings.history.origin,
+                    observation.tank_C,
+                    observation.tank_charges,
+                    state.tank,
+                )
+                result = yield from self._with_tank(result, instance, ways, forecast.planner.evaluator, solve)
             plan = self._realise(result, readings, overrides, situation)
         plan = self._believe(plan, readings, state)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
@@ -436,7 +458,50 @@ class ThermoForceMPC(ActuatedController):
                 plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
             told = [self._layout.names.of_actuator(a, one.in_words) for a, one in joined_in.items()]
             plan = replace(plan, why=joined([*told, plan.why]))
-        return Solved(plan, instance.problem, limit, commanded)
+        return Solved(plan, instance.problem, limit, commanded, solution.own_values)
+
+    def _with_tank(
+        self,
+        alone: Solved,
+        instance: Instance,
+        ways: Sequence[TankWay],
+        evaluator: Evaluator,
+        solve: Callable[[Instance], Computation[Solved | Failure]],
+    ) -> Computation[Solved | Failure]:
+        """The plan of the rooms with what the best way to charge the tank leaves them, see `hot_water`.
+
+        `alone`: their plan with the whole machine; `ways`: the cheapest first.
+        """
+        tank = self._tank
+        assert tank is not None
+        if not ways:
+            return alone.with_tank(None, "the tank is left to the device: its temperature is not known")
+
+        def cost_of(one: Solved) -> float:
+            return evaluator.brings(one.problem, one.plan.u, one.own_values).cost
+
+        least = cost_of(alone)
+        best: tuple[float, Solved, TankWay] | None = None
+        solves, gap = 0, 0.0
+        for way in ways:
+            if best is not None and way.cost + least >= best[0]:
+                break
+            if best is not None and solves >= MOST_TANK_SOLVES:
+                gap = best[0] - way.cost - least
+                break
+            found: Solved | Failure = alone
+            if tank.felt(instance.problem, alone.plan.u, way.plan):
+                found = yield from solve(tank.beside(instance, way.plan))
+                solves += 1
+            if isinstance(found, Failure):
+                continue
+            total = way.cost + (least if found is alone else max(cost_of(found), least))
+            if best is None or total < best[0]:
+                best = total, found, way
+        if best is None:
+            return alone.with_tank(None, "the tank is left to the device: the rooms have no plan beside it")
+        _, found, way = best
+        return found.with_tank(replace(way.plan, solves=solves, gap=gap), "")
 
     def _by_rule(
         self,
@@ -499,7 +564,7 @@ class ThermoForceMPC(ActuatedController):
         if isinstance(result, Failure):
             doubtful = [self._watched.doubtful(result.state, a) for a in range(len(self._fallbacks))]
             return self._realisation.fall_back(result, overrides, doubtful, readings.doubts, situation)
-        plan, problem, limit, commanded = result
+        plan, problem, limit, commanded, _ = result
         demands = first_demands(
             self.config, self._actuators, self.step_s, plan, readings, commanded, most_u=problem.most_u
         )

@@ -29,8 +29,8 @@ class MPCState:
     `margins`: what was learned of bounds, predictions and capacities. `sensors` (Z,): what is known of the zone
     sensors, and `sun` of the sun on them; `meters`: of weather sensors and meters. `boundary`: the last forecast of the
     boundary conditions without gaps. `failures`: consecutive failed plans. `ruled`: whether the on/off rule's levels
-    acted, since the plan's own statement priced them lower. `mornings`: what was believed of the day. `last_s`: time of
-    the last plan, s.
+    acted, since the plan's own statement priced them lower. `mornings`: what was believed of the day. `tank`: what is
+    set at the tank of hot water, and since when, s; None: nothing. `last_s`: time of the last plan, s.
     """
 
     first_s: float
@@ -48,6 +48,7 @@ class MPCState:
     failures: int = 0
     ruled: bool = False
     mornings: MorningState = field(default_factory=MorningState)
+    tank: tuple[float, float] | None = None
     last_s: float | None = None
 
     @classmethod
@@ -80,6 +81,7 @@ class MPCState:
         return replace(
             self,
             good=None,
+            tank=None,
             actuation=tuple(ActuationState(native=True) for _ in self.actuation),
             watch=tuple(replace(watch, asked=of) for watch, of in zip(self.watch, asked, strict=True)),
         )
