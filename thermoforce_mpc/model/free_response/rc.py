@@ -172,8 +172,9 @@ def _filtered(params: RcParameters, drive: Array, free_C: Array) -> tuple[Array,
     q, n = params.order, len(drive)
     mean = params.beginning(drive) if n else np.zeros(q)
     # The last step goes nowhere: it stays where its reading has brought the modes.
-    stays = [np.ones(q), np.zeros(q * q), [params.sensor_sd_K**2]]
-    moves = [params.poles, params.process_K2.ravel(), [params.sensor_sd_K**2]]
+    reading = np.array([params.sensor_sd_K**2])
+    stays = [np.ones(q), np.zeros(q * q), reading]
+    moves = [params.poles, params.process_K2.ravel(), reading]
     known = np.isfinite(free_C)
     given = np.column_stack([known, np.where(known, free_C, 0.0), np.vstack([drive.reshape(n, q), np.zeros(q)])])
     of_step = np.repeat([np.concatenate(moves), np.concatenate(stays)], [n, 1], axis=0)
