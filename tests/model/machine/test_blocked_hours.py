@@ -113,6 +113,8 @@ def test_an_hour_differs_once_two_days_running_missed_its_effect():
     assert not effects(seen(0, -1.0), seen(1, -0.3)).laws, "within the promise"
     assert not effects(seen(0, 1.0), seen(1, 1.0)).laws, "more than expected is no harm"
     assert not effects(seen(0, -1.0, effect_K=0.1), seen(1, -1.0, effect_K=0.1)).laws, "nothing was asked"
+    small = [seen(day, -0.25, effect_K=0.45, promise_K=0.1) for day in (0, 1)]
+    assert not effects(*small).laws, "a thermostat keeps as much above its bound"
     found = effects(seen(0, -1.0), seen(1, -1.0))
     assert set(found.laws) == {6}
     law = found.laws[6]

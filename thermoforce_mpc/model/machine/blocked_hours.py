@@ -176,6 +176,8 @@ def called_for(asked: Array, heating_C: Array, cooling_C: Array, T_zone_C: Array
 # Effect of an hour's levels from which it can be missed, K, and its least share that is; in promised half-widths, at
 # 2 of which one error in 200 is by chance; on how many days running.
 _TELLS_K, _MISSING, _BEYOND, _DAYS = 0.25, 0.5, 2.0, 2
+# Less than this needs no plan around it, K: a thermostat keeps as much above its bound (`margins._MOST_K`).
+_LEAST_K = 0.3
 # Days that are kept of each hour, and for how long, s.
 _KEPT, _KEPT_S = 4, 14 * DAY_S
 # Prior standard deviations of what an hour takes of the effect, and of what it does to the zone besides, K. The same
@@ -219,7 +221,8 @@ class HourEffects:
     """What predictions an hour ahead tell of the hours of the day, for one actuator with this `sign`.
 
     An hour is believed to differ where on two days running less than half of the effect of acting came, each time by
-    more than twice the promise; one day on which it comes takes that back. `seen`: the last days of each hour.
+    more than twice the promise and 0.3 K; one day on which it comes takes that back. `seen`: the last days of each
+    hour.
     """
 
     sign: int = 1
@@ -264,7 +267,7 @@ class HourEffects:
 
     def _misses(self, one: HourSeen) -> bool:
         lacking_K = -self.sign * one.error_K
-        return lacking_K > max(_BEYOND * one.promise_K, _MISSING * abs(one.effect_K))
+        return lacking_K > max(_BEYOND * one.promise_K, _MISSING * abs(one.effect_K), _LEAST_K)
 
     def _law(self, seen: Sequence[HourSeen]) -> HourLaw:
         """The most likely law given the errors of its days, error = (share − 1) effect + dip, neither of help."""
