@@ -130,22 +130,6 @@ def test_a_tank_whose_temperature_is_not_known_is_left_to_the_device(home, measu
     assert plan.u.size
 
 
-def test_the_best_of_all_charges_is_found_within_the_gap_that_is_said(home, measured, monkeypatch):
-    """Every set of up to three charges a day, each with its plan of the rooms where that may be better."""
-    prices = 0.25 + 0.1 * np.sin(np.arange(49) * 2.1)
-    quick = planned(home, measured, prices=prices, horizon_h=12.0)
-    monkeypatch.setattr("controllers.mpc.hot_water._KEPT", 10**6)
-    monkeypatch.setattr("controllers.mpc.controller.MOST_TANK_SOLVES", 10**6)
-    full = planned(home, measured, prices=prices, horizon_h=12.0)
-
-    def total(plan):
-        hours = np.diff(plan.time_s, append=plan.time_s[-1] + HOUR_S) / HOUR_S
-        return plan.hot_water.cost + float((plan.power_W[0] / 1000.0 * hours * prices[:12]).sum())
-
-    assert full.hot_water.gap == 0.0
-    assert total(quick) == pytest.approx(total(full), rel=0.01, abs=quick.hot_water.gap)
-
-
 def test_plan_says_prints_and_writes_what_to_set_at_the_tank(home, rows, tmp_path):
     simple_model().save(tmp_path / "model")
     rows.to_csv(tmp_path / "recent.csv", index=False)
