@@ -24,7 +24,6 @@ from controllers.mpc.commanding import (
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.courses import Courses, Mornings
 from controllers.mpc.formulation import Formulation, Instance
-from controllers.mpc.hot_water import PRICE_SHARES, HotWater, TankWay, TankWays
 from controllers.mpc.margins import Margins
 from controllers.mpc.planner import (
     Planners,
@@ -48,6 +47,7 @@ from controllers.mpc.readings import (
 from controllers.mpc.realisation import Realisation
 from controllers.mpc.solved import Solved, beyond_rooms, first_demands, power_limit, solved_plan
 from controllers.mpc.state import MPCState
+from controllers.optimisation.hot_water import PRICE_SHARES, HotWater, TankWay, TankWays
 from controllers.optimisation.plan_model import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution, Solve, Solver
@@ -486,7 +486,7 @@ class ThermoForceMPC(ActuatedController):
             if way.plan.command in tried:
                 continue
             tried.add(way.plan.command)
-            found = yield from solve(tank.beside(instance, way.plan))
+            found = yield from solve(instance._replace(problem=tank.beside(instance.problem, way.plan)))
             if isinstance(found, Failure):
                 continue
             cost = cost_of(found)

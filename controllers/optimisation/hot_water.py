@@ -21,7 +21,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from controllers.mpc.formulation import Instance
 from controllers.optimisation.plan_model import Evaluator
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.commands.command import SAME, StepwiseCommand
@@ -94,9 +93,9 @@ class HotWater:
         each = slopes[:, evaluator.shape.first_steps][:, moves] / np.bincount(moves)[moves]
         return np.asarray(np.maximum(-each * u, 0.0)[list(self._fed)].sum(axis=0))
 
-    def beside(self, instance: Instance, plan: HotWaterPlan) -> Instance:
-        """The instance of the rooms with what the tank leaves them of the machine, and of power."""
-        problem, m, fed = instance.problem, self.machine, list(self._fed)
+    def beside(self, problem: MPCProblem, plan: HotWaterPlan) -> MPCProblem:
+        """The problem of the rooms with what the tank leaves them of the machine, and of power."""
+        m, fed = self.machine, list(self._fed)
         share = np.where(plan.share > _FELT, np.minimum(plan.share, 1.0), 0.0)
         left = 1.0 - share
         shape = (len(problem.machinery.actuators), problem.n_steps)
@@ -110,7 +109,7 @@ class HotWater:
             bend_W[fed] *= left
         cap = problem.power_cap
         exchange = problem.exchange
-        changed = replace(
+        return replace(
             problem,
             available=available,
             power_per_u_W=per_u_W,
@@ -119,7 +118,6 @@ class HotWater:
             power_cap=cap and replace(cap, limit_W=np.maximum(cap.limit_W - plan.power_W, 0.0)),
             exchange=exchange and replace(exchange, others_W=exchange.others_W + plan.power_W),
         )
-        return instance._replace(problem=changed)
 
 
 @dataclass(frozen=True, eq=False)
