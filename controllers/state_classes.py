@@ -89,6 +89,11 @@ STATE_CLASSES: tuple[type[Any], ...] = (
 )
 
 
+def model_key(model: ThermalModel) -> str:
+    """Key by which what is said of a model is told from what is said of others, 16 digits."""
+    return digest({"model": canonical(model)})
+
+
 def controller_key(model: ThermalModel, config: MPCConfig, commands: Mapping[str, Command] | None = None) -> str:
     """Key by which a kept state tells controllers apart, 16 digits: of the same model, options and commands the same.
 

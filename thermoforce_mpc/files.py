@@ -364,13 +364,13 @@ def _kind(mode: int) -> str:
 
 
 _LOG = logging.getLogger(__name__)
-_GIVEN, _MOST_GIVEN_BYTES = "given.jsonl", 10_000_000
+GIVEN, _MOST_GIVEN_BYTES = "given.jsonl", 10_000_000
 
 
 def known_marks() -> set[str]:
     """All that was noted."""
     try:
-        file = cache_folder() / _GIVEN
+        file = cache_folder() / GIVEN
         if file.exists():
             return set(read_bounded(file, _MOST_GIVEN_BYTES, ConfigError).decode("utf-8", "replace").splitlines())
     except RuntimeError:  # who runs this has no home
@@ -384,7 +384,7 @@ def note_marks(marks: Iterable[str]) -> None:
     if not new:
         return
     try:
-        file = cache_folder() / _GIVEN
+        file = cache_folder() / GIVEN
         file.parent.mkdir(parents=True, exist_ok=True)
         with file.open("a", encoding="utf-8", errors="backslashreplace") as notes:
             notes.write("".join(f"{mark}\n" for mark in new))

@@ -325,7 +325,9 @@ def choose_actuation(
         # The meter knows a fixed part that a few days do not leave uncertain; the heat of a level from temperatures is
         # known to a tenth at best, and the water of the steps at part load was cooler where it is a factor of power.
         return ActuationChoice(blocks, f"{blocks.in_words}: {laws}", power)
-    if best is None:
+    # Heat as metered that is proportional to the level is known of blocks: whether its levels are held it does not say.
+    of_blocks = heat_input.law is not None and not heat_input.law.levels_seen
+    if best is None or of_blocks:
         told = min(costs, key=lambda one: one.cost)
         return ActuationChoice(blocks, f"{blocks.in_words}: {told}", power)
     actuation = Actuation(config.model_copy(update={"mode": "modulating", "lowest_level": best.level}))

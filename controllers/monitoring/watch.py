@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any, ClassVar, NamedTuple
@@ -120,10 +120,9 @@ class WatchConfig(StrictModel):
     # Largest probability of an alarm in 30 days while errors are as promised.
     false_alarm: ClassVar[float] = 0.05
     blocked_hours: bool = Field(
-        True, description="plan without hours of the day in which nothing comes, whatever is asked for"
-    )
-    hour_effects: bool = Field(
-        True, description="plan with what acting does in hours of the day in which predictions miss its effect"
+        True,
+        description="plan without hours of the day in which nothing comes, whatever is asked for, and with what acting "
+        "does in hours in which predictions miss its effect",
     )
     mornings: bool = Field(
         True,
@@ -138,6 +137,7 @@ class WatchConfig(StrictModel):
     machine_factor: ClassVar[float] = 1.35
     # Control returns after predictions were as promised for this long, h: two forecasts of 6 h.
     return_h: ClassVar[float] = 12.0
+    gone: ClassVar[Mapping[str, tuple[Any, str]]] = {"hour_effects": (True, "blocked_hours: false turns it off too")}
 
 
 @dataclass(frozen=True)
@@ -482,7 +482,7 @@ class Watch:
         if not self.config.blocked_hours:
             hours = [()] * len(hours)
         known = tuple(BlockedHours.known(each, time_s) for each in hours)
-        seen = card.hour_effects if self.config.hour_effects else ()
+        seen = card.hour_effects if self.config.blocked_hours else ()
         effects = HourEffects(self._model.operator.sign, tuple(HourSeen(*one) for one in seen)).at(time_s)
         news = "; ".join(filter(None, [said(known) if any(hours) else "", effects.in_words()]))
         return WatchState(blocked=known, hours=effects, news=f"{news}; found while probing" if news else "")
@@ -791,7 +791,7 @@ class Watch:
     def _with_hour_effects(self, state: WatchState, now: float) -> WatchState:
         """The state with what the prediction an hour ahead that came due now tells of its hour, and news of it."""
         hourly = self.leads[0] * self.step_s == HOUR_S and self.every == self.leads[0]
-        if not self.config.hour_effects or self._signed or not hourly:
+        if not self.config.blocked_hours or self._signed or not hourly:
             return state
         rows = state.tracks[0].judged
         due = rows[(rows[:, 1] == 0) & (rows[:, 0] > now - 0.5 * self.step_s)]

@@ -56,7 +56,7 @@ class Evaluator:
         level.
         """
         couples = bool(shape.peak or shape.capped or shape.exchange or shape.machinery.shared.any())
-        groups = groups_of(operator, power_couples=couples)
+        groups = groups_of(operator, len(shape.lengths), power_couples=couples)
         keys = tuple((group.zone, tuple(int(a) for a in group.actuators)) for group in groups)
         self.operator, self.shape, self.structure = operator, shape, structure_of(operator, shape, keys)
         self._numbers, self._checks = Numbers(operator, shape, groups, self.structure), check_of(self.structure)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from pydantic import Field
@@ -34,7 +34,9 @@ class GuardConfig(StrictModel):
     """Options of the comfort guard."""
 
     enabled: bool = Field(True, description="override a plan while the zone is far outside the comfort band")
-    margin_K: float = Field(1.0, gt=0, le=10, description="distance from the band at which the guard acts, K")
+    # Distance from the band at which the guard acts, K: several times what plans miss (0.3 K at most is kept for that),
+    # and what a person notices. No bench chose it.
+    margin_K: ClassVar[float] = 1.0
 
 
 @dataclass(frozen=True)

@@ -149,7 +149,7 @@ def billed_objective(prices: Path | None, rules: MeasurementMap, peak_kW: float 
     keys: dict[str, Any] = {}
     if prices is not None and prices.suffix in SUFFIXES:
         keys = objective_of(read_bill(prices), peak_kW)
-    return keys | {"exchange": True} if others else keys
+    return keys | {"at_the_meter": True} if others else keys
 
 
 def _forecaster(name: str) -> dict[str, Any]:

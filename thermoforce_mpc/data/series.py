@@ -26,11 +26,35 @@ from thermoforce_mpc.errors import DataError, counted
 WEATHER = ("T_out_C", "solar_W_m2")
 
 
+# Steps that `first_order` takes at once.
+_BLOCK = 32
+
+
+def first_order(poles: Array, drive: Array, start: Array) -> Array:
+    """States (..., n, q) of x_t = a x_(t−1) + d_t: `poles` a (q,) in [0, 1], `drive` (..., n, q), `start` (..., q)."""
+    n = drive.shape[-2]
+    width = min(_BLOCK, n)
+    if not width:
+        return np.zeros(drive.shape)
+    lag = np.arange(width)[:, None] - np.arange(width)
+    within = np.where(lag >= 0, poles[:, None, None] ** np.maximum(lag, 0), 0.0)
+    count = -(-n // width)
+    padded = np.zeros((*drive.shape[:-2], count * width, poles.size))
+    padded[..., :n, :] = drive
+    blocks = np.moveaxis(padded.reshape(*drive.shape[:-2], count, width, poles.size), -1, -3)
+    own = blocks @ np.swapaxes(within, -1, -2)  # (..., q, count, width), each block from 0
+    begin = np.broadcast_to(start, (*drive.shape[:-2], poles.size))[..., None]
+    if count > 1:
+        ends = first_order(poles**width, np.swapaxes(own[..., :-1, -1], -1, -2), begin[..., 0])
+        begin = np.concatenate([begin, np.swapaxes(ends, -1, -2)], axis=-1)
+    states = own + begin[..., None] * poles[:, None, None] ** np.arange(1, width + 1)
+    return np.moveaxis(states, -3, -1).reshape(padded.shape)[..., :n, :]
+
+
 def lagged(signal: Array, pole: float, start: float = 0.0) -> Array:
     """States (n + 1,) of a lag of steady gain 1 of `signal` (n,), constant in each step; `pole`: exp(−step/τ)."""
-    from scipy.signal import lfilter  # takes half a second to import; loading a model does not need it
-
-    return np.append(start, lfilter([1.0 - pole], [1.0, -pole], signal, zi=[pole * start])[0])
+    followed = first_order(np.array([pole]), (1.0 - pole) * np.asarray(signal)[:, None], np.array([start]))
+    return np.append(start, followed[:, 0])
 
 
 def bridged(history: Record, ahead: Boundary | None = None) -> tuple[Record, str]:

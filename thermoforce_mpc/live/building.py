@@ -28,6 +28,7 @@ from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.tank import TANK_NAME, LearnedTank
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Record
 from thermoforce_mpc.errors import DataError, InputError, NoForecast, PlantError, StorageError
+from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.experiment.run_models import origin
 from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.identification.probing.excitation import RoomsState
@@ -457,7 +458,7 @@ def _until(record: Record, now_s: float) -> Record:
         return record.slice(0, record.n_steps + missing)
     if missing * step_s > _OLDEST_DAYS * DAY_S:
         raise DataError(
-            f"the measurements end at {record.stamps()[-1]}, {missing * step_s / 3600:.1f} h ago: does the logger run?"
+            f"the measurements end at {record.stamps()[-1]}, {duration(missing * step_s)} ago: does the logger run?"
         )
 
     def longer(values: Array) -> Array:

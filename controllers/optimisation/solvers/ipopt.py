@@ -54,7 +54,12 @@ class IpoptSolver(StatementSolver):
             # Predictor and corrector without a line search: fewer iterations where the problem is convex.
             "mehrotra_algorithm": "yes" if self.model.convex else "no",
             "mu_strategy": "adaptive",
+            # Below the tolerance; less makes the system singular, and the last steps restore what that costs.
+            "mu_min": 0.1 * config.tolerance,
             "min_refinement_steps": 0,
+            # For its scaling MUMPS orders by pairs of pivots: a factorisation of five rooms takes 2.4 times as long, at
+            # the same iterations (`python -m benchmarks.speed`, row five, 2026-11-28).
+            "mumps_scaling": 0,
         }
         self.model.ipopt(self._options)  # built once
 

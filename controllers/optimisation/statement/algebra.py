@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -46,8 +46,8 @@ class PoleGroup:
     gains: Array
 
 
-def groups_of(operator: BuildingOperator, *, power_couples: bool) -> list[PoleGroup]:
-    """Return the pairs of each zone by poles; `power_couples`: whether power couples the zones of a step."""
+def groups_of(operator: BuildingOperator, n_steps: int, *, power_couples: bool) -> list[PoleGroup]:
+    """Return the pairs of each zone by poles, for plans of `n_steps`, in which power couples the levels of a step."""
     by_poles: dict[tuple[int, tuple[float, ...]], dict[int, OperatorParameters]] = {}
     for z, a, pair in operator.each():
         by_poles.setdefault((z, tuple(pair.poles.tolist())), {})[a] = pair
@@ -57,12 +57,16 @@ def groups_of(operator: BuildingOperator, *, power_couples: bool) -> list[PoleGr
         acting = np.any([pair.acting for pair in pairs_of.values()], axis=0)
         poles[: len(key)] = np.where(acting, key, 0.0)
         groups.append(PoleGroup(z, of, of, poles, operator.gains[z, of]))
-    # Minimum degree orders a full pattern by time, and one with a few cross-effects so that it fills up: at 20 zones
-    # the factorisation takes up to three times as long. So actuators without an effect get numerators of 0; buildings
-    # without cross-effects, and sparse ones in which power couples nothing, are faster as they are.
-    Z, A, _ = operator.shape
-    pairs = sum(group.actuators.size for group in groups)
-    if len(groups) > Z or pairs <= max(Z, A) or not (power_couples or pairs > 0.25 * Z * A):
+    # Minimum degree orders a full pattern by time, and may order one with some cross-effects so that it fills up: such
+    # a factorisation takes up to twice as long, or half. So actuators without an effect get numerators of 0 where that
+    # takes fewer operations; buildings without cross-effects are faster as they are.
+    Z, A, r = operator.shape
+    as_is = tuple(tuple(int(a) for a in group.actuators) for group in groups)
+    filled = (tuple(range(A)),) * Z
+    if len(groups) > Z or sum(map(len, as_is)) <= max(Z, A) or as_is == filled:
+        return groups
+    size = (A, r, n_steps, power_couples)
+    if _operations(as_is, *size) <= _operations(filled, *size):
         return groups
     return [_filled(group, A) for group in groups]
 
@@ -71,6 +75,34 @@ def _filled(group: PoleGroup, A: int) -> PoleGroup:
     gains = np.zeros((A, group.poles.size))
     gains[group.actuators] = group.gains
     return replace(group, actuators=np.arange(A), gains=gains)
+
+
+@lru_cache(64)
+def _operations(groups: tuple[tuple[int, ...], ...], A: int, r: int, n_steps: int, power_couples: bool) -> float:
+    """Operations of a factorisation of the equations of groups of such actuators, in the order of minimum degree.
+
+    Ratios of two patterns are those of PIQP's time within a fifth (rooms on a ring,
+    10 and 20, with 1 to 4 neighbours, 2026-11-28).
+    """
+    lags = np.arange(r + 1)
+    own = np.stack([A + np.arange(len(groups)), np.arange(len(groups))])  # column and row of a step's responses
+    acts = np.array([(a, g) for g, actuators in enumerate(groups) for a in actuators]).T
+    power = np.stack([np.arange(A), np.full(A, len(groups))])[:, : A if power_couples else 0]
+    n_columns, n_rows = A + len(groups), len(groups) + 1
+    entries = []
+    for one, most in ((own, r + 1), (acts, r), (power, 1)):  # elements of a step, and their lags
+        step, lag, at = np.meshgrid(np.arange(n_steps), lags[:most], np.arange(one.shape[1]), indexing="ij")
+        known = step >= lag
+        rows = n_columns * n_steps + step * n_rows + one[1, at]
+        entries.append(np.stack([rows[known], ((step - lag) * n_columns + one[0, at])[known]]))
+    row, column = np.concatenate(entries, axis=1)
+    size = (n_columns + n_rows) * n_steps
+    every = np.arange(size)
+    pattern = ca.Sparsity.triplet(
+        size, size, np.concatenate([row, column, every]).tolist(), np.concatenate([column, row, every]).tolist()
+    )
+    factor, _ = pattern.ldl(True)
+    return float((np.bincount(np.array(factor.row()), minlength=size).astype(float) ** 2).sum())
 
 
 def difference_equation(poles: Array, gains: Array, window: Sequence[int]) -> tuple[Array, Array]:
@@ -117,8 +149,8 @@ class Structure:
     first `n_chosen` steps. `peak`, `capped`, `exchange`, `curved`: a price of peak power, a power cap, a price of what
     is bought that differs from that of what is fed in, and whether the power in
     them, or in a term of the user, has a part in u². `hidden`: hidden units of the gain where it sees the predicted
-    temperature; 0: it does not. `stored`: heat at the end has a price. `terms`, `step_s`: further terms of the user,
-    and the length of a step for them, s.
+    temperature; 0: it does not. `terms`, `step_s`: further terms of the user, and the length of a step for
+    them, s.
     """
 
     Z: int
@@ -141,7 +173,6 @@ class Structure:
     exchange: bool = False
     curved: bool = False
     hidden: int = 0
-    stored: bool = True
     terms: tuple[Callable[..., None], ...] = ()
     step_s: float = 0.0
 
@@ -216,7 +247,6 @@ def structure_of(
         exchange=shape.exchange,
         curved=shape.curved and bool(shape.peak or shape.capped or shape.exchange or shape.terms),
         hidden=operator.of_actuator(0).hidden_bias.size if feedback else 0,
-        stored=shape.stored,
         terms=shape.terms,
         step_s=operator.step_s if shape.terms else 0.0,
     )
@@ -316,10 +346,10 @@ class Algebra:
             best, least = ca.if_else(value < least, kink, best), ca.fmin(value, least)
         return self.variable(name, best, 0.0, MOST_RUNNING)
 
-    def response(self, q: Mapping[str, ca.SX], s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Responses of the zones (Z, N), drives m·v (A, N) of `heat` v by difference equations, and slack (Z, N).
+    def response(self, q: Mapping[str, ca.SX], s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Responses of the zones (Z, N) to `heat` v (A, N) by difference equations, and slack (Z, N).
 
-        m is a parameter unless it sees the response.
+        The gain m is a parameter unless it sees the response.
 
         The response is what is inside the comfort bounds, a variable between numbers, less what is below, plus what is
         above: where a zone has one group, comfort needs no rows. At given levels it is counted mode by mode.
@@ -341,7 +371,7 @@ class Algebra:
             gain = ca.horzcat(*(_gain(q, s, k, seen[0, k]) for k in range(s.N)))
             self.equal.append(ca.vec(drive - gain * heat))
         self.equal.append(ca.vec(_difference_equations(q, s, y, drive)))
-        return forced, drive, below + above
+        return forced, below + above
 
     def require(self, what: str, row: ca.SX) -> None:
         """Rows that are at least 0; `what` they are, '' where given levels leave no choice."""

@@ -11,7 +11,6 @@ Persistence forecast: the reference for other forecasters, and the fallback for 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.data.compiled import njit
+from thermoforce_mpc.data.series import first_order
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
 
@@ -57,7 +56,6 @@ _SOLAR_UNIT_W_M2 = 100.0
 _SHORT_TAU_H = (1.0, 3.0, 8.0, 24.0, 72.0)
 
 
-@njit(cache=True)
 def simulated(drives: Array, waves: Array, poles: Array, start: Array) -> Array:
     """Simulated response per unit of every parameter: (n, d q + w + q) for d drives, w waves, q modes.
 
@@ -65,48 +63,28 @@ def simulated(drives: Array, waves: Array, poles: Array, start: Array) -> Array:
     (d,): state of all modes for each input at the first boundary. The columns are modes of steady gain 1 for each
     input, the waves, and the decay of each mode.
     """
-    (n, d), w, q = drives.shape, waves.shape[1], poles.size
-    out = np.empty((n, d * q + w + q))
-    for k in range(d):
-        for i in range(q):
-            out[0, k * q + i] = start[k]
-    for i in range(q):
-        out[0, d * q + w + i] = 1.0
-    for t in range(n):
-        for i in range(w):
-            out[t, d * q + i] = waves[t, i]
-        if t == 0:
-            continue
-        for k in range(d):
-            mean = 0.5 * (drives[t - 1, k] + drives[t, k])
-            for i in range(q):
-                out[t, k * q + i] = poles[i] * out[t - 1, k * q + i] + (1.0 - poles[i]) * mean
-        for i in range(q):
-            out[t, d * q + w + i] = poles[i] * out[t - 1, d * q + w + i]
-    return out
+    (n, d), q = drives.shape, poles.size
+    mean = 0.5 * (drives[:-1] + drives[1:])
+    begin = np.broadcast_to(start[:, None], (d, q))
+    modes = first_order(poles, mean.T[..., None] * (1.0 - poles), begin)  # (d, n − 1, q)
+    responses = np.concatenate([begin[:, None], modes], axis=1).transpose(1, 0, 2).reshape(n, d * q)
+    return np.concatenate([responses, waves, poles ** np.arange(n)[:, None]], axis=1)
 
 
-@njit(cache=True)
 def whitened(columns: Array, targets: Array, decay: float) -> tuple[Array, Array]:
     """Rows (k, p) of `columns` (n or more, p) whose target (n,) is finite, and their targets (k,), as innovations.
 
     `decay` per step of first-order errors: innovations are scaled to the variance of the errors, so that priors weigh
     the same whatever it is; across a gap the correlation decays over its length. 0: independent errors.
     """
-    p, k, before = columns.shape[1], 0, -1
-    rows, values = np.empty((targets.size, p)), np.empty(targets.size)
-    for t in range(targets.size):
-        if not math.isfinite(targets[t]):
-            continue
-        kept, unit, last = 0.0, 1.0, max(before, 0)
-        if before >= 0 and decay > 0.0:
-            kept = decay if t == before + 1 else decay ** (t - before)
-            unit = 1.0 / math.sqrt(1.0 - kept * kept)
-        values[k] = unit * (targets[t] - kept * targets[last]) if before >= 0 else targets[t]
-        for i in range(p):
-            rows[k, i] = unit * (columns[t, i] - kept * columns[last, i])
-        before, k = t, k + 1
-    return rows[:k], values[:k]
+    at = np.flatnonzero(np.isfinite(targets))
+    rows, values = columns[at], targets[at]
+    if decay > 0.0:
+        kept = decay ** np.diff(at)
+        unit = 1.0 / np.sqrt(1.0 - kept**2)
+        rows[1:] = unit[:, None] * (rows[1:] - kept[:, None] * columns[at[:-1]])
+        values[1:] = unit * (values[1:] - kept * targets[at[:-1]])
+    return rows, values
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,16 @@ control-free history, skipping missing values; its covariance gives the quantile
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.data.compiled import njit
+from thermoforce_mpc.data.series import first_order
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
+from thermoforce_mpc.model.operator.casadi_export import Buffered
 
 INPUTS: tuple[str, ...] = (
     "outdoor",
@@ -145,58 +148,54 @@ class RcFreeResponse:
         drive = past.drive(history.time_s, history.T_out_C, history.solar_W_m2)
         if not np.isfinite(drive).all():
             raise DataError("weather of the history has values that are not finite")
-        mean = past.beginning(drive) if len(drive) else np.zeros(past.order)
-        covariance = past.start_K2.copy()
-        _filter(past.poles, past.process_K2, past.sensor_sd_K**2, drive, free_C, mean, covariance)
+        mean, covariance = _filtered(past, drive, free_C)
         ahead = self._params.resampled(boundary.step_s)
         drive = ahead.drive(boundary.time_s, boundary.T_out_C, boundary.solar_W_m2)
         if not np.isfinite(drive).all():
             raise DataError("weather forecast has values that are not finite")
-        center, variance = np.empty(boundary.n_steps), np.empty(boundary.n_steps)
-        _simulate(ahead.poles, ahead.process_K2, drive, mean, covariance, center, variance)
+        center, variance = _simulated(ahead, drive, mean, covariance)
         quantiles = center + ndtri(LEVELS)[:, None] * np.sqrt(variance)
         note = f"linear free model of order {ahead.order}, weather-driven"
         return FreeForecast(levels=LEVELS, quantiles_C=quantiles, note=note)
 
 
-@njit(cache=True)
-def _simulate(
-    poles: Array, process: Array, drive: Array, mean: Array, covariance: Array, center: Array, variance: Array
-) -> None:
-    """Mean and variance (n,) of the temperature after each step of `drive` (n, q); moves mean and covariance."""
-    q = poles.size
-    for t in range(drive.shape[0]):
-        center[t] = variance[t] = 0.0
-        for i in range(q):
-            mean[i] = poles[i] * mean[i] + drive[t, i]
-            center[t] += mean[i]
-            for j in range(q):
-                covariance[i, j] = poles[i] * poles[j] * covariance[i, j] + process[i, j]
-                variance[t] += covariance[i, j]
+def _simulated(params: RcParameters, drive: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """Mean and variance (n,) of the temperature after each step of `drive` (n, q) from those of the modes."""
+    q, each = params.order, np.outer(params.poles, params.poles).ravel()
+    noise = np.broadcast_to(params.process_K2.ravel(), (len(drive), q * q))
+    variances = first_order(each, noise, covariance.ravel())
+    return first_order(params.poles, drive, mean).sum(axis=1), variances.sum(axis=1)
 
 
-@njit(cache=True)
-def _filter(
-    poles: Array, process: Array, noise: float, drive: Array, free_C: Array, mean: Array, covariance: Array
-) -> None:
-    """Move mean (q,) and covariance (q, q) of the modes to the last of `free_C` (n + 1,), by each that is known."""
-    q, n = poles.size, drive.shape[0]
-    with_sum = np.zeros(q)  # covariance of each mode with the temperature
-    for t in range(free_C.size):
-        if not np.isnan(free_C[t]):
-            error, total = free_C[t], noise
-            for i in range(q):
-                error -= mean[i]
-                with_sum[i] = 0.0
-                for j in range(q):
-                    with_sum[i] += covariance[i, j]
-                total += with_sum[i]
-            for i in range(q):
-                mean[i] += with_sum[i] * error / total
-                for j in range(q):
-                    covariance[i, j] -= with_sum[i] * with_sum[j] / total
-        if t < n:
-            for i in range(q):
-                mean[i] = poles[i] * mean[i] + drive[t, i]
-                for j in range(q):
-                    covariance[i, j] = poles[i] * poles[j] * covariance[i, j] + process[i, j]
+def _filtered(params: RcParameters, drive: Array, free_C: Array) -> tuple[Array, Array]:
+    """Mean (q,) and covariance (q, q) of the modes at the last of `free_C` (n + 1,), by each that is known."""
+    q, n = params.order, len(drive)
+    mean = params.beginning(drive) if n else np.zeros(q)
+    # The last step goes nowhere: it stays where its reading has brought the modes.
+    reading = np.array([params.sensor_sd_K**2])
+    stays = [np.ones(q), np.zeros(q * q), reading]
+    moves = [params.poles, params.process_K2.ravel(), reading]
+    known = np.isfinite(free_C)
+    given = np.column_stack([known, np.where(known, free_C, 0.0), np.vstack([drive.reshape(n, q), np.zeros(q)])])
+    of_step = np.repeat([np.concatenate(moves), np.concatenate(stays)], [n, 1], axis=0)
+    begin = np.concatenate([mean, params.start_K2.ravel()])
+    last = _filter(q, n + 1)(begin, np.hstack([given, of_step]).ravel())[0].reshape(n + 1, -1)[-1]
+    return last[:q].copy(), last[q:].reshape(q, q).copy()
+
+
+@lru_cache(16)
+def _filter(q: int, n: int) -> Buffered:
+    """A Kalman filter of q modes over n steps: mean and covariance before, and of each step whether it has a reading,
+    that reading, what drives the modes, poles, process noise and the reading's, → mean and covariance after each.
+
+    By CasADi, which a controller holds: numba would take 90 MB of a process that compiles nothing else.
+    """
+    mean, covariance, known, reading = ca.SX.sym("mean", q), ca.SX.sym("P", q, q), ca.SX.sym("known"), ca.SX.sym("y")
+    drive, poles, process, noise = ca.SX.sym("d", q), ca.SX.sym("a", q), ca.SX.sym("Q", q, q), ca.SX.sym("R")
+    with_sum = ca.sum2(covariance)  # covariance of each mode with the temperature
+    gain = known * with_sum / (noise + ca.sum1(with_sum))
+    seen = mean + gain * (reading - ca.sum1(mean))
+    after = ca.mtimes(poles, poles.T) * (covariance - ca.mtimes(gain, with_sum.T)) + process
+    of_step = ca.veccat(known, reading, drive, poles, process, noise)
+    moved = ca.veccat(poles * seen + drive, after)
+    return Buffered(ca.Function("filter", [ca.veccat(mean, covariance), of_step], [moved]).mapaccum(n))

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from thermoforce_mpc.data import SINGLE, Array
-from thermoforce_mpc.data.compiled import njit
+from thermoforce_mpc.data.series import first_order
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.certificate import Certificate, certificate
 from thermoforce_mpc.model.operator.parameters import N_FEATURES, OperatorParameters
@@ -49,24 +49,9 @@ def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Ar
 
 def driven_rollout(params: OperatorParameters, F0: Array, drive: Array) -> Array:
     """Return the forced state of every mode for a known m(x)·v: `F0` (..., r) K, `drive` (..., N) → (..., N, r) K."""
-    lead, n = np.broadcast_shapes(drive.shape[:-1], F0.shape[:-1]), drive.shape[-1]
-    drives = np.ascontiguousarray(np.broadcast_to(drive, (*lead, n))).reshape(-1, n)
-    states = np.ascontiguousarray(np.broadcast_to(F0, (*lead, params.order))).reshape(-1, params.order)
-    return np.asarray(_modes(params.poles, params.gains, states, drives).reshape(*lead, n, params.order))
-
-
-@njit(cache=True)
-def _modes(poles: Array, gains: Array, F0: Array, drives: Array) -> Array:
-    """Forced states (c, n, r) of c candidates: F ← a F + g d from `F0` (c, r), under the drives (c, n)."""
-    (c, n), r = drives.shape, poles.size
-    out = np.empty((c, n, r))
-    for k in range(c):
-        for i in range(r):
-            state = F0[k, i]
-            for t in range(n):
-                state = poles[i] * state + gains[i] * drives[k, t]
-                out[k, t, i] = state
-    return out
+    lead = np.broadcast_shapes(drive.shape[:-1], F0.shape[:-1])
+    drives = np.broadcast_to(drive, (*lead, drive.shape[-1]))[..., None] * params.gains
+    return first_order(params.poles, drives, F0)
 
 
 def _stepwise(params: OperatorParameters, F0: Array, u: Array, features: Array) -> Array:
