@@ -153,7 +153,7 @@ def test_it_is_charged_with_what_would_be_fed_in_for_little(home, measured):
         home,
         measured,
         prices=np.full(49, 0.3),
-        objective={"exchange": True},
+        objective={"at_the_meter": True},
         of_ahead={
             "others_W": np.where(sunny, -6000.0, 400.0),
             "export_per_kWh": np.full(49, 0.05),
