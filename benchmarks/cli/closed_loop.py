@@ -251,15 +251,18 @@ def commands_command(seed: int, houses: int, days: int, engine: Opening, quick: 
 @click.command("hot-water")
 @click.option("--seed", type=click.IntRange(0), default=300, show_default=True, help="Seed of the first house.")
 @click.option("--houses", type=click.IntRange(1), default=4, show_default=True, help="Houses.")
-@click.option("--days", type=click.IntRange(1, 21), default=3, show_default=True, help="Cold days, each lived thrice.")
+@click.option("--days", type=click.IntRange(1, 21), default=3, show_default=True, help="Cold days under control.")
+@click.option("--rooms/--tank-only", default=True, show_default=True, help="Also with set-points of the rooms planned.")
 @execution_options()
 @QUICK
 @JSON
-def hot_water_command(seed: int, houses: int, days: int, engine: Opening, quick: bool, json_file: Path | None) -> None:
-    """Plan rooms and tank of houses whose heat pump heats either, and compare with the device's own control.
+def hot_water_command(
+    seed: int, houses: int, days: int, rooms: bool, engine: Opening, quick: bool, json_file: Path | None
+) -> None:
+    """Plan the tank of houses whose heat pump heats it or the rooms, and compare with the device's own control.
 
     Houses of `bench commands` that take set-points. What the tank is is learned from 28 days of its temperature and the
-    one meter; then the same days left alone, with the rooms planned, and with the target of the tank planned too.
+    one meter; then the same days left alone, with the target of the tank planned, and with the rooms planned too.
 
     \b
     Example:
@@ -268,7 +271,9 @@ def hot_water_command(seed: int, houses: int, days: int, engine: Opening, quick:
     from benchmarks.commands.tank import run_tank_bench
 
     with engine(say) as where:
-        found = run_tank_bench(engine=where, houses=houses, seed=seed, days=days, quick=quick, progress=say)
+        found = run_tank_bench(
+            engine=where, houses=houses, seed=seed, days=days, rooms=rooms, quick=quick, progress=say
+        )
     show(found, json_file)
 
 

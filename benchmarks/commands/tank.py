@@ -1,9 +1,10 @@
-"""`tf-mpc bench hot-water`: houses whose heat pump heats rooms or a tank of hot water, both planned.
+"""`tf-mpc bench hot-water`: houses whose heat pump heats rooms or a tank of hot water.
 
 The houses of `bench commands` that take set-points of their rooms. Their tank has a logger of its own: temperature to
 half a kelvin and the meter of the heat pump every five minutes; what it is is learned from the 28 days before. Then the
-same cold days are lived three times: left alone, with planned set-points and the tank left to the device, and with the
-target of the tank planned too. The tank is wanted as in `COMFORT`; what is missing in house and tank at the end counts.
+same cold days are lived left alone, with the target of the tank planned and the rooms left to their thermostats, and
+with their set-points planned too. The tank is wanted as warm by day as the device keeps it, see `wanted`; what is
+missing in house and tank at the end counts, what is more there earns nothing.
 """
 
 from __future__ import annotations
@@ -27,17 +28,25 @@ from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.plants.points import means_between
 from thermoforce_mpc.plants.rooms import physics
+from thermoforce_mpc.plants.rooms.device import TANK_BAND
 from thermoforce_mpc.scenario.comfort import TankComfort
 
 Row = dict[str, Any]
 
-COMFORT = TankComfort(schedule="6:00-9:00 42-60, 17:00-23:00 42-60, else 38-60")
-"""What is wanted of the tank, °C: a shower of 40 °C at the times of draw-off."""
 # Step of the tank's record, s, resolution of its sensor, K, and days of it.
 _TANK_STEP_S, _SENSOR_K, _TANK_DAYS = 300.0, 0.5, 28
 _STEP_S, _HORIZON_H = HOUR_S, 24.0
+# Draw-off takes a tank below the band before the machine has heated it; what less is wanted at night, K.
+_BELOW_BAND_K, _LESS_AT_NIGHT_K = 1.0, 4.0
 # A plan may leave rooms or tank outside their bounds by so much more than the house itself, K·h in a week.
 _MORE_KH = 0.5
+
+
+def wanted(home: Home) -> TankComfort:
+    """What is wanted of the tank, °C: by day as warm as the device keeps it on its own, at night somewhat less."""
+    assert home.plant.device is not None
+    least_C = home.plant.device.tank_C - float(home.plant.device.parameters[TANK_BAND]) - _BELOW_BAND_K
+    return TankComfort(schedule=f"6:00-23:00 {least_C:.1f}-58, else {least_C - _LESS_AT_NIGHT_K:.1f}-58")
 
 
 @dataclass(frozen=True)
@@ -66,11 +75,12 @@ def run_tank_bench(
     houses: int = 4,
     seed: int = 300,
     days: int = 3,
+    rooms: bool = True,
     quick: bool = False,
     progress: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
-    """`days` of `houses` drawn from `seed` on; `quick`: one house for a day."""
-    cases = [(seed + k, 1 if quick else days) for k in range(1 if quick else houses)]
+    """`days` of `houses` drawn from `seed` on; `rooms`: also with their set-points; `quick`: one house for a day."""
+    cases = [(seed + k, 1 if quick else days, rooms) for k in range(1 if quick else houses)]
 
     def told(done: int, row: Row) -> None:
         progress(f"{done} of {len(cases)}: {row['house']} {row['note'] or ''}")
@@ -79,14 +89,14 @@ def run_tank_bench(
     return results_json("hot-water", rows, targets(rows))
 
 
-def run_house(case: tuple[int, int]) -> Row:
+def run_house(case: tuple[int, int, bool]) -> Row:
     """One house: what is learned of it, and days in three ways."""
-    seed, days = case
+    seed, days, rooms = case
     home = Home(seed, "set-points")
     row: Row = {"house": home.plant.house.name, "people": home.plant.house.people, "note": ""}
     set_to = home.live(seed)
     try:
-        tank = replace(learn_tank(_tank_record(home), _command(), "heat_pump", "tank"), comfort=COMFORT)
+        tank = replace(learn_tank(_tank_record(home), _command(), "heat_pump", "tank"), comfort=wanted(home))
         record = without_tank(home.record(900.0), _tank_record(home))
         model = identify(record, config=IdentificationConfig(), layout=home.plant.layout)
         commands = learned(home.record(_STEP_S), "set-points", np.append(set_to, set_to[:, -1:], axis=1), None)
@@ -95,21 +105,20 @@ def run_house(case: tuple[int, int]) -> Row:
     config = MPCConfig(step_s=_STEP_S, horizon_h=_HORIZON_H)
     kept = left_alone_C(copy.deepcopy(home), days)
     own, _ = _days(copy.deepcopy(home), None, days, kept)
-    rooms, _ = _days(copy.deepcopy(home), ThermoForceMPC(model, config, commands=commands), days, kept)
-    both, told = _days(home, ThermoForceMPC(model, config, commands=commands, hot_water=tank), days, kept)
-    return row | {
-        "cost_own": own.cost,
-        "saved_rooms": own.saved_by(rooms),
-        "saved_both": own.saved_by(both),
-        "rooms_below_own_Kh": own.rooms_below_Kh,
-        "rooms_below_both_Kh": both.rooms_below_Kh,
-        "tank_below_own_Kh": own.tank_below_Kh,
-        "tank_below_both_Kh": both.tank_below_Kh,
-        "energy_own_kWh": own.energy_kWh,
-        "energy_both_kWh": both.energy_kWh,
-        "days": days,
-        **told,
-    }
+    row |= {"days": days, "cost_own": own.cost, "tank_below_own_Kh": own.tank_below_Kh}
+    for name in ("tank", "both")[: 1 + rooms]:
+        planned = name == "both"
+        controller = ThermoForceMPC(model, config, commands=commands if planned else {}, hot_water=tank)
+        found, told = _days(copy.deepcopy(home), controller, days, kept, rooms=planned)
+        row |= {
+            f"saved_{name}": own.saved_by(found),
+            f"energy_{name}": found.energy_kWh / own.energy_kWh,
+            f"rooms_colder_{name}_Kh": found.rooms_below_Kh - own.rooms_below_Kh,
+            f"tank_below_{name}_Kh": found.tank_below_Kh,
+            f"changes_a_day_{name}": told["tank_changes"] / days,
+            f"solves_{name}": told["solves"],
+        }
+    return row
 
 
 def _command() -> TankTarget:
@@ -141,10 +150,10 @@ def without_tank(record: Record, tank: TankRecord) -> Record:
 
 
 def _days(
-    home: Home, controller: ThermoForceMPC | None, days: int, kept_C: Array
+    home: Home, controller: ThermoForceMPC | None, days: int, kept_C: Array, rooms: bool = True
 ) -> tuple[LivedWithTank, dict[str, float]]:
-    """Days left alone, without a `controller`, or under its set-points and target; and what was planned of the tank."""
-    plant, state = home.plant, None
+    """Days left alone, without a `controller`, or under its target and, with `rooms`, set-points; and what it set."""
+    plant, state, comfort = home.plant, None, wanted(home)
     plans_tank = controller is not None and controller.hot_water is not None
     cost = energy = heat = below = tank_below = 0.0
     told = {"tank_planned": 0.0, "solves": 0.0, "tank_changes": 0.0}
@@ -160,7 +169,7 @@ def _days(
                 logged = _tank_record(home)
                 now, record = logged.now(), without_tank(record, logged)
             plan = controller.plan(Observation(record, ahead, *now), state)
-            state, turns = plan.state, list(plan.blocks)
+            state, turns = plan.state, list(plan.blocks) if rooms else turns
             if plan.hot_water is not None:
                 target = plan.hot_water.command[0]
                 told["tank_planned"] += target is not None
@@ -176,7 +185,7 @@ def _days(
             lower_C = ahead.lower_C[:, :2].min(axis=1)
             below += float(np.maximum(lower_C - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S
         time_s, T_C = plant.tank_C(float(ahead.time_s[0]), float(ahead.time_s[1]))
-        wanted_C = COMFORT.bounds_C(time_s, ("tank",), "monday")[0][0]
+        wanted_C = comfort.bounds_C(time_s, ("tank",), "monday")[0][0]
         tank_below += float(np.maximum(wanted_C - T_C, 0.0).mean())
     n = days * DAY_S / _STEP_S
     told["solves"] /= n
@@ -184,20 +193,27 @@ def _days(
 
 
 def targets(rows: list[Row]) -> list[Target]:
-    """Cheaper with the tank planned than without, at no less comfort of rooms and tank."""
+    """Cheaper than left alone, at no less comfort of rooms and tank."""
     known = [row for row in rows if not row["note"]]
-    weeks = [7.0 / row["days"] for row in known]
-    more = [row["saved_both"] - row["saved_rooms"] for row in known]
-    colder = [
-        max(row[f"{of}_below_both_Kh"] - row[f"{of}_below_own_Kh"] for of in ("rooms", "tank")) * week
-        for row, week in zip(known, weeks, strict=True)
-    ]
-    return [
-        Target("share of houses of which nothing could be learned", 1.0 - len(known) / max(len(rows), 1), 0.1),
-        Target("median share saved by planning the tank too", float(np.median(more or [np.nan])), 0.0, "at least"),
-        Target(
-            "share of houses whose rooms or tank are colder by more than 0.5 K·h a week",
-            float(np.mean([one > _MORE_KH for one in colder] or [1.0])),
-            0.0,
-        ),
-    ]
+    out = [Target("share of houses of which nothing could be learned", 1.0 - len(known) / max(len(rows), 1), 0.1)]
+    for name in ("tank", "both"):
+        of = [row for row in known if f"saved_{name}" in row]
+        if not of:
+            continue
+        colder = [
+            max(row[f"rooms_colder_{name}_Kh"], row[f"tank_below_{name}_Kh"] - row["tank_below_own_Kh"])
+            * 7.0
+            / row["days"]
+            for row in of
+        ]
+        out += [
+            Target(
+                f"{name}: median share saved", float(np.median([row[f"saved_{name}"] for row in of])), 0.0, "at least"
+            ),
+            Target(
+                f"{name}: share of houses whose rooms or tank are colder by more than 0.5 K·h a week",
+                float(np.mean([one > _MORE_KH for one in colder])),
+                0.0,
+            ),
+        ]
+    return out

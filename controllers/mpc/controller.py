@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -23,7 +24,6 @@ from controllers.mpc.commanding import (
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.courses import Courses
 from controllers.mpc.formulation import Formulation, Instance
-from controllers.mpc.hot_water import MOST_TANK_SOLVES, HotWater, TankWay
 from controllers.mpc.margins import Margins
 from controllers.mpc.planner import (
     Planners,
@@ -47,6 +47,7 @@ from controllers.mpc.readings import (
 from controllers.mpc.realisation import Realisation
 from controllers.mpc.solved import Solved, beyond_rooms, first_demands, power_limit, solved_plan
 from controllers.mpc.state import MPCState
+from controllers.optimisation.hot_water import PRICE_SHARES, HotWater, TankWay, TankWays
 from controllers.optimisation.plan_model import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution, Solve, Solver
@@ -291,13 +292,8 @@ class ThermoForceMPC(ActuatedController):
                 solve = partial(
                     self._solve, forecast=forecast, readings=readings, overrides=overrides, joined_in=joined_in
                 )
-                ways = self._tank.ways(
-                    forecast.context.boundary,
-                    readings.history.origin,
-                    observation.tank_C,
-                    observation.tank_charges,
-                    state.tank,
-                )
+                begin = forecast.context.boundary, readings.history.origin
+                ways = self._tank.begin(*begin, observation.tank_C, observation.tank_charges, state.tank)
                 result = yield from self._with_tank(result, instance, ways, forecast.planner.evaluator, solve)
             plan = self._realise(result, readings, overrides, situation)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
@@ -425,44 +421,43 @@ class ThermoForceMPC(ActuatedController):
         self,
         alone: Solved,
         instance: Instance,
-        ways: Sequence[TankWay],
+        ways: TankWays | None,
         evaluator: Evaluator,
         solve: Callable[[Instance], Computation[Solved | Failure]],
     ) -> Computation[Solved | Failure]:
         """The plan of the rooms with what the best way to charge the tank leaves them, see `hot_water`.
 
-        `alone`: their plan with the whole machine; `ways`: the cheapest first.
+        `alone`: their plan with the whole machine.
         """
         tank = self._tank
         assert tank is not None
-        if not ways:
+        if ways is None:
             return alone.with_tank(None, "the tank is left to the device: its temperature is not known")
 
         def cost_of(one: Solved) -> float:
             return evaluator.brings(one.problem, one.plan.u, one.own_values).cost
 
-        least = cost_of(alone)
+        whole = cost_of(alone)
+        price = tank.price(evaluator, alone.problem, alone.plan.u)
         best: tuple[float, Solved, TankWay] | None = None
-        solves, gap = 0, 0.0
-        for way in ways:
-            if best is not None and way.cost + least >= best[0]:
-                break
-            if best is not None and solves >= MOST_TANK_SOLVES:
-                gap = best[0] - way.cost - least
-                break
-            found: Solved | Failure = alone
-            if tank.felt(instance.problem, alone.plan.u, way.plan):
-                found = yield from solve(tank.beside(instance, way.plan))
-                solves += 1
+        tried, least = set[tuple[float | None, ...]](), math.inf
+        for share in PRICE_SHARES:
+            way = ways.cheapest(share * price)[0]
+            least = min(least, way.cost + whole)
+            if way.plan.command in tried:
+                continue
+            tried.add(way.plan.command)
+            found = yield from solve(instance._replace(problem=tank.beside(instance.problem, way.plan)))
             if isinstance(found, Failure):
                 continue
-            total = way.cost + (least if found is alone else max(cost_of(found), least))
-            if best is None or total < best[0]:
-                best = total, found, way
+            cost = cost_of(found)
+            if best is None or way.cost + cost < best[0]:
+                best = way.cost + cost, found, way
         if best is None:
             return alone.with_tank(None, "the tank is left to the device: the rooms have no plan beside it")
-        _, found, way = best
-        return found.with_tank(replace(way.plan, solves=solves, gap=gap), "")
+        total, found, way = best
+        told = replace(way.plan, solves=len(tried), gap=max(total - least, 0.0))
+        return found.with_tank(told, "")
 
     def _by_rule(
         self,

@@ -316,14 +316,11 @@ def tank_rows(plan: Plan, command: Command | None) -> list[dict[str, Any]]:
 
 
 def tank_in_words(told: HotWaterPlan) -> str:
-    """What a plan makes of the tank, in a sentence or two."""
-    text = (
+    """What a plan makes of the tank, in a sentence."""
+    return (
         f"Hot water: cost {told.cost:.2f} instead of {told.cost_alone:.2f} with the tank left to the device, on one of "
-        f"ten days {told.below_Kh:.1f} instead of {told.below_alone_Kh:.1f} K·h below what is wanted."
+        f"ten days {told.below_Kh:.1f} instead of {told.below_alone_Kh:.1f} K·h below what is wanted"
     )
-    if told.gap > 0.0:
-        text += f" Another of the charges that were looked at could save {told.gap:.2f} more at most."
-    return text
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,7 @@ def measured(rows):
     return read_measurements(rows, MAP, step_s=HOUR_S).served()
 
 
-def planned(home, measured, tank=None, T_tank_C=44.5, prices=None, **options):
+def planned(home, measured, tank=None, T_tank_C=44.5, prices=None, colder_K=0.0, of_ahead=None, **options):
     off = {"enabled": False}
     base = {"step_s": HOUR_S, "horizon_h": 24.0, "free_response": {"name": "persistence"}, "gate": off, "watch": off}
     mpc = ThermoForceMPC(
@@ -49,6 +49,8 @@ def planned(home, measured, tank=None, T_tank_C=44.5, prices=None, **options):
     )
     ahead = read_forecast(home.forecast(), measured)
     ahead = ahead if prices is None else ahead.at_prices(np.atleast_2d(prices))
+    ahead = replace(ahead, T_out_C=ahead.T_out_C - colder_K)
+    ahead = replace(ahead, **(of_ahead or {}))
     return mpc.plan(Observation(measured.record, ahead, T_tank_C))
 
 
@@ -130,20 +132,36 @@ def test_a_tank_whose_temperature_is_not_known_is_left_to_the_device(home, measu
     assert plan.u.size
 
 
-def test_the_best_of_all_charges_is_found_within_the_gap_that_is_said(home, measured, monkeypatch):
-    """Every set of up to three charges a day, each with its plan of the rooms where that may be better."""
-    prices = 0.25 + 0.1 * np.sin(np.arange(49) * 2.1)
-    quick = planned(home, measured, prices=prices, horizon_h=12.0)
-    monkeypatch.setattr("controllers.mpc.hot_water._KEPT", 10**6)
-    monkeypatch.setattr("controllers.mpc.controller.MOST_TANK_SOLVES", 10**6)
-    full = planned(home, measured, prices=prices, horizon_h=12.0)
+def test_the_tank_is_charged_when_the_rooms_can_do_without_the_machine(home, measured, monkeypatch):
+    """In the cheapest hours a house in the cold needs all of it: what it would lack counts in when to charge."""
+    prices = 0.25 + 0.12 * np.sin(np.arange(49) * 0.9)
+    tank = replace(learned_tank(measured), rise=np.array([7.0, 0.0]))
 
-    def total(plan):
-        hours = np.diff(plan.time_s, append=plan.time_s[-1] + HOUR_S) / HOUR_S
-        return plan.hot_water.cost + float((plan.power_W[0] / 1000.0 * hours * prices[:12]).sum())
+    both = planned(home, measured, tank, 43.0, prices, colder_K=12.0)
+    monkeypatch.setattr("controllers.mpc.controller.PRICE_SHARES", (0.0,))
+    alone = planned(home, measured, tank, 43.0, prices, colder_K=12.0)
+    assert both.hot_water.below_Kh <= alone.hot_water.below_Kh + 0.1
+    # Both are above the same bound: the cheapest tank, and rooms with the whole machine.
+    assert both.hot_water.gap < 0.5 * alone.hot_water.gap
 
-    assert full.hot_water.gap == 0.0
-    assert total(quick) == pytest.approx(total(full), rel=0.01, abs=quick.hot_water.gap)
+
+def test_it_is_charged_with_what_would_be_fed_in_for_little(home, measured):
+    """The sun of noon and after, at one price all day, in a house that may be cold."""
+    hour = np.arange(49) % 24
+    sunny = (hour >= 12) & (hour < 16)
+    plan = planned(
+        home,
+        measured,
+        prices=np.full(49, 0.3),
+        objective={"at_the_meter": True},
+        of_ahead={
+            "others_W": np.where(sunny, -6000.0, 400.0),
+            "export_per_kWh": np.full(49, 0.05),
+            "lower_C": np.full((1, 49), 12.0),
+        },
+    ).hot_water
+    assert plan.share[12:16].sum() > 0.4 * plan.share.sum()
+    assert plan.cost < 0.8 * plan.cost_alone
 
 
 def test_plan_says_prints_and_writes_what_to_set_at_the_tank(home, rows, tmp_path):
