@@ -63,13 +63,10 @@ _AS_PRINTED: dict[str, Any] = {
     "horizon_h": 24.0,
     "comfort_margin_K": 0.0,
     "backoff_level": 0.5,
-    "backoff_level_other": 0.5,
-    "backoff_violation_K": None,
-    "offset_h": None,
+    "corrections": False,
     "actuation": {"mode": "modulating", "lowest_level": 0.0},
     "gate": {"enabled": False},
     "guard": {"enabled": False},
-    "reserve": False,
     "watch": {"enabled": False},
     "sensor": {"enabled": False},
     "free_response": {"name": "chronos", "options": {"resolutions": "one"}},
@@ -79,8 +76,6 @@ _AS_PRINTED: dict[str, Any] = {
 _ROOM_SETPOINTS: dict[str, Any] = {
     "comfort_margin_K": 0.03,
     "backoff_level": 0.5,
-    "backoff_level_other": 0.5,
-    "backoff_violation_K": None,
     "actuation": {"mode": "room_setpoints", "block_s": 60.0},
 }
 

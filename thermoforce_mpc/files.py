@@ -165,6 +165,15 @@ def storage_errors(path: Path) -> Iterator[None]:
         ) from error
 
 
+def check_writable(path: Path) -> None:
+    """Raise `StorageError` where a file or folder `path` cannot be written, before its content is computed."""
+    there = next(one for one in (path, *path.absolute().parents) if one.exists())
+    if there != path and not there.is_dir():
+        raise StorageError(f"{path}: cannot be written: {there} is a file")
+    if not os.access(there, os.W_OK):
+        raise StorageError(f"{path}: cannot be written: no right to write to {there}; choose another folder")
+
+
 _PIECE = 1 << 20
 
 
@@ -364,13 +373,13 @@ def _kind(mode: int) -> str:
 
 
 _LOG = logging.getLogger(__name__)
-_GIVEN, _MOST_GIVEN_BYTES = "given.jsonl", 10_000_000
+GIVEN, _MOST_GIVEN_BYTES = "given.jsonl", 10_000_000
 
 
 def known_marks() -> set[str]:
     """All that was noted."""
     try:
-        file = cache_folder() / _GIVEN
+        file = cache_folder() / GIVEN
         if file.exists():
             return set(read_bounded(file, _MOST_GIVEN_BYTES, ConfigError).decode("utf-8", "replace").splitlines())
     except RuntimeError:  # who runs this has no home
@@ -384,7 +393,7 @@ def note_marks(marks: Iterable[str]) -> None:
     if not new:
         return
     try:
-        file = cache_folder() / _GIVEN
+        file = cache_folder() / GIVEN
         file.parent.mkdir(parents=True, exist_ok=True)
         with file.open("a", encoding="utf-8", errors="backslashreplace") as notes:
             notes.write("".join(f"{mark}\n" for mark in new))

@@ -19,6 +19,7 @@ for _command in (
     closed_loop.contest_command,
     closed_loop.zones_command,
     closed_loop.commands_command,
+    closed_loop.hot_water_command,
     closed_loop.mqtt_command,
     closed_loop.faults_command,
     closed_loop.fallback_command,

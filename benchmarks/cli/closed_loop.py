@@ -248,6 +248,30 @@ def commands_command(seed: int, houses: int, days: int, engine: Opening, quick: 
     show(found, json_file)
 
 
+@click.command("hot-water")
+@click.option("--seed", type=click.IntRange(0), default=300, show_default=True, help="Seed of the first house.")
+@click.option("--houses", type=click.IntRange(1), default=4, show_default=True, help="Houses.")
+@click.option("--days", type=click.IntRange(1, 21), default=3, show_default=True, help="Cold days, each lived thrice.")
+@execution_options()
+@QUICK
+@JSON
+def hot_water_command(seed: int, houses: int, days: int, engine: Opening, quick: bool, json_file: Path | None) -> None:
+    """Plan rooms and tank of houses whose heat pump heats either, and compare with the device's own control.
+
+    Houses of `bench commands` that take set-points. What the tank is is learned from 28 days of its temperature and the
+    one meter; then the same days left alone, with the rooms planned, and with the target of the tank planned too.
+
+    \b
+    Example:
+      tf-mpc bench hot-water --seed 300 --houses 4 --days 3 --workers 2
+    """
+    from benchmarks.commands.tank import run_tank_bench
+
+    with engine(say) as where:
+        found = run_tank_bench(engine=where, houses=houses, seed=seed, days=days, quick=quick, progress=say)
+    show(found, json_file)
+
+
 @click.command("mqtt")
 @click.option("--seed", type=click.IntRange(0), default=100, show_default=True, help="Seed of the house.")
 @click.option("--days", type=click.IntRange(2, 21), default=14, show_default=True, help="Days, one of them in shadow.")

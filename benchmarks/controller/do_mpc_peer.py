@@ -129,9 +129,5 @@ class DoMpcPeer:
 
 
 def without_extras(problem: MPCProblem) -> MPCProblem:
-    """The problem as implemented in do-mpc: without peak cost and without terminal value of heat."""
-    return replace(
-        problem,
-        terminal_price_per_K=np.zeros_like(problem.terminal_price_per_K),
-        weights=replace(problem.weights, peak=0.0),
-    )
+    """The problem as implemented in do-mpc: without peak cost."""
+    return replace(problem, weights=replace(problem.weights, peak=0.0))

@@ -337,9 +337,9 @@ def _weaker_than_named(found: BuiltCase, case: PanelCase) -> BuiltCase:
 
 FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "sun on a sensor": ("generated house", _in_the_sun),
-    "blocked hours": ("generated house", _asleep),
-    "blocked hours of a unit": ("air unit", _unit_asleep),
-    "hours with less effect": ("generated house", _cold_mornings),
+    "hours of the day": ("generated house", _asleep),
+    "hours of the day of a unit": ("air unit", _unit_asleep),
+    "hours of the day, less effect": ("generated house", _cold_mornings),
     "foreign load": ("generated house", _other_load),
     "watch": ("embedded", _changed("weak")),
     "watch, actuator stuck": ("embedded", _changed("stuck", level=0.0)),
@@ -350,7 +350,7 @@ FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "gate": ("generated house", _anothers_sensor),
     "meters and weather sensors": ("generated house", _stuck_meters),
     "shared machine at its limit": ("house of rooms", _weaker_than_named),
-    "worse days": ("house of rooms", _doors),
-    "worse days, mornings": ("generated house", _new_schedule),
+    "watch, doors": ("house of rooms", _doors),
+    "hours of the day, since probed": ("generated house", _new_schedule),
 }
 """Faults by the rule they are for (up to a comma or 'of a'): the kind of plant, and what is done to it."""

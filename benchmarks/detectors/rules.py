@@ -140,16 +140,14 @@ RULES: tuple[Detector, ...] = (
         identification={"sun_on_sensor": False},
     ),
     Detector(
-        "blocked hours",
-        "hours that plans do without; what the watch expects",
-        lambda ran: ran.notes("whatever is asked for") + ran.news("whatever is asked for"),
+        "hours of the day",
+        "hours that plans do without, or in which acting does less; what the watch expects; hours that probing tries",
+        lambda ran: [
+            told
+            for words in ("whatever is asked for", "of what it does else")
+            for told in ran.notes(words) + ran.news(words)
+        ],
         controller={"watch": {"blocked_hours": False}},
-    ),
-    Detector(
-        "hours with less effect",
-        "what plans count on in hours of the day; hours that probing tries",
-        lambda ran: ran.notes("of what it does else") + ran.news("of what it does else"),
-        controller={"watch": {"hour_effects": False}},
     ),
     Detector(
         "foreign load",
@@ -174,12 +172,6 @@ RULES: tuple[Detector, ...] = (
         "who acts: native control or the rule; afterwards an adapted model",
         lambda ran: ran.spells(PlanStatus.WATCH),
         controller={"watch": {"enabled": False}},
-    ),
-    Detector(
-        "worse days",
-        "who acts for a day: native control or the rule",
-        lambda ran: ran.news("the last day cost"),
-        controller={"watch": {"mornings": False}},
     ),
     Detector(
         "rule's levels",

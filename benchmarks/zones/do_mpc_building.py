@@ -45,7 +45,6 @@ class DoMpcBuilding:
             or machinery.exclusive
             or example.power_cap is None
             or example.weights.peak
-            or np.any(example.terminal_price_per_K)
             or (modes_shared and apart)
         ):
             raise DataError("do-mpc: this operator or problem is not of the kind that is written here")

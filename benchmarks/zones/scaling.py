@@ -71,7 +71,6 @@ def building_problem(operator: BuildingOperator, rng: np.random.Generator) -> MP
         step_s=_STEP_S,
         machinery=machinery,
         weights=Weights(5.0, 1e-6),
-        terminal_price_per_K=np.zeros((Z, A, r)),
         power_cap=PowerCap(np.full(n, 700.0 * A), 0.5),
     )
 

@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any, ClassVar, NamedTuple
@@ -48,6 +48,7 @@ from pydantic import Field
 
 from controllers.monitoring.single_actuator import SingleActuatorContext
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.model.free_response.checks import NORMAL_90
 from thermoforce_mpc.model.machine.blocked_hours import (
     BlockedHours,
     Directions,
@@ -120,15 +121,9 @@ class WatchConfig(StrictModel):
     # Largest probability of an alarm in 30 days while errors are as promised.
     false_alarm: ClassVar[float] = 0.05
     blocked_hours: bool = Field(
-        True, description="plan without hours of the day in which nothing comes, whatever is asked for"
-    )
-    hour_effects: bool = Field(
-        True, description="plan with what acting does in hours of the day in which predictions miss its effect"
-    )
-    mornings: bool = Field(
         True,
-        description="stand back for a day after two days running that were dearer and less comfortable than under the"
-        " on/off rule, and other than planned",
+        description="plan without hours of the day in which nothing comes, whatever is asked for, and with what acting "
+        "does in hours in which predictions miss its effect",
     )
     # Promises of errors below this at 1 h, and √6 times this at 6 h, are not held to, K: the resolution of sensors.
     least_K: ClassVar[float] = 0.1
@@ -138,6 +133,7 @@ class WatchConfig(StrictModel):
     machine_factor: ClassVar[float] = 1.35
     # Control returns after predictions were as promised for this long, h: two forecasts of 6 h.
     return_h: ClassVar[float] = 12.0
+    gone: ClassVar[Mapping[str, tuple[Any, str]]] = {"hour_effects": (True, "blocked_hours: false turns it off too")}
 
 
 @dataclass(frozen=True)
@@ -244,8 +240,6 @@ WINDOW_H, EVERY_H = 24.0, 6.0
 _MONTH_H = 30 * 24.0
 # Least share of the effect that is missing in a fault: smaller ones are errors of the gain, for adaptation.
 _LEAST_SHARE = 0.2
-# 0.9 quantile of the normal distribution: half-width of an 80 % band over standard deviation.
-_NORMAL_90 = 1.2816
 # Largest error that counts, in promised half-widths.
 _LARGEST = 2.0
 
@@ -263,7 +257,7 @@ def missing_effect(error_K: Array, effect_K: Array, promise_K: Array) -> tuple[f
         return 0.0, 0.0
     clipped_K = np.clip(error_K, -_LARGEST * promise_K, _LARGEST * promise_K)
     share = -float(weight @ (clipped_K * effect_K)) / information
-    return share, share * math.sqrt(information) * _NORMAL_90
+    return share, share * math.sqrt(information) * NORMAL_90
 
 
 def effect_fault(error_K: Array, effect_K: Array, promise_K: Array, false_alarm: float) -> str:
@@ -482,7 +476,7 @@ class Watch:
         if not self.config.blocked_hours:
             hours = [()] * len(hours)
         known = tuple(BlockedHours.known(each, time_s) for each in hours)
-        seen = card.hour_effects if self.config.hour_effects else ()
+        seen = card.hour_effects if self.config.blocked_hours else ()
         effects = HourEffects(self._model.operator.sign, tuple(HourSeen(*one) for one in seen)).at(time_s)
         news = "; ".join(filter(None, [said(known) if any(hours) else "", effects.in_words()]))
         return WatchState(blocked=known, hours=effects, news=f"{news}; found while probing" if news else "")
@@ -596,7 +590,7 @@ class Watch:
         if not rows.lead.size or sd <= 0.0:
             return 0.0
         # Predictions that overlap count as one.
-        weight = _NORMAL_90**2 / rows.promise_K**2 * min(1.0, self.every / self.leads[lead])
+        weight = NORMAL_90**2 / rows.promise_K**2 * min(1.0, self.every / self.leads[lead])
         share = float(weight @ (rows.error_K * rows.effect_K)) / (float(weight @ rows.effect_K**2) + sd**-2)
         return float(np.clip(share, -_LEAST_SHARE, _MOST_MORE))
 
@@ -616,7 +610,7 @@ class Watch:
         usual = float(np.median(track.bands[track.bands[:, 0] <= item.time_s, 1 + lead]))
         effect = float(forced - idle)
         unknown = self._beyond_identified(history.slice(start, start + n))
-        gain = _NORMAL_90 * math.hypot(self._gain_sd[lead], unknown) * effect
+        gain = NORMAL_90 * math.hypot(self._gain_sd[lead], unknown) * effect
         promise = math.hypot(
             min(band, self.config.widest * usual), gain, self._least_K[lead], _rebound_K(track, item.time_s, error)
         )
@@ -791,7 +785,7 @@ class Watch:
     def _with_hour_effects(self, state: WatchState, now: float) -> WatchState:
         """The state with what the prediction an hour ahead that came due now tells of its hour, and news of it."""
         hourly = self.leads[0] * self.step_s == HOUR_S and self.every == self.leads[0]
-        if not self.config.hour_effects or self._signed or not hourly:
+        if not self.config.blocked_hours or self._signed or not hourly:
             return state
         rows = state.tracks[0].judged
         due = rows[(rows[:, 1] == 0) & (rows[:, 0] > now - 0.5 * self.step_s)]

@@ -22,7 +22,7 @@ from itertools import groupby
 from typing import ClassVar
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.data.dataframes import compose
@@ -38,8 +38,9 @@ class SensorConfig(StrictModel):
     """Which readings of a zone sensor are believed."""
 
     enabled: bool = Field(True, description="judge the readings of zone sensors by the model")
-    lowest_C: float = Field(_RULE.range[0], description="readings below are not believed, °C")
-    highest_C: float = Field(_RULE.range[1], description="readings above are not believed, °C")
+    # Readings below and above are not believed, °C.
+    lowest_C: ClassVar[float] = _RULE.range[0]
+    highest_C: ClassVar[float] = _RULE.range[1]
     # Distance from the prediction within which a reading is always believed, K; more where the record changes by more
     # than half of it within a step.
     jump_K: ClassVar[float] = _RULE.expected
@@ -52,12 +53,6 @@ class SensorConfig(StrictModel):
     bridge_h: ClassVar[float] = 6.0
     # Time after which steady readings are believed again, wherever they are, h.
     return_h: ClassVar[float] = 24.0
-
-    @model_validator(mode="after")
-    def _in_order(self) -> SensorConfig:
-        if not self.lowest_C < self.highest_C:
-            raise ValueError(f"lowest_C of {self.lowest_C:g} °C is not below highest_C of {self.highest_C:g} °C")
-        return self
 
 
 @dataclass(frozen=True)

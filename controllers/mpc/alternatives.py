@@ -31,7 +31,6 @@ _PARTS = {
     "energy": "energy costs {}",
     "discomfort": "discomfort counts {}",
     "peak, cap": "power beyond its peak or cap costs {}",
-    "stored heat": "stored heat counts {}",
     "other": "other terms cost {}",
 }
 

@@ -23,7 +23,7 @@ from controllers.mpc.command_search import Knob, better_commands
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.state import MPCState
 from controllers.optimisation.plan_model import Evaluator
-from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.problem import MPCProblem, Weights
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving, PlanStatus
@@ -117,6 +117,7 @@ class BuildingCommands:
         alone = {a for group in groups.values() if set(group) & set(left_alone) for a in group} | set(left_alone)
         together = tuple(tuple(group) for group in groups.values())
         held = {self._layout.home[a]: _HeldRoom.of(self._cards[a]) for a in unknown if a not in alone}
+        problem = replace(problem, weights=_of_any_room(problem.weights))
         return CommandedPlan(operator, problem, boundary, loops, together, frozenset(alone), self._spread, held)
 
 
@@ -404,6 +405,15 @@ def with_commands(config: MPCConfig, commands: Collection[str]) -> MPCConfig:
     return config.model_copy(update={"actuations": {**config.actuations, **dict.fromkeys(commands, any_level)}})
 
 
+def _of_any_room(weights: Weights) -> Weights:
+    """`weights` with a K·h outside the bounds that costs in each room what it costs in the largest one.
+
+    Weights go by floor area, and a kelvin in a small bath costs less than the hour of heat that it takes: a plan let it
+    be cold, which the building left alone never did (`bench commands`, seed 421, 2026-11-28: 0.76 K·h a week).
+    """
+    return replace(weights, comfort=float(np.max(weights.comfort)))
+
+
 def _effect_spread(card: ModelCard) -> float:
     """Standard error of an actuator's effect of a day on its home zone, as a share; 0 where its card has none."""
     effect, sd = (card.uncertainty.get(f"step_response_24h{what}_K", 0.0) for what in ("", "_sd"))
@@ -615,14 +625,16 @@ def _heat(operator: BuildingOperator, problem: MPCProblem, level: Array, k: int)
         operator.of_actuator(a).heat_input(level[:, a], np.full(len(level), T_out_C[home]))
         for a, home in enumerate(operator.home)
     ]
-    return np.stack(each, axis=-1)
+    heat = np.stack(each, axis=-1)
+    return heat if problem.available is None else heat * problem.available[:, k]
 
 
 def _zone_C(problem: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
     """Zone temperatures at the boundaries under levels (A, N), (Z, N + 1), °C."""
     forced_K = problem.forced_state_K.sum(axis=(1, 2))
     now = problem.features[:, 0, ZONE] + forced_K
-    brought = operator.rollout(problem.forced_state_K, u, problem.features).sum(axis=(1, 3))
+    comes = u if problem.available is None else u * problem.available
+    brought = operator.rollout(problem.forced_state_K, comes, problem.features).sum(axis=(1, 3))
     return np.concatenate([now[:, None], compose(problem.T_free_C, brought)], axis=1)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -80,13 +80,11 @@ class ObjectiveConfig(StrictModel):
         "of three days of the month (a kW more on one day counts a third)",
     )
     peak_least_kW: float = Field(0.0, ge=0, description="a peak below this costs nothing more, kW")
-    exchange: bool = Field(
+    at_the_meter: bool = Field(
         False,
-        description="own generation and other loads behind the same meter count, where the forecast has them: what "
-        "they leave over costs what it would earn when it is fed in, only what is bought costs the price",
-    )
-    keep_limits: bool = Field(
-        False, description="keep the limits of power that the forecast has (dimming by the grid), as `power_cap_kW`"
+        description="what the forecast has of the meter counts: own generation and other loads behind it (what they "
+        "leave over costs what it would earn when it is fed in, only what is bought costs the price), and limits of "
+        "power (dimming by the grid), which are kept as `power_cap_kW` is",
     )
     power_cap_kW: float | None = Field(
         None,
@@ -97,14 +95,16 @@ class ObjectiveConfig(StrictModel):
     power_cap_price_per_kWh: float = Field(
         1.0, ge=0, description="price of energy that a plan takes above the cap, currency/kWh"
     )
-    terminal_value: float = Field(
-        0.0,
-        ge=0,
-        le=1,
-        description="value of heat stored at the end of the horizon, as a share of its cost in the last step",
-    )
     # Weight on u² per step, currency: makes the optimum unique.
     curvature: ClassVar[float] = 1e-6
+    gone: ClassVar[Mapping[str, tuple[Any, str]]] = {
+        "exchange": (False, "at_the_meter: true takes its place, and that of keep_limits"),
+        "keep_limits": (False, "at_the_meter: true takes its place, and that of exchange"),
+        "terminal_value": (
+            0.0, "heat stored at the end has no price (over horizons of 6 to 24 h one changed cost by 0.3 % at most); "
+            "a term of your own can give it one (key terms)",
+        ),
+    }  # fmt: skip
 
     def comfort_weights(self, floor_area_m2: Sequence[float]) -> Array:
         """Penalty on comfort violation in zones of `floor_area_m2` (Z,), NaN where not known, currency/(K·h) (Z,)."""
@@ -114,7 +114,7 @@ class ObjectiveConfig(StrictModel):
 
 def objective_of(bill: Bill, peak_kW: float = 0.0) -> dict[str, Any]:
     """Keys of `ObjectiveConfig` that say what a `bill` asks for; `peak_kW`: about what the peak of a month is."""
-    keys: dict[str, Any] = {"exchange": bill.export_per_kWh is not None, "keep_limits": bill.dimming is not None}
+    keys: dict[str, Any] = {"at_the_meter": bill.export_per_kWh is not None or bill.dimming is not None}
     if bill.peak is not None:
         keys |= {
             "peak_price_per_kW": bill.peak.per_kW(peak_kW) * (1.0 + bill.vat),
@@ -128,7 +128,9 @@ class DeadlineConfig(StrictModel):
     """Wall time after which a step goes on without an answer; the call is left behind."""
 
     forecast_s: float = Field(60.0, gt=0, description="free forecasts of all zones of a step, s")
-    solve_s: float = Field(60.0, gt=0, description="solve of a step, s; solvers have limits of their own as well")
+    # Solve of a step, s: thrice the longest that a solver of ours takes by its own limit, so that only one that hangs
+    # meets it.
+    solve_s: ClassVar[float] = 60.0
     # Look for sun on the zone sensors, at night, s.
     look_s: ClassVar[float] = 60.0
 
@@ -136,10 +138,11 @@ class DeadlineConfig(StrictModel):
 class MoveBlockingConfig(StrictModel):
     """Move blocking: one move per step at first, longer moves later."""
 
-    free_h: float = Field(
-        12.0, gt=0, description="length of the first part of the horizon, in which every step is its own move, h"
-    )
-    hold_h: float = Field(1.0, gt=0, description="length of each later move, h")
+    # Length of the first part of the horizon, in which every step is its own move, and of each later move, h: 84 moves
+    # instead of 192. Every step free costs the same on the heat pump's peak day and 0.2 % more on one of
+    # `house:3rooms:8811`, in five to ten times the time of a solve (2026-11-28).
+    free_h: ClassVar[float] = 12.0
+    hold_h: ClassVar[float] = 1.0
 
 
 class MPCConfig(StrictModel):
@@ -153,31 +156,22 @@ class MPCConfig(StrictModel):
         gt=0,
         le=0.5,
         description="chance level of the bound that actuation protects (heating: the lower): comfort is planned for "
-        "this quantile of the free forecast; 0.5: for the median",
+        "this quantile of the free forecast, and for one of the other bound by what heat costs over what discomfort "
+        "counts; 0.5: for the median, with no back-off from either",
     )
-    backoff_level_other: float | None = Field(
-        None,
-        gt=0,
-        le=0.5,
-        description="chance level of the other bound (heating: the upper, exceeded by solar gains); null: what heat "
-        "costs over what discomfort counts, between 0.05 and 0.3, since heat cannot be taken back",
-    )
-    backoff_violation_K: float | None = Field(
-        0.0135,
-        gt=0,
-        description="largest expected violation of a bound, K, mean over the next 6 h: the chance levels are lowered "
-        "until it holds, which matters where forecasts are uncertain; null: chance levels alone",
-    )
-    reserve: bool = Field(
-        True,
-        description="in a fast zone, keep a reserve inside the bound that actuation protects, for what happens within "
-        "a step: swing of on/off blocks and model error (at most 0.3 K); of a coarse sensor at least half a step",
-    )
+    # Largest expected violation of a bound, K, mean over the next 6 h: the chance levels are lowered until it holds,
+    # which matters where forecasts are uncertain.
+    backoff_violation_K: ClassVar[float] = 0.0135
     # Largest back-off from a comfort bound, K.
     backoff_max_K: ClassVar[float] = 0.6
-    offset_h: float | None = Field(
-        6.0, gt=0, description="time over which the mean error of one-step predictions is added to them, h; null: never"
+    corrections: bool = Field(
+        True,
+        description="correct plans by what was seen: the mean error of one-step predictions is added to them, and in a "
+        "fast zone a reserve is kept inside the bound that actuation protects, for what happens within a step (swing "
+        "of on/off blocks and model error, at most 0.3 K; of a coarse sensor at least half a step)",
     )
+    # Time over which the mean error of one-step predictions is forgotten, h.
+    offset_h: ClassVar[float] = 6.0
     unused_capacity: bool = Field(
         True, description="leave a share of a machine that several feed on unused, where it was found at its limit"
     )
@@ -200,7 +194,6 @@ class MPCConfig(StrictModel):
         "where a step does not hold both (`tf-mpc plan` does); else the plan has shares of steps, and blocks keep the "
         "times from step to step",
     )
-    move_blocking: MoveBlockingConfig = MoveBlockingConfig()
     free_response: FreeResponseConfig = FreeResponseConfig()
     actuation: ActuationConfig = ActuationConfig()
     actuations: dict[str, ActuationConfig] = Field(
@@ -225,6 +218,21 @@ class MPCConfig(StrictModel):
     qp: ClassVar[QPConfig] = QPConfig()
     ipopt: ClassVar[IpoptConfig] = IpoptConfig()
     sqp: ClassVar[SQPConfig] = SQPConfig()
+    move_blocking: ClassVar[MoveBlockingConfig] = MoveBlockingConfig()
+    gone: ClassVar[Mapping[str, tuple[Any, str]]] = {
+        "backoff_level_other": (
+            None, "the other bound's level is what heat costs over what discomfort counts; backoff_level 0.5 plans "
+            "without back-off from either",
+        ),
+        "backoff_violation_K": (0.0135, "it stays 0.0135 K; backoff_level 0.5 plans without back-off"),
+        "offset_h": (6.0, "it stays 6 h; corrections: false does without, as without reserve"),
+        "reserve": (True, "corrections: false does without, as without an offset of predictions"),
+    }  # fmt: skip
+
+    @property
+    def backs_off(self) -> bool:
+        """Whether comfort is planned for more than the median of the free forecast."""
+        return self.backoff_level < 0.5
 
     def actuation_of(self, actuator: str) -> ActuationConfig:
         """Actuation of an actuator."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -21,8 +21,9 @@ from controllers.mpc.commanding import (
     with_commands,
 )
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.courses import Courses, Mornings
+from controllers.mpc.courses import Courses
 from controllers.mpc.formulation import Formulation, Instance
+from controllers.mpc.hot_water import MOST_TANK_SOLVES, HotWater, TankWay
 from controllers.mpc.margins import Margins
 from controllers.mpc.planner import (
     Planners,
@@ -63,11 +64,11 @@ from controllers.safety.overrides import (
     Situation,
     UntoldCommand,
     WatchAlarm,
-    WorseDays,
     decide,
 )
 from thermoforce_mpc.commands.loop import LearnedCommand, left_alone
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, PlanStatus, Record
+from thermoforce_mpc.commands.tank import LearnedTank
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
@@ -79,8 +80,6 @@ from thermoforce_mpc.protocols import FreeResponse
 _CLEARLY, _LEAST_KH = 0.05, 0.1
 # Solvers that did not return and were replaced, before no more are started; besides a forecaster of each zone.
 _SOLVERS_ABANDONED = 3
-# A plan acts, or guards do within it.
-_PLANNED = (PlanStatus.SOLVED, PlanStatus.BRIDGED, PlanStatus.ACCEPTABLE, PlanStatus.GUARD)
 
 
 class ThermoForceMPC(ActuatedController):
@@ -104,12 +103,14 @@ class ThermoForceMPC(ActuatedController):
         free_response: FreeResponse | Sequence[FreeResponse] | None = None,
         solver: SolverBuilder | None = None,
         commands: Mapping[str, LearnedCommand] | None = None,
+        hot_water: LearnedTank | None = None,
         name: str = "thermoforce_mpc",
     ) -> None:
         """Build what the stations of a step need.
 
         `free_response` (one for all zones, or one per zone (Z,)) and `solver` replace those that `config` names;
-        `commands`: what is set in the place of the level of an actuator, by name; `name`: in reports.
+        `commands`: what is set in the place of the level of an actuator, by name; `hot_water`: a tank that one of its
+        machines heats too; `name`: in reports.
 
         Raises:
             ControllerConfigError: the horizon is shorter than a step, the model is not certified at that step and
@@ -138,6 +139,10 @@ class ThermoForceMPC(ActuatedController):
         super().__init__(name, model.operator.step_s, n_steps, layout, actuations, c.fallback, by_number)
         cards = [zone.card for zone in zone_models]
         self._commands = BuildingCommands(layout, by_number, cards)
+        if hot_water is not None:
+            check_names("hot_water.machine", [hot_water.machine], "machine", layout.names.machines)
+        self.hot_water = hot_water
+        self._tank = None if hot_water is None else HotWater(hot_water, layout, self.step_s)
         self._shared = SharedCommands(layout, by_number, cards)
         reasons = (
             layout.names.of_actuator(a, by_number[a].in_words if a in by_number else choice.why)
@@ -176,10 +181,7 @@ class ThermoForceMPC(ActuatedController):
         self._prediction = PlanPredictor(
             self._planners, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
         )
-        self.mornings = Mornings(
-            model.operator, layout, self._formulation.machinery, self._fallbacks, self._formulation.power
-        )
-        alarms = (WatchAlarm(self._fallbacks), WorseDays(self._fallbacks)) if self._watched.enabled else ()
+        alarms = (WatchAlarm(self._fallbacks),) if self._watched.enabled else ()
         untold = UntoldCommand(left_alone(by_number), self._fallbacks)
         self._overrides: tuple[OverrideRule, ...] = (*alarms, self._gate, untold, LostZone(self._fallbacks))
         guard = ComfortGuard(c.guard, layout, [actuation.highest for actuation in self._actuators.each])
@@ -274,11 +276,8 @@ class ThermoForceMPC(ActuatedController):
         """One control step: each line a station, from what is believed to what is applied."""
         readings, state = yield from self._clean(observation, state)
         state = yield from self._watch(readings, state)
-        state = self._compare_day(readings, state)
-        situation = Situation(
-            readings.observation, readings.zones, state.watch, days=state.mornings.stands_back(readings.time_s)
-        )
-        overrides, joined_in = self._opened(decide(self._overrides, situation), situation)
+        situation = Situation(readings.observation, readings.zones, state.watch)
+        overrides, joined_in = self._shared.open(decide(self._overrides, situation))
         state = self._learn(readings, state)
         if len(overrides) == len(self._fallbacks):
             plan = self._realisation.stand_back(overrides, state)
@@ -286,15 +285,22 @@ class ThermoForceMPC(ActuatedController):
             forecast = yield from self._prediction.predict(readings, state)
             instance = self._formulate(forecast, readings, state, overrides)
             result = yield from self._solve(instance, forecast, readings, overrides, joined_in)
+            if self._tank is not None and not isinstance(result, Failure):
+                assert not isinstance(instance, Failure)
+                assert not isinstance(forecast, Failure)
+                solve = partial(
+                    self._solve, forecast=forecast, readings=readings, overrides=overrides, joined_in=joined_in
+                )
+                ways = self._tank.ways(
+                    forecast.context.boundary,
+                    readings.history.origin,
+                    observation.tank_C,
+                    observation.tank_charges,
+                    state.tank,
+                )
+                result = yield from self._with_tank(result, instance, ways, forecast.planner.evaluator, solve)
             plan = self._realise(result, readings, overrides, situation)
-        plan = self._believe(plan, readings, state)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
-
-    def _opened(
-        self, overrides: dict[int, Override], situation: Situation
-    ) -> tuple[dict[int, Override], dict[int, ActsTogether]]:
-        """The overrides without those of actuators that act together, and these; none while all plans stand back."""
-        return (overrides, {}) if situation.days else self._shared.open(overrides)
 
     def _clean(self, observation: Observation, state: MPCState) -> Computation[tuple[Readings, MPCState]]:
         """What is believed; a model that may not act says nothing of readings."""
@@ -312,29 +318,6 @@ class ThermoForceMPC(ActuatedController):
             return state
         ahead = self._prediction.ahead(readings.observation)
         return (yield from within(self.config.deadline.forecast_s, self._watched.predict_in_background(ahead, state)))
-
-    def _compare_day(self, readings: Readings, state: MPCState) -> MPCState:
-        """The state with the day that ended now beside what was believed of it and what the rule would have had."""
-        if not self._watched.enabled or not self.config.watch.mornings:
-            return state
-        try:
-            return replace(state, mornings=self.mornings.validate(state.mornings, readings.history, readings.forced_K))
-        except Exception as error:  # what compares must not stop what it compares
-            news = f"the last day could not be compared ({message_of(error)})"
-            return replace(state, mornings=replace(state.mornings, believed=None, news=news))
-
-    def _believe(self, plan: Plan, readings: Readings, state: MPCState) -> Plan:
-        """The plan, its state with what it believes of the day; of a day in which something else acts nothing is."""
-        assert isinstance(plan.state, MPCState)
-        if not self._watched.enabled or not self.config.watch.mornings:
-            return plan
-        mornings = state.mornings
-        if any(status not in _PLANNED for status in plan.acting):
-            mornings = replace(mornings, believed=None)
-        elif plan.u.size:
-            mornings = self.mornings.believing(mornings, plan, readings.observation.boundary)
-        news = [f"watch: {mornings.news}"] if mornings.news else []
-        return replace(plan.with_news(*news), state=replace(plan.state, mornings=replace(mornings, news="")))
 
     def _learn(self, readings: Readings, state: MPCState) -> MPCState:
         """The state with what the last step taught of bounds, predictions, capacities and peak power."""
@@ -436,7 +419,50 @@ class ThermoForceMPC(ActuatedController):
                 plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
             told = [self._layout.names.of_actuator(a, one.in_words) for a, one in joined_in.items()]
             plan = replace(plan, why=joined([*told, plan.why]))
-        return Solved(plan, instance.problem, limit, commanded)
+        return Solved(plan, instance.problem, limit, commanded, solution.own_values)
+
+    def _with_tank(
+        self,
+        alone: Solved,
+        instance: Instance,
+        ways: Sequence[TankWay],
+        evaluator: Evaluator,
+        solve: Callable[[Instance], Computation[Solved | Failure]],
+    ) -> Computation[Solved | Failure]:
+        """The plan of the rooms with what the best way to charge the tank leaves them, see `hot_water`.
+
+        `alone`: their plan with the whole machine; `ways`: the cheapest first.
+        """
+        tank = self._tank
+        assert tank is not None
+        if not ways:
+            return alone.with_tank(None, "the tank is left to the device: its temperature is not known")
+
+        def cost_of(one: Solved) -> float:
+            return evaluator.brings(one.problem, one.plan.u, one.own_values).cost
+
+        least = cost_of(alone)
+        best: tuple[float, Solved, TankWay] | None = None
+        solves, gap = 0, 0.0
+        for way in ways:
+            if best is not None and way.cost + least >= best[0]:
+                break
+            if best is not None and solves >= MOST_TANK_SOLVES:
+                gap = best[0] - way.cost - least
+                break
+            found: Solved | Failure = alone
+            if tank.felt(instance.problem, alone.plan.u, way.plan):
+                found = yield from solve(tank.beside(instance, way.plan))
+                solves += 1
+            if isinstance(found, Failure):
+                continue
+            total = way.cost + (least if found is alone else max(cost_of(found), least))
+            if best is None or total < best[0]:
+                best = total, found, way
+        if best is None:
+            return alone.with_tank(None, "the tank is left to the device: the rooms have no plan beside it")
+        _, found, way = best
+        return found.with_tank(replace(way.plan, solves=solves, gap=gap), "")
 
     def _by_rule(
         self,
@@ -499,7 +525,7 @@ class ThermoForceMPC(ActuatedController):
         if isinstance(result, Failure):
             doubtful = [self._watched.doubtful(result.state, a) for a in range(len(self._fallbacks))]
             return self._realisation.fall_back(result, overrides, doubtful, readings.doubts, situation)
-        plan, problem, limit, commanded = result
+        plan, problem, limit, commanded, _ = result
         demands = first_demands(
             self.config, self._actuators, self.step_s, plan, readings, commanded, most_u=problem.most_u
         )

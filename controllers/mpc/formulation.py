@@ -13,7 +13,7 @@ from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.margins import Bounds, MarginRules, Margins
 from controllers.optimisation.problem import Cooling, EquipmentLayout, Exchange, MPCProblem, PowerCap, Weights
-from thermoforce_mpc.data import DAY_S, J_PER_KWH, Array, Boundary, Record
+from thermoforce_mpc.data import DAY_S, Array, Boundary, Record
 from thermoforce_mpc.model.machine.blocked_hours import Directions, HourEffects
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -132,7 +132,7 @@ class Formulation:
         foreign_W = sum((other(boundary.time_s[:-1], T_out) for other in foreign), np.zeros(boundary.n_steps))
         cap_kW = math.inf if aims.power_cap_kW is None else aims.power_cap_kW
         left_W = np.maximum(1000.0 * cap_kW - foreign_W, 0.0)
-        if aims.keep_limits and boundary.limit_W.size:
+        if aims.at_the_meter and boundary.limit_W.size:
             left_W = np.minimum(left_W, boundary.limit_W[:-1])
         exchange, sold = self._exchange(boundary, price)
         dearest = price.max(axis=1)[fed_by]
@@ -152,7 +152,6 @@ class Formulation:
             step_s=self._step_s,
             machinery=self.machinery,
             weights=Weights(comfort, aims.curvature, self._peak_price_per_W),
-            terminal_price_per_K=self._terminal_price(operator, context.features[:, -1], price[fed_by, -1] * highest_W),
             peak_so_far_W=max(max(peak_W, 1000.0 * aims.peak_least_kW) - float(foreign_W.mean()), 0.0),
             cooling=self._cooling(boundary, np.maximum(boundary.price_per_kWh[:, :-1] + carbon, 0.0)),
             power_cap=self._cap(fixed_W, per_u_W, per_u2_W, left_W),
@@ -216,7 +215,7 @@ class Formulation:
         `price` (M, N): of what is bought. Nothing earns more than it costs: who fed in dearly what he bought would run
         machines for nothing. Where others are not known they take nothing.
         """
-        if not self._config.objective.exchange:
+        if not self._config.objective.at_the_meter:
             return None, price
         others_W = np.nan_to_num(boundary.others_W[:-1]) if boundary.others_W.size else np.zeros(boundary.n_steps)
         earns = np.nan_to_num(boundary.export_per_kWh[:-1]) if boundary.export_per_kWh.size else np.zeros(others_W.size)
@@ -230,7 +229,7 @@ class Formulation:
         on average.
         """
         aims, each, step_s = self._config.objective, self._actuators.each, self._step_s
-        if aims.power_cap_kW is None and not aims.keep_limits:
+        if aims.power_cap_kW is None and not aims.at_the_meter:
             return None
         limit_W = np.minimum(limit_W, _NO_LIMIT_W)
         level = np.array([actuation.block_level for actuation in each])[:, None]
@@ -309,21 +308,3 @@ class Formulation:
         boundary = context.boundary
         held_C = np.clip(context.free.median_C[z], boundary.lower_C[z, 1:], boundary.upper_C[z, 1:])
         return water.expected_C(history.part(z, [a], [m]), held_C)
-
-    def _terminal_price(self, operator: BuildingOperator, features: Array, price_W: Array) -> Array:
-        """Terminal value of each mode, (Z, A, r), currency/K; zero but for the slowest with a gain.
-
-        At `terminal_value` 1 a kelvin of an actuator's home zone is worth its production cost in the last step.
-        `features` (Z, 4) and `price_W` (A,), price per kWh times power at the highest level, W, are of that step.
-        """
-        value = np.zeros(operator.shape)
-        if not self._config.objective.terminal_value:
-            return value
-        cost = price_W * self._step_s / J_PER_KWH
-        for a, z in enumerate(self._layout.home):
-            pair = operator.of_actuator(a)
-            drive = self._full_drive(pair, a, features[z])
-            slowest = int(np.flatnonzero(pair.acting)[-1])
-            stored = pair.gains[slowest] * drive
-            value[z, a, slowest] = self._config.objective.terminal_value * cost[a] / stored if stored else 0.0
-        return value

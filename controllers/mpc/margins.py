@@ -3,12 +3,12 @@
 | margin | moves | applies | comes from |
 |---|---|---|---|
 | comfort | both bounds | always | `comfort_margin_K` |
-| back-off | each bound, by lead time | chance levels below 0.5, or `backoff_violation_K` | band of the free forecast |
-| reserve | the bound that actuation protects | fast zones, unless loops keep room set-points | card of the model |
+| back-off | each bound, by lead time | `backoff_level` below 0.5 | band of the free forecast |
+| reserve | the bound that actuation protects | `corrections`: fast zones, unless loops keep room set-points | card of the model |
 | learned | each bound | more: readings were beyond it while there was more to give; less: a day had room to spare | this run |
 | recovery | each bound, where it begins after a setback | how far the zone has to come times the uncertainty of the effect | card of the model |
 | | | more: the zone was not there in time | this run |
-| offset | the prediction | `offset_h` | errors of the last plans, one step ahead |
+| offset | the prediction | `corrections` | errors of the last plans, one step ahead |
 | passing | the prediction | a first step does more than the model says | these errors, beside the changes of levels |
 | unused capacity | the capacity of a machine | several metered actuators share it | heat that they lacked in this run |
 | | the highest level | heat is not metered, any level is held | power and heat that were missing at it in this run |
@@ -105,7 +105,8 @@ def with_recourse_K(backoff: Array, operator: OperatorParameters) -> Array:
     return kept
 
 
-# Effect of an hour at full level from which a zone is fast, K: a slab gives a few tenths, radiators and air several.
+# Effect of an hour at full level from which a zone is fast, K: a slab gives a few tenths, radiators and air several. A
+# third more changes the cost of the heat pump's peak day by 2.4 % (`benchmarks.constants`, 2026-11-28).
 _FAST_K = 0.6
 # Mean share of on-time that is assumed for the swing.
 _SHARE = 0.35
@@ -477,6 +478,7 @@ class MarginRules:
         self._config, self._actuators, self._layout = config, actuators, model.layout
         self._cards, self._step_s, self._shares = model.cards, model.operator.step_s, np.array(model.layout.shares)
         self._powers = model.power
+        self._allowed_K = config.backoff_violation_K if config.backs_off else None
         # Half a step of each zone's sensor (Z,), K, and the relative standard deviation of the effect of what protects
         # its lower and its upper bound (2, Z).
         self._half_K, self._unsure = np.zeros(len(model.names.zones)), np.zeros((2, len(model.names.zones)))
@@ -536,13 +538,11 @@ class MarginRules:
             own = self._layout.actuators_of(z)
             signs = {self._layout.signs[a] for a in own}
             # The bound that actuation protects has the chance level of its own; both, where heat and cold are at hand.
-            other = c.backoff_level_other or float(np.clip(heat_share[z], *_OTHER_LEVELS))
+            other = float(np.clip(heat_share[z], *_OTHER_LEVELS)) if c.backs_off else c.backoff_level
             low = c.backoff_level if 1 in signs or not own else other
             high = c.backoff_level if -1 in signs else other
             below, above = (
-                np.minimum(
-                    backoff_K(free, self._step_s, level, c.backoff_violation_K, below=is_lower)[z], c.backoff_max_K
-                )
+                np.minimum(backoff_K(free, self._step_s, level, self._allowed_K, below=is_lower)[z], c.backoff_max_K)
                 for level, is_lower in ((low, True), (high, False))
             )
             for a in own:
@@ -568,7 +568,7 @@ class MarginRules:
             outside_K = np.array([boundary.lower_C[z, 1:] - T_C[z], T_C[z] - boundary.upper_C[z, 1:]])
             unsure_K = self._unsure[:, z, None] * np.maximum(np.nan_to_num(outside_K), 0.0)
             inside_K += learned.at_begin_K(z, now_C, np.stack([lower_C, upper_C]), unsure_K)
-            protected = np.array([1 in signs, -1 in signs]) & (c.reserve and not by_loops)
+            protected = np.array([1 in signs, -1 in signs]) & (c.corrections and not by_loops)
             inside_K = np.clip(inside_K, np.minimum(protected[:, None] * self._half_K[z], half), half)
             rows.append(
                 (
@@ -640,7 +640,7 @@ class MarginRules:
         A machine that gives more or less heat at a level than its law misses every step to the same side; the mean of
         these errors is added to the prediction, so that the zone settles on the bound (offset-free control).
         """
-        if self._config.offset_h is None:
+        if not self._config.corrections:
             return before_K
         weight = -np.expm1(-self._step_s / HOUR_S / self._config.offset_h)
         # The plan held the offset of its time: what it missed comes on top.
@@ -651,15 +651,14 @@ class MarginRules:
         self, before: LearnedMargin, planned_K: Array, T_C: Array, observation: Observation, forecast: Boundary
     ) -> LearnedMargin:
         """Reserve inside the bounds after a step to `T_C` (Z,), °C, with margins of `planned_K` (2, Z) in all, K."""
-        allowed_K = self._config.backoff_violation_K
         # Plans of set-points have no back-off, since the plant's own loops keep them; this is for what these miss.
         by_loops = self._config.actuation.mode == "room_setpoints"
-        learning = OF_LOOPS if by_loops else None if allowed_K is None else of_plans(allowed_K)
+        learning = OF_LOOPS if by_loops else None if self._allowed_K is None else of_plans(self._allowed_K)
         if learning is None:
             return before
         lower_C, upper_C = forecast.lower_C[:, 0], forecast.upper_C[:, 0]
         beyond_K = np.stack([lower_C - T_C, T_C - upper_C])
-        spare = self._had_more(np.nan_to_num(observation.history.u[:, -1], nan=1.0)) & self._config.reserve
+        spare = self._had_more(np.nan_to_num(observation.history.u[:, -1], nan=1.0)) & self._config.corrections
         if by_loops:
             spare &= before.set_back(slice(None), lower_C, upper_C)
         reserve_K = learned_K(before.reserve_K, beyond_K, spare, self._step_s, learning)
@@ -716,7 +715,7 @@ class MarginRules:
         reserves = [
             reserve_K(operator.of_actuator(a), self._actuators.each[a], self._cards[a])
             for a in self._layout.actuators_of(z)
-            if self._layout.signs[a] == sign and self._config.reserve and not self._actuators.each[a].by_rooms
+            if self._layout.signs[a] == sign and self._config.corrections and not self._actuators.each[a].by_rooms
         ]
         return max(reserves, default=0.0)
 

@@ -54,12 +54,11 @@ def plan_shape(
         every_step(moves.size) if terms else moves,
         machinery,
         peak=config.objective.peak_price_per_kW > 0,
-        capped=config.objective.power_cap_kW is not None or config.objective.keep_limits,
-        exchange=config.objective.exchange,
+        capped=config.objective.power_cap_kW is not None or config.objective.at_the_meter,
+        exchange=config.objective.at_the_meter,
         chosen_steps=config.milp.chosen_steps(step_s),
         curved=curved,
         terms=terms,
-        stored=config.objective.terminal_value > 0,
     )
 
 

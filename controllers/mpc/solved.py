@@ -21,7 +21,8 @@ from controllers.optimisation.plan_model import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution
 from controllers.safety.fallback_policy import GoodPlan
-from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Plan, PlanStatus
+from thermoforce_mpc.commands.command import SAME
+from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, HotWaterPlan, Plan, PlanStatus
 from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL
@@ -39,14 +40,28 @@ _BOUGHT = 0.5
 
 
 class Solved(NamedTuple):
-    """A plan without blocks, its problem, the limit of power that blocks are to keep, and its commands; None where
-    there is none.
+    """A plan without blocks, its problem, the limit of power that blocks are to keep, its commands, and values of the
+    user's own variables; None where there is none.
     """
 
     plan: Plan
     problem: MPCProblem
     limit: PowerLimit | None
     commanded: Commanded | None = None
+    own_values: Array | None = None
+
+    def with_tank(self, hot_water: HotWaterPlan | None, why: str) -> Solved:
+        """The same with what is set at a tank of hot water; `why` nothing is, where it is None."""
+        plan, state = self.plan, self.plan.state
+        assert isinstance(state, MPCState)
+        told = None if hot_water is None else hot_water.command[0]
+        if told is None:
+            tank = None
+        else:
+            same = state.tank is not None and abs(state.tank[0] - told) <= SAME
+            tank = (told, state.tank[1] if same and state.tank is not None else float(plan.time_s[0]))
+        plan = replace(plan, hot_water=hot_water, why=joined([why, plan.why]), state=replace(state, tank=tank))
+        return self._replace(plan=plan)
 
 
 def power_limit(instance: Instance, solution: Solution, brought: Evaluation, evaluator: Evaluator) -> PowerLimit | None:

@@ -153,7 +153,7 @@ class ProblemShape:
     `chosen_steps`: number of first steps in which it is decided which of actuators that exclude one another acts
     (rounded up to whole moves); later they share steps in time. None: all steps.
     `curved`: power has a part in u², which a price of peak power and a cap must see. `terms`: further terms of the
-    user, see `controllers.optimisation.statement.terms`. `stored`: heat that is stored at the end may have a price.
+    user, see `controllers.optimisation.statement.terms`.
     """
 
     move_of_step: NDArray[np.intp]
@@ -163,7 +163,6 @@ class ProblemShape:
     chosen_steps: int | None = None
     curved: bool = False
     terms: tuple[Callable[..., None], ...] = ()
-    stored: bool = True
     exchange: bool = False
 
     @property
@@ -257,9 +256,9 @@ class MPCProblem:
     `forced_state_K` (Z, A, r): initial F. `features` (Z, N, 4): raw features at the start of each step.
     (Z, N): `T_free_C`, `lower_C`, `upper_C` at the end of each step (margins already inside). Over each step:
     `price_per_kWh` and `power_fixed_W` (while running) of each machine (M, N), `power_per_u_W` of each actuator (A, N).
-    `machinery`: levels, machines and capacities. `terminal_price_per_K` (Z, A, r): value of one kelvin of each mode at
-    the end, currency/K; `peak_so_far_W`: highest mean power of the building over a step so far. `cooling`: what levels
-    below 0 cost; None where there are none. `power_cap`, `exchange`: None without one.
+    `machinery`: levels, machines and capacities.
+    `peak_so_far_W`: highest mean power of the building over a step so far. `cooling`: what levels below 0 cost; None
+    where there are none. `power_cap`, `exchange`: None without one.
     `power_per_u2_W` (A, N): power over u², where it grows faster than heat; None where it does not. `capacity` (M, N):
     what the actuators of a machine may take together, in the unit of their shares; None: 1. `last_u` (A,): levels of
     the step before, for terms of the user. `available` (A, N): share of each step in which a level gives heat; None:
@@ -283,7 +282,6 @@ class MPCProblem:
     step_s: float
     machinery: EquipmentLayout
     weights: Weights
-    terminal_price_per_K: Array
     peak_so_far_W: float = 0.0
     cooling: Cooling | None = None
     power_cap: PowerCap | None = None
@@ -301,12 +299,11 @@ class MPCProblem:
         zones, machines, actuators = (Z, n), (M, n), (A, n)
         expected = {
             **dict.fromkeys(("T_free_C", "lower_C", "upper_C"), zones),
-            **dict.fromkeys(("forced_state_K", "terminal_price_per_K"), (Z, A, r)),
             **dict.fromkeys(("price_per_kWh", "power_fixed_W", "capacity"), machines),
             **dict.fromkeys(("power_per_u_W", "power_per_u2_W", "available", "least_u", "most_u"), actuators),
             **dict.fromkeys(("cooling.price_per_kWh", "cooling.power_per_u_W"), actuators),
-            **{"features": (*zones, N_FEATURES), "power_cap.limit_W": (n,), "last_u": (A,)},
-            **dict.fromkeys(("exchange.others_W", "exchange.dearer_per_kWh"), (n,)),
+            **{"forced_state_K": (Z, A, r), "features": (*zones, N_FEATURES), "last_u": (A,)},
+            **dict.fromkeys(("power_cap.limit_W", "exchange.others_W", "exchange.dearer_per_kWh"), (n,)),
         }
         if np.ndim(self.weights.comfort):
             expected["weights.comfort"] = (Z,)

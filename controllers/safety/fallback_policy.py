@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -35,21 +35,11 @@ class FallbackConfig(StrictModel):
     setpoint_above_bound_K: ClassVar[float] = 0.3
     # On/off rule: window ahead over which the tightest bound is taken, h.
     look_ahead_h: ClassVar[float] = 3.0
-    safe_C: tuple[float, float] = Field(
-        (20.0, 25.0),
-        description="on/off rule: set-points of heating and of cooling where comfort bounds are missing, °C",
-    )
+    # On/off rule: set-points of heating and of cooling where comfort bounds are missing, °C: in a home the lower limit
+    # of category II in winter, and about the upper one of category I in summer (EN 16798-1: 20 and 25.5).
+    safe_C: ClassVar[tuple[float, float]] = (20.0, 25.0)
     # Consecutive failures after which forecasts and solves begin anew, without what they kept.
     cold_after: ClassVar[int] = 3
-
-    @model_validator(mode="after")
-    def _check_safe(self) -> FallbackConfig:
-        low, high = self.safe_C
-        if not _RULE_C[0] <= low < high <= _RULE_C[1]:
-            raise ValueError(
-                f"safe_C is {low:g} and {high:g}: expected {_RULE_C[0]:g} ≤ heating < cooling ≤ {_RULE_C[1]:g} °C"
-            )
-        return self
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,28 @@ def test_what_a_switching_thermostat_does_between_its_ends_is_not_promised():
     assert at_work["on/off"] > 3.0 * at_work["valve"]
 
 
+def test_a_machine_that_cycles_within_the_hour_is_told_at_a_quarter_of_one_too():
+    """Of single quarters the command tells little, however well it is known: on and off alternate with any value."""
+    quarters = 900.0 * np.arange(14 * 96 + 1.0)
+    hour = quarters / HOUR_S % 24
+    setpoint = np.where((hour >= 6) & (hour < 21), 21.0, 20.0) + np.repeat([0.0, 0.5], 14 * 48 + 1)[: quarters.size]
+    out = 2.0 + 3.0 * np.cos(2 * np.pi * (hour - 15) / 24)
+    air, mass, thermostat, rooms, levels = 20.0, 20.0, Hysteresis(0.35), [20.0], []
+    for k in range(quarters.size - 1):
+        total = 0.0
+        for _ in range(3):
+            u = thermostat(setpoint[k] - air)
+            for _ in range(5):
+                air, mass = air + 0.06 * u + 0.004 * (mass - air) - 0.0012 * (air - out[k]), mass + 4e-4 * (air - mass)
+            total += u / 3.0
+        rooms.append(air)
+        levels.append(total)
+    was = CommandRecord(setpoint, setpoint[:-1])
+    found = learn_command(SETPOINT, was, np.array(rooms), out, np.array(levels), quarters, "living")
+    assert found.loop.rmse**2 > 0.8 * np.var(levels), "of its quarters it explains less than a fifth"
+    assert found.loop.r2 > 0.25
+
+
 def test_a_level_that_follows_something_else_is_refused_with_what_to_do():
     setpoint, T, out, _ = lived(p_band)
     u = np.random.default_rng(1).uniform(0.0, 1.0, N)

@@ -48,11 +48,11 @@ def test_every_name_is_in_its_file(file: str, name: str):
     assert reduce(getattr, name.split("."), module)
 
 
-def test_the_seven_questions_have_answers():
+def test_the_ten_questions_have_answers():
     page = PAGES[0].read_text(encoding="utf-8")
-    questions = page.split("## Seven questions", 1)[1].split("##", 1)[0]
+    questions = page.split("## Ten questions", 1)[1].split("##", 1)[0]
     rows = [row for row in questions.splitlines() if row.startswith("| ") and "?" in row]
-    assert len(rows) == 7
+    assert len(rows) == 10
     assert all(SPAN.search(row) for row in rows)
 
 

@@ -21,10 +21,11 @@ from waiting import wait_for
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.live import LiveBuilding
-from thermoforce_mpc.live.commissioning import read_house
+from thermoforce_mpc.live.commissioning import CommissioningBook, CommissioningFiles, read_house, stages
 from thermoforce_mpc.live.trial import planned_trials, tried
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.points import read_points
+from thermoforce_mpc.model.thermal_model import load_model
 
 COMMAND = {"kind": "setpoint", "resolution": 0.5, "minimum": 17, "maximum": 24, "hold_min": 0}
 TWO_ROOMS = {
@@ -175,6 +176,55 @@ def test_columns_named_as_another_room_and_used_twice_are_said(tmp_path):
     written(tmp_path, rows, rules)
     _, said = told(tmp_path, "--dry-run")
     assert any("the same column as zones.living.temperature" in one for one in said["doubts"])
+
+
+def test_what_is_wrong_is_said_once_and_counted(tmp_path):
+    written(tmp_path, stopped(table()))
+    _, said = told(tmp_path, "--dry-run")
+    assert not any("h old" in one for one in said["doubts"]), "what is wrong is not to be looked at besides"
+    assert said["stages"][0]["words"].startswith(f"{len(said['problems'])} faults in 8 points")
+
+
+def test_a_record_that_begins_now_is_no_fault(tmp_path):
+    """The first start over MQTT, which has no history: steps that are not there yet were to be looked at."""
+    written(tmp_path, table().tail(2))
+    result, said = told(tmp_path, "--dry-run")
+    assert (result.exit_code, said["problems"], said["doubts"]) == (0, [], [])
+    assert said["stages"][2]["words"] == "nothing is recorded yet: let it run for days"
+
+
+def test_names_with_spaces_are_found_and_said_as_a_shell_takes_them(tmp_path):
+    written(tmp_path, table())
+    folder = tmp_path / "our house"
+    folder.mkdir()
+    _, said = told(tmp_path, "--dry-run", "--model", str(folder))
+    assert said["stages"][3]["words"].startswith(f"{folder}: "), "it looked into the folder"
+    assert f"--out '{folder}'" in said["stages"][3]["command"]
+
+
+def test_days_of_a_shadow_count_for_their_own_model(tmp_path):
+    from simple_house import simple_model
+
+    from controllers.state_classes import model_key
+
+    model = simple_model()
+    model.save(tmp_path / "m")
+    control = tmp_path / "control"
+    control.mkdir()
+    home, rules = by_setpoint()
+    every = MeasurementMap.model_validate(rules)
+    found = read_house(LiveBuilding(home, every, 900.0), every, home.now())
+    book = CommissioningBook(tmp_path / "none.json", {})
+    files = CommissioningFiles("c.yaml", "map.yaml", "out", str(tmp_path / "m"), str(control), "house.csv")
+    told_days = {"said": "would have saved 3.2", "days": [{}] * 7, "of": "k"}
+    seen = {}
+    for of in (model_key(load_model(tmp_path / "m")), "another", None):
+        (control / "shadow.json").write_text(json.dumps(told_days | ({} if of is None else {"model": of})))
+        seen[of] = stages(found, [], book, files)[4]
+    assert [(one.status, one.words.partition(";")[0]) for one in seen.values()] == [
+        ("done", "7 days"), ("later", "7 days in which nothing is set"), ("later", "7 days in which nothing is set"),
+    ]  # fmt: skip
+    assert "another model" in seen["another"].words
 
 
 def test_without_a_terminal_it_stops_with_what_to_do(tmp_path):
@@ -408,6 +458,7 @@ def test_killed_in_a_trial_the_command_is_given_back_and_the_next_start_says_so(
     ) as process:
         wait_for("the trial", levels.exists)
         assert 17.0 <= json.loads(levels.read_text())["levels"]["living"] <= 24.0
+        assert "is under way, by another process" in told(tmp_path, "--dry-run")[0].output
         process.send_signal(sent)
     wait_for("it is given back", lambda: json.loads(levels.read_text())["levels"]["living"] is None)
     under_way = json.loads((tmp_path / "out" / "commission.json").read_text())["under_way"]

@@ -61,6 +61,31 @@ def test_a_forecast_without_the_columns_of_the_map_says_how_to_name_its_own(meas
             read_forecast(tmp_path / "weather.csv", measured, now=now)
 
 
+@pytest.mark.parametrize("live", [False, True])
+def test_a_forecast_of_another_program_is_read_as_it_is_written(live, tmp_path):
+    """A logger with decimal commas, and weather as a service writes it: no line of the map is needed for that."""
+    at = pd.date_range("2025-01-10", periods=97, freq="15min")
+    row = np.arange(97.0)
+    logged = pd.DataFrame(
+        {"T": 21.5, "out": 5.5, "sun": 0.0, "u": row // 8 % 2, "P": 500.0, "most": 24.5, "price": 0.3}
+    )
+    logged.index = at.strftime("%d.%m.%Y %H:%M").rename("Zeitstempel")
+    logged.to_csv(tmp_path / "house.csv", sep=";", decimal=",")
+    clock = {"column": "Zeitstempel", "format": "%d.%m.%Y %H:%M", "zone": "Europe/Brussels"}
+    rules = RULES | {"time": clock, "csv": {"decimal": ","}}
+    measured = tf.read_measurements(tmp_path / "house.csv", rules)
+    ahead = hourly().assign(out=lambda df: df["out"] + 0.25)
+    expected = read_forecast(ahead, tf.read_measurements(logged.set_axis(at.rename("time")), RULES))
+    ahead.index = (
+        ahead.index.tz_localize("Europe/Brussels").tz_convert("UTC").strftime("%Y-%m-%dT%H:%M:%SZ").rename("time")
+    )
+    ahead.to_csv(tmp_path / "tomorrow.csv")
+    now = pd.Timestamp("2025-01-11", tz="Europe/Brussels") if live else None
+    read = read_forecast(tmp_path / "tomorrow.csv", measured, now=now)
+    np.testing.assert_allclose(read.T_out_C, expected.T_out_C)
+    np.testing.assert_allclose(read.upper_C, expected.upper_C)
+
+
 def test_other_columns_for_the_forecast(measured, tmp_path):
     rules = {**RULES, "forecast": {"outdoor": {"column": "t2m", "unit": "K"}, "sun": "ghi", "price": 0.5, "upper": 25}}
     df = hourly().rename(columns={"out": "t2m", "sun": "ghi"})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -609,3 +610,19 @@ def test_a_workbook_is_read_or_said_to_need_a_package(tmp_path):
         return
     with pytest.raises(DataError, match="no workbook that can be read"):
         starting_map(tmp_path / "house.xlsx")
+
+
+def test_a_heat_meter_tells_what_is_paid_for_where_no_power_is_metered(tmp_path):
+    """District heat: nothing could be planned, though its meter is the one that bills it."""
+    rows = HOUSE[["living", "out"]].set_axis(["Wohnzimmer [°C]", "Außentemperatur [°C]"], axis=1)
+    rows["Wärmemenge WMZ [kWh]"] = np.round(20000.0 + np.cumsum(HOUSE["v_living"]) * 7.0 / 400.0, 2)
+    file = tmp_path / "district.csv"
+    rows.to_csv(file, sep=";", decimal=",", index_label="Zeitstempel")
+    text = starting_map([file])
+    (tmp_path / "map.yaml").write_text(text)
+    assert re.search(r"power: \{column: 'Wärmemenge WMZ .*CHECK: heat, as no electric power", text)
+    measured = tf.read_measurements(file, tmp_path / "map.yaml")
+    assert measured.record.power_W.max() == pytest.approx(7000.0, rel=0.02)
+    rows["WP Leistung [kW]"] = HOUSE["power"] / 1000.0
+    rows.to_csv(file, sep=";", decimal=",", index_label="Zeitstempel")
+    assert "power: {column: 'WP Leistung [kW]'" in starting_map([file])

@@ -119,7 +119,7 @@ def lasting_offset_K(model, house: SimpleHouse, free=None) -> float:
         step_s=None,
         horizon_h=24,
         actuation={"mode": "modulating", "lowest_level": 0.0},
-        offset_h=None,
+        corrections=False,
         watch={"enabled": False},
     )
     mpc = ThermoForceMPC(model, config, free_response=free or LinearWeather())

@@ -15,8 +15,7 @@ import pytest
 from click.testing import CliRunner
 from simple_house import SimpleHouse, simple_model
 
-from thermoforce_mpc import files as cache
-from thermoforce_mpc import report
+from thermoforce_mpc import files, report
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ArtifactError, ConfigError
 from thermoforce_mpc.experiment import outside
@@ -145,7 +144,7 @@ def test_python_in_a_journal_is_not_run_by_resume_or_explain(monkeypatch, tmp_pa
     assert done.exit_code == 0, done.output + str(done.exception)
     assert mark.exists()
     mark.unlink()
-    (tmp_path / "cache" / "thermoforce-mpc" / cache.NAME).unlink()
+    (tmp_path / "cache" / "thermoforce-mpc" / files.GIVEN).unlink()
     (tmp_path / "run" / "report.html").unlink()
     terms.touch()  # a module that was loaded before is not loaded again
     error = call("resume", tmp_path / "run").exception
@@ -281,7 +280,7 @@ def test_what_was_given_is_noted_once_and_needs_no_home(tmp_path, monkeypatch):
     scenario = load_scenario(None, {"testcase": TESTCASE, "plant": {"kind": "boptest", "url": "http://[::1]:5000/"}})
     for _ in range(2):
         outside.note_given(scenario)
-    notes = (tmp_path / "cache" / "thermoforce-mpc" / cache.NAME).read_text().splitlines()
+    notes = (tmp_path / "cache" / "thermoforce-mpc" / files.GIVEN).read_text().splitlines()
     assert [json.loads(line) for line in notes] == [["plant.url", "http://[::1]:5000"]]
     assert outside.unknown(scenario) == []
     (tmp_path / "file").touch()

@@ -17,7 +17,8 @@ from thermoforce_mpc.report.html import free_forecast_scores
 def test_errors_and_coverage_are_those_of_the_free_forecast_alone(error_K, coverage):
     house = SimpleHouse()
     # What would answer the error is off: the scores are those of the forecast.
-    config = MPCConfig.model_validate({"step_s": None, "horizon_h": 24, "offset_h": None, "watch": {"enabled": False}})
+    options = {"step_s": None, "horizon_h": 24, "corrections": False, "watch": {"enabled": False}}
+    config = MPCConfig.model_validate(options)
     mpc = ThermoForceMPC(simple_model(), config, free_response=shifted(error_K))
     result = run_closed_loop(house, mpc, house.period("x"))
     rows = free_forecast_scores(result, horizons_h=(1.0, 6.0), settle_h=4.0)

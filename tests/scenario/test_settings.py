@@ -1,15 +1,25 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
+from pydantic import BaseModel
 
 from controllers import MPCConfig
 from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.scenario.settings import find_config, merge, named_configs, parse_overrides, read_yaml, validate
+from thermoforce_mpc.scenario.settings import (
+    find_config,
+    merge,
+    named_configs,
+    nested,
+    parse_overrides,
+    read_yaml,
+    validate,
+)
 from thermoforce_mpc.scenario.testcase import TestCase
 
 
@@ -152,3 +162,37 @@ def test_a_constant_is_no_option_but_files_that_name_it_with_its_value_are_read(
         validate(MPCConfig, {"watch": {"return_h": 6.0}}, "given.yaml")
     with pytest.raises(ConfigError, match=r"ipopt is no option any more"):
         validate(MPCConfig, {"ipopt": {"tolerance": 1e-3}}, "given.yaml")
+
+
+OLD = [
+    ("backoff_level_other", None, 0.3, "backoff_level 0.5 plans without back-off"),
+    ("backoff_violation_K", 0.0135, None, "backoff_level 0.5 plans without back-off"),
+    ("offset_h", 6.0, None, "corrections: false does without"),
+    ("reserve", True, False, "corrections: false does without"),
+    ("move_blocking", {"free_h": 12.0}, {"free_h": 6.0}, "it stays what it is"),
+    ("objective.exchange", False, True, "at_the_meter: true takes its place"),
+    ("objective.keep_limits", False, True, "at_the_meter: true takes its place"),
+    ("objective.terminal_value", 0.0, 1.0, "a term of your own can give it one"),
+    ("watch.hour_effects", True, False, "blocked_hours: false turns it off too"),
+    ("guard.margin_K", 1.0, 2.0, "it stays 1.0"),
+    ("deadline.solve_s", 60.0, 10.0, "it stays 60.0"),
+    ("sensor.lowest_C", -30.0, 0.0, "it stays -30.0"),
+    ("fallback.safe_C", [20.0, 25.0], [18.0, 26.0], "it stays"),
+]
+
+
+@pytest.mark.parametrize(("key", "same", "other", "instead"), OLD, ids=[key for key, *_ in OLD])
+def test_what_became_of_an_option_is_said_where_a_file_still_turns_it(key, same, other, instead):
+    assert MPCConfig.model_validate(nested(key, same)) == MPCConfig()
+    last = key.rpartition(".")[2]
+    with pytest.raises(ConfigError, match=f"{last} is no option any more: .*{re.escape(instead)}"):
+        validate(MPCConfig, nested(key, other), "given.yaml")
+
+
+def test_the_controller_has_at_most_forty_options():
+    def options(model):
+        for name, field in model.model_fields.items():
+            inner = field.default if isinstance(field.default, BaseModel) else None
+            yield from options(type(inner)) if inner is not None else [name]
+
+    assert len(list(options(MPCConfig))) <= 40

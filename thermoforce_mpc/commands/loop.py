@@ -35,8 +35,9 @@ _BINS, _LEAST_IN_BIN = 24, 8
 _DRAWS, _SEED = 30, 64
 # Water that is less above the room heats nothing, K.
 _NO_HEAT_K = 1.0
-# Least share of the scatter of the level that the map must explain: below it, the loop follows something else.
-_LEAST_R2 = 0.2
+# Least share of the scatter of the level that the map must explain: below it, the loop follows something else. Means of
+# an hour at least are compared: within it, a machine that a thermostat switches is on and off with any command.
+_LEAST_R2, _COMPARED_S = 0.2, HOUR_S
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +60,8 @@ class LoopMap:
 
     `carry` is c; `values`, `effects` (k,): e of the command, straight between; `zone`, `outdoor`: the weights; `knots`,
     `levels`, `spread`, `uncertain` (m,): s, g(s), scatter of a step's level and standard error of g, straight between
-    and constant beyond what was seen. `rmse`, `r2`: of levels followed from the commands alone over `days`.
+    and constant beyond what was seen. Of levels followed from the commands alone over `days`: `rmse` of a step's,
+    `r2` of an hour's.
     """
 
     carry: float
@@ -271,7 +273,7 @@ def _learn_loop(command: Command, seen: _Signals, step_s: float, time_s: Array, 
     rmse = [float(np.sqrt(np.mean(error**2))) for error in errors]
     chosen = next(i for i, one in enumerate(rmse) if one <= _AS_GOOD * min(rmse))
     loop, error = candidates[chosen], errors[chosen]
-    r2 = 1.0 - rmse[chosen] ** 2 / max(float(np.var(u[rows])), 1e-12)
+    r2 = _explained(u[rows], error, np.floor(time_s[rows] / _COMPARED_S + 1e-6))
     rng, groups = np.random.default_rng(_SEED), _alike_days(value[rows], day[rows])
     again = []
     for _ in range(_DRAWS):
@@ -284,6 +286,15 @@ def _learn_loop(command: Command, seen: _Signals, step_s: float, time_s: Array, 
     spread = _by_bins(s, error**2, loop.knots) ** 0.5
     loop = replace(loop, spread=spread, uncertain=uncertain, rmse=rmse[chosen], r2=r2, days=hours * HOUR_S / DAY_S)
     return loop, untold
+
+
+def _explained(u: Array, error: Array, hour: Array) -> float:
+    """Share of the scatter of levels (n,), as means of the same `hour` (n,), that is not in their errors (n,)."""
+    _, of, count = np.unique(hour, return_inverse=True, return_counts=True)
+    level, wrong = (np.bincount(of, weights=one) / count for one in (u, error))
+    # Weighted by what is known of each, so that of steps of an hour or more nothing changes.
+    scatter = float(np.average((level - np.average(level, weights=count)) ** 2, weights=count))
+    return 1.0 - float(np.average(wrong**2, weights=count)) / max(scatter, 1e-12)
 
 
 def _alike_days(value: Array, day: NDArray[np.intp]) -> list[NDArray[np.intp]]:

@@ -240,10 +240,15 @@ class Boundary:
 
 @dataclass(frozen=True)
 class Observation:
-    """Input of a controller: the record until now and the forecast of the boundary conditions."""
+    """Input of a controller: the record until now and the forecast of the boundary conditions.
+
+    `tank_C`: temperature of its tank of hot water now, °C, NaN where it is not known; `tank_charges`: it is charged.
+    """
 
     history: Record
     boundary: Boundary
+    tank_C: float = math.nan
+    tank_charges: bool = False
 
     @property
     def time_s(self) -> float:

@@ -66,6 +66,32 @@ class PlannedSaving:
     gain: float
 
 
+@dataclass(frozen=True, eq=False)
+class HotWaterPlan:
+    """What is set at a tank of hot water over N steps, and what is expected of it.
+
+    `command` (N,): in the unit of its command, None where the device is left to itself. At the end of each step (N,)
+    its mean `T_C` and `low_C`, below which it is on one of ten days; the lowest that is wanted, `lower_C`; over each
+    step the `share` that its machine charges it, and mean electric `power_W`. `cost` and `below_Kh` (below what is
+    wanted, on one of ten days) over the horizon, with those of the tank left `alone`; `solves`: plans of the rooms that
+    were made for it; `gap`: what the best of all charges that were looked at could cost less at most. `why` in words.
+    """
+
+    command: tuple[float | None, ...]
+    T_C: Array
+    low_C: Array
+    lower_C: Array
+    share: Array
+    power_W: Array
+    cost: float
+    cost_alone: float
+    below_Kh: float
+    below_alone_Kh: float
+    solves: int = 0
+    gap: float = 0.0
+    why: str = ""
+
+
 @dataclass(frozen=True, init=False)
 class Block:
     """One stretch of constant actuation: `u` (A,) holds the level of each actuator in [0, 1], None for native control.
@@ -164,6 +190,7 @@ class Plan:
     meters or the model; `solver_status` is the solver's, `variables` how many its programme had,
     `parameters` how many of the operator's, `own` the values of your own variables by name
     (`controller.options.terms`). `state` goes to the controller's next plan of this run and is opaque to others.
+    `hot_water`: what is set at the tank of its machine; None without one.
     `ends`: why the run ends with this plan, of which nothing is applied; '' where it goes on.
     """
 
@@ -194,6 +221,7 @@ class Plan:
     upper_C: Array = field(default_factory=lambda: np.empty(0))
     settings: tuple[tuple[HeldCommand, ...], ...] = ()
     saving: PlannedSaving | None = None
+    hot_water: HotWaterPlan | None = None
     state: object = field(default=None, repr=False)
     ends: str = ""
 

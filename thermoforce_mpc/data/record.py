@@ -124,6 +124,10 @@ class Record:
         """Length of a step, s (NaN when only the present instant is known)."""
         return float(self.time_s[1] - self.time_s[0]) if self.n_steps else float("nan")
 
+    def nearest(self, time_s: float) -> int:
+        """Number of the boundary nearest to `time_s`, below 0 or above n where the record does not reach it."""
+        return round((time_s - float(self.time_s[0])) / self.step_s)
+
     def last(self, n_steps: int) -> Record:
         """The last `n_steps` steps (all of it when shorter)."""
         return self.slice(self.n_steps - min(n_steps, self.n_steps), self.n_steps)
@@ -185,16 +189,13 @@ class Record:
             names=measurement.names,
         )
 
-    def extended(self, measurement: Measurement) -> Record:
-        """This record with the step that ends at `measurement` appended."""
-        return Record(
-            **{
-                name: np.concatenate([getattr(self, name), np.asarray(getattr(measurement, name))[..., None]], axis=-1)
-                for name in SIGNALS
-            },
-            origin=self.origin,
-            names=self.names,
-        )
+    def extended(self, *ends: Measurement) -> Record:
+        """This record with the steps that end at the measurements `ends` appended."""
+        if not ends:
+            return self
+        later = {name: np.stack([np.asarray(getattr(end, name)) for end in ends], axis=-1) for name in SIGNALS}
+        joined = {name: np.concatenate([getattr(self, name), new], axis=-1) for name, new in later.items()}
+        return Record(**joined, origin=self.origin, names=self.names)
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,12 @@ def summary(outcome: TaskOutcome) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time for people, in s, min or h."""
+    """A time for people, in s, min, h or days."""
     if seconds < 120.0:
         return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
+    if seconds < 7200.0:
+        return f"{seconds / 60.0:.0f} min"
+    return f"{seconds / 3600.0:.1f} h" if seconds < 3.0 * 86400.0 else f"{seconds / 86400.0:.1f} days"
 
 
 class TaskProgress:

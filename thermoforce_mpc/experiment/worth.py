@@ -154,12 +154,12 @@ def worth(
             uncertainty of an effect.
     """
     step_s = record.step_s
-    first, n = round((start_s - record.time_s[0]) / step_s), round(days * DAY_S / step_s)
+    first, n = record.nearest(start_s), round(days * DAY_S / step_s)
     if not first * step_s >= LEAST_BEFORE_DAYS * DAY_S or first + n > record.n_steps or n < 1:
         stamps, begin = record.stamps(), stamps_at(np.array([start_s]), record.origin)[0]
         raise DataError(
             f"{days:g} days from {begin} on are not in the record ({stamps[0]} to {stamps[-1]}) with "
-            f"{LEAST_BEFORE_DAYS:g} days before: choose another start, or fewer days"
+            f"{LEAST_BEFORE_DAYS:g} days before: choose another start or fewer days, or give a longer record"
         )
     for name, after in (("lower_C", 1), ("upper_C", 1), ("price_per_kWh", 0)):  # a price is that of a step
         if not np.isfinite(getattr(conditions, name)[:, first : first + n + after]).all():
@@ -252,7 +252,7 @@ class Houses:
         its begin, for others see `IdentifiedHouse`.
         """
         model, record = self._model, self._record
-        first, n = round((period.start_s - record.time_s[0]) / record.step_s), round(period.scored_s / record.step_s)
+        first, n = record.nearest(period.start_s), round(period.scored_s / record.step_s)
         house = IdentifiedHouse(
             model,
             record,

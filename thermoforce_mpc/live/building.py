@@ -25,15 +25,17 @@ from controllers.safety.deadline import BoundedCalls, Crashed
 from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.commands.loop import LearnedCommand
+from thermoforce_mpc.commands.tank import TANK_NAME, LearnedTank
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Record
 from thermoforce_mpc.errors import DataError, InputError, NoForecast, PlantError, StorageError
+from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.experiment.run_models import origin
 from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.identification.probing.excitation import RoomsState
 from thermoforce_mpc.identification.probing.probe import LevelsState, ProbingState
 from thermoforce_mpc.live.windows import OpenWindow, as_if_empty, open_windows, without
 from thermoforce_mpc.measurements.forecast import read_forecast
-from thermoforce_mpc.measurements.load import Measurements, learned_commands, read_measurements
+from thermoforce_mpc.measurements.load import Measurements, learned_commands, learned_tank, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.model.saved import JSON_NAME
 from thermoforce_mpc.model.thermal_model import load_model
@@ -124,7 +126,9 @@ class LiveBuilding:
         return table
 
     def command_of(self, name: str) -> Command | None:
-        """What is set in the place of the level of an actuator, by the map; None where its level is."""
+        """What is set in the place of the level of an actuator, or at the tank, by the map; None where its level is."""
+        if name == TANK_NAME:
+            return None if self._rules.hot_water is None else self._rules.hot_water.command
         found = self._rules.command_of(name)
         return None if found is None else found[1]
 
@@ -197,6 +201,18 @@ class LiveBuilding:
         now = pd.Timestamp.now("UTC")  # a table that a machine appends to, also after a power failure
         measured = read_measurements(self._call("measurements"), self._rules, step_s=self._step_s, now=now)
         return learned_commands(measured.served())
+
+    def tank(self) -> LearnedTank | None:
+        """The tank of the map, with what the measurements tell of it; raises as `commands`."""
+        now = pd.Timestamp.now("UTC")
+        return learned_tank(
+            read_measurements(self._call("measurements"), self._rules, step_s=self._step_s, now=now).served()
+        )
+
+    def tank_now(self) -> tuple[float, bool]:
+        """Temperature of the tank at the last `record`, °C, NaN where it is not known, and whether it is charged."""
+        tank = None if self._measured is None else self._measured.tank
+        return (math.nan, False) if tank is None else tank.now()
 
     def _ahead(self, measured: Measurements, now: pd.Timestamp) -> tuple[str, ...]:
         """A note on readings stamped a little after the clock; raises `DataError` where it is more: what is of now?"""
@@ -326,7 +342,8 @@ class LiveBuilding:
 
     def remember(self, told: Sequence[LastTold]) -> None:
         """Go on from what an earlier controller of the building was `told`."""
-        self._told = {one.name: one for one in told if one.name in self.names and self.command_of(one.name)}
+        names = (*self.names, TANK_NAME)
+        self._told = {one.name: one for one in told if one.name in names and self.command_of(one.name)}
 
     def _note(self, levels: Mapping[str, float | None], seconds: float, now: pd.Timestamp) -> None:
         until = (now + pd.Timedelta(seconds=seconds)).isoformat()
@@ -340,8 +357,7 @@ class LiveBuilding:
 
     def _commanded(self, name: str) -> float:
         """The command as it was read last; NaN where it was not."""
-        was = None if self._measured is None else self._measured.commands.get(name)
-        return float("nan") if was is None else float(was.at[-1])
+        return float("nan") if self._measured is None else _last_command(self._measured, name)
 
     def _set_by_hand(self, measured: Measurements, now: pd.Timestamp) -> tuple[str, ...]:
         """Notes on commands that are not what was set, nor what was before: somebody set them, and is respected.
@@ -352,8 +368,7 @@ class LiveBuilding:
             return ()
         notes = []
         for name in dict(self._told):
-            was = measured.commands.get(name)
-            self._compare(name, float("nan") if was is None else float(was.at[-1]), now)
+            self._compare(name, _last_command(measured, name), now)
         for name, (value, until) in self._people.by_hand(now).items():
             command = self.command_of(name)
             what = f"{value:g}" if command is None else command.in_words(value)
@@ -405,6 +420,14 @@ class LiveBuilding:
             raise PlantError(f"the connection gives no {what} ({type(error).__name__}: {error})") from error
 
 
+def _last_command(measured: Measurements, name: str) -> float:
+    """The command as it was read last; NaN where it was not."""
+    if name == TANK_NAME:
+        return float("nan") if measured.tank is None else float(measured.tank.command[-1])
+    was = measured.commands.get(name)
+    return float("nan") if was is None else float(was.at[-1])
+
+
 def _doubt_of_outdoors(record: Record, ahead: Boundary) -> tuple[str, ...]:
     """A note where the outdoor temperature is far from its forecast for now: another unit, place or column."""
     measured = record.T_out_C[-max(1, round(_LATELY_S / record.step_s)) :]
@@ -435,7 +458,7 @@ def _until(record: Record, now_s: float) -> Record:
         return record.slice(0, record.n_steps + missing)
     if missing * step_s > _OLDEST_DAYS * DAY_S:
         raise DataError(
-            f"the measurements end at {record.stamps()[-1]}, {missing * step_s / 3600:.1f} h ago: does the logger run?"
+            f"the measurements end at {record.stamps()[-1]}, {duration(missing * step_s)} ago: does the logger run?"
         )
 
     def longer(values: Array) -> Array:

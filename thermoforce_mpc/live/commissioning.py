@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -16,8 +17,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from controllers.state_classes import model_key
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.errors import ConfigError, DataError, InputError, PlantError, ThermoForceError
+from thermoforce_mpc.errors import ConfigError, DataError, InputError, PlantError, ThermoForceError, counted
 from thermoforce_mpc.execution.keys import digest
 from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.files import read_bounded, write_whole
@@ -36,6 +38,8 @@ _FORMAT = 1
 # What a model is learned from at least, days (as `measurements.signals` says); whole days before a shadow says
 # what it would have saved.
 _LEAST_DAYS, _SHADOW_DAYS = 2.9, 7
+# Readings of fewer steps are a record that has just begun.
+_BEGUN_STEPS = 3.0
 _AHEAD_S = 24 * 3600.0
 # Remarks on which nothing is tried: what would be set, or watched, is another thing.
 _BARS = ("rooms swapped", "command is no command", "unit of temperature")
@@ -68,7 +72,7 @@ class CommissioningStage:
 
 @dataclass(frozen=True)
 class CommissioningFiles:
-    """Where things are, as commands are told: connection and map, table of measurements, model, folder of control.
+    """Where things are: connection and map, folder of this, model, folder of control, table of measurements.
 
     `has_history`: whether the connection gives its history as a table; `records`: whether what comes can be recorded.
     """
@@ -77,14 +81,35 @@ class CommissioningFiles:
     map_file: str
     out: str
     model: str
-    control: str
+    control_out: str
     table: str
     has_history: bool = False
     records: bool = False
 
-    def with_connection(self, command: str) -> str:
-        """`command` with map and connection."""
-        return f"tf-mpc {command} --map {self.map_file} --connection {self.config}"
+    def told(self, words: str, *names: str) -> str:
+        """`tf-mpc WORDS`, in which each `{}` is one of `names` as a shell takes it."""
+        return f"tf-mpc {words}".format(*map(shlex.quote, names))
+
+    @property
+    def again(self) -> str:
+        """Goes on here."""
+        return self.told("commission {} --map {} --out {}", self.config, self.map_file, self.out)
+
+    @property
+    def recorded(self) -> str:
+        """Writes the history as a table, or records what comes."""
+        words = self.told("record --map {} --connection {}", self.map_file, self.config)
+        return words + (f" --days 365 --out {shlex.quote(self.table)}" if self.has_history else "")
+
+    @property
+    def identified(self) -> str:
+        """Makes the model, of the table, which a connection with a history writes first."""
+        words = self.told("identify --data {} --map {} --out {}", self.table, self.map_file, self.model)
+        return f"{self.recorded} && {words}" if self.has_history and not Path(self.table).exists() else words
+
+    def control(self, words: str, *names: str) -> str:
+        """`tf-mpc control` with map and connection, and `words` as of `told`."""
+        return self.told("control --map {} --connection {} " + words, self.map_file, self.config, *names)
 
 
 def read_house(building: LiveBuilding, rules: MeasurementMap, now: pd.Timestamp) -> PointsFound:
@@ -107,7 +132,9 @@ def read_house(building: LiveBuilding, rules: MeasurementMap, now: pd.Timestamp)
             problems += [words for kind, words in told if kind in _BARS]
             doubts += [words for kind, words in told if kind not in _BARS]
         except (DataError, ConfigError) as error:
-            doubts.append(f"no record yet: {error}")
+            # What is only heard begins with now: that there are no steps yet is nothing to be looked at.
+            if max(-float(point.at_s[0]) for point in points) > _BEGUN_STEPS * building.step_s:
+                doubts.append(f"no record yet: {error}")
     if measured is not None:
         wrong, odd = _as_controlled(building, now)
         problems, doubts = problems + wrong, doubts + odd
@@ -197,14 +224,13 @@ def stages(
     found: PointsFound, plans: Sequence[TrialPlan], book: CommissioningBook, files: CommissioningFiles
 ) -> list[CommissioningStage]:
     """What is done of each stage, which one is next, and its command."""
-    again = f"tf-mpc commission {files.config} --map {files.map_file} --out {files.out}"
-    out = [_of_points(found, again), _of_trials(plans, book, again)]
-    model = _of_model(found, files)
-    record = _of_known(found, files, again) if model.status != "done" else None
+    out = [_of_points(found, files.again), _of_trials(plans, book, files.again)]
+    model, of_model = _of_model(found, files)
+    record = _of_known(found, files) if model.status != "done" else None
     out.append(record or CommissioningStage("record", "done", "there is a model of it"))
-    out += [model, _of_shadow(files)]
+    out += [model, _of_shadow(files, of_model)]
     words = "sets what it plans; end it at any time: the building is given back"
-    out.append(CommissioningStage("control", "open", words, files.with_connection(f"control --model {files.model}")))
+    out.append(CommissioningStage("control", "open", words, files.control("--model {}", files.model)))
     # The first one that is not done is next, and what comes after waits for it.
     first = next((i for i, one in enumerate(out) if one.status == "open"), len(out))
     blocked = any(one.status == "mend" for one in out[:first])
@@ -216,7 +242,8 @@ def _of_points(found: PointsFound, again: str) -> CommissioningStage:
     n, wrong = len(found.points), len(found.problems)
     doubts = f", {len(found.doubts)} to be looked at" if found.doubts else ""
     if wrong:
-        return CommissioningStage("points", "mend", f"{wrong} wrong of {n} points{doubts}: mend the map, then", again)
+        faults = f"{counted(wrong, 'fault')} in {counted(n, 'point')}{doubts}: mend them"
+        return CommissioningStage("points", "mend", f"{faults} (map, device or logger), then", again)
     return CommissioningStage("points", "done", f"{n} points read{doubts}")
 
 
@@ -231,14 +258,11 @@ def _of_trials(plans: Sequence[TrialPlan], book: CommissioningBook, again: str) 
     return CommissioningStage("trials", "open", words, again)
 
 
-def _of_known(found: PointsFound, files: CommissioningFiles, again: str) -> CommissioningStage:
+def _of_known(found: PointsFound, files: CommissioningFiles) -> CommissioningStage:
     """Whether what was measured tells the effect of acting."""
     measured = found.measured
-    record = again  # a table that somebody else writes
-    if files.has_history or files.records:
-        record = f"tf-mpc record --map {files.map_file} --connection {files.config}"
-        record += f" --days 365 --out {files.table}" if files.has_history else ""
-    probe = files.with_connection(f"control --out {files.control}") + " --mode probe"
+    # Else somebody writes the table.
+    record = files.recorded if files.has_history or files.records else files.again
     if measured is None:
         return CommissioningStage("record", "open", "nothing is recorded yet: let it run for days", record)
     days = measured.record.n_steps * measured.record.step_s / 86400.0
@@ -250,53 +274,54 @@ def _of_known(found: PointsFound, files: CommissioningFiles, again: str) -> Comm
         part, _ = telling_part(served.record, served.layout)
         unknown = [one for one in findings(part, served.layout) if not one.competent]
         if unknown:
-            raise DataError("; ".join(f"{one.actuator} {one.words.partition(';')[0]}" for one in unknown))
+            lacking = "; ".join(f"of {one.actuator}: {one.plainly or one.words}" for one in unknown)
+            raise DataError(f"a model of them may not act: {lacking}")
         learned_commands(served)
     except DataError as error:
+        probe = files.control("--out {} --mode probe", files.control_out)
         advice = (
-            f"change {'commands' if set_by_command else 'levels'} at the same hours of some days meanwhile"
+            "meanwhile set other values on some days, at the same hours"
             if set_by_command
-            else f"or trials within the bounds find a model by themselves: {probe}"
+            else f"or let it try levels within the bounds until it knows: {probe}"
         )
-        return CommissioningStage(
-            "record", "open", f"{days:.1f} days do not tell the effect yet ({error}); {advice}", record
-        )
-    return CommissioningStage("record", "done", f"{days:.1f} days tell the effect of acting")
+        words = f"{days:.1f} days do not show yet what heating or cooling does: {error}. Measure on; {advice}"
+        return CommissioningStage("record", "open", words, record)
+    return CommissioningStage("record", "done", f"{days:.1f} days show what heating or cooling does")
 
 
-def _of_model(found: PointsFound, files: CommissioningFiles) -> CommissioningStage:
-    command = f"tf-mpc identify --data {files.table} --map {files.map_file} --out {files.model}"
-    if files.has_history and not Path(files.table).exists():
-        history = f"tf-mpc record --map {files.map_file} --connection {files.config} --days 365 --out {files.table}"
-        command = f"{history} && {command}"
+def _of_model(found: PointsFound, files: CommissioningFiles) -> tuple[CommissioningStage, str]:
+    """The stage, and the key of the model, '' where there is none of this building."""
     if not Path(files.model).exists():
-        return CommissioningStage("model", "open", "none yet", command)
+        return CommissioningStage("model", "open", f"none yet in {files.model}", files.identified), ""
     try:
         model = load_model(Path(files.model))
         if found.measured is not None:
             names = found.measured.served().record.names
             check_same_building("the model", model.names, "the map", names)
     except ThermoForceError as error:
-        return CommissioningStage("model", "open", f"{files.model}: {error}", command)
+        return CommissioningStage("model", "open", f"{files.model}: {error}", files.identified), ""
     unfit = [
         name
         for name, card in zip(model.names.actuators, model.cards, strict=True)
         if card.competence is None or not card.competence.competent
     ]
     if unfit:
-        return CommissioningStage(
-            "model", "open", f"it may not act on {', '.join(unfit)}: measure longer, then", command
-        )
-    return CommissioningStage("model", "done", f"{files.model} may act on {', '.join(model.names.actuators)}")
+        words = f"it may not act on {', '.join(unfit)}: measure longer, then"
+        return CommissioningStage("model", "open", words, files.identified), model_key(model)
+    words = f"{files.model} may act on {', '.join(model.names.actuators)}"
+    return CommissioningStage("model", "done", words), model_key(model)
 
 
-def _of_shadow(files: CommissioningFiles) -> CommissioningStage:
-    command = files.with_connection(f"control --model {files.model} --out {files.control}") + " --mode shadow"
+def _of_shadow(files: CommissioningFiles, of_model: str) -> CommissioningStage:
+    command = files.control("--model {} --out {} --mode shadow", files.model, files.control_out)
     try:
-        told = json.loads(read_bounded(Path(files.control) / SHADOW, MOST_BYTES, InputError))
-        days, said = len(told["days"]), str(told["said"])
+        told = json.loads(read_bounded(Path(files.control_out) / SHADOW, MOST_BYTES, InputError))
+        days, said, of = len(told["days"]), str(told["said"]), str(told["model"])
     except (OSError, InputError, ValueError, KeyError, TypeError):
         return CommissioningStage("shadow", "open", f"{_SHADOW_DAYS} days in which nothing is set", command)
+    if of != of_model:
+        words = f"{_SHADOW_DAYS} days in which nothing is set; those in {files.control_out} are of another model"
+        return CommissioningStage("shadow", "open", words, command)
     if days < _SHADOW_DAYS:
         return CommissioningStage("shadow", "open", f"{days} of {_SHADOW_DAYS} days; {said}", command)
     return CommissioningStage("shadow", "done", f"{days} days; {said}")

@@ -15,6 +15,7 @@ from typing import Protocol
 
 import pandas as pd
 
+from thermoforce_mpc.commands.tank import TANK_NAME
 from thermoforce_mpc.connections.sole import Sets, set_by, sole_control
 from thermoforce_mpc.connections.watchdog import Watchdog
 from thermoforce_mpc.data import Block, Boundary, CommandValue, Plan, PlanStatus
@@ -162,6 +163,10 @@ class _Building:
         self._on_decision, self._kept_state, self._journal = on_decision, kept_state, journal
         self._given = Given(None, None)
         self._acts, self._watchdog = acts, watchdog
+        # A tank of which nothing was learned stays the device's.
+        self._sets_tank = (
+            getattr(controller, "hot_water", None) is not None and building.command_of(TANK_NAME) is not None
+        )
         self._allowed = limits_of(controller)
         self._instant: pd.Timestamp | None = None
         self._applied: list[Applied] = []
@@ -235,7 +240,8 @@ class _Building:
         model = getattr(controller, "model", None)
         if model is not None:
             check_same_building("the model", model.names, "the map", record.names)
-        return Believed(record, as_read, doubts, controller.step_s, building.layout.u_min)
+        tank = building.tank_now()
+        return Believed(record, as_read, doubts, controller.step_s, building.layout.u_min, tank)
 
     def units(self) -> UnitDoubts | None:
         """See `LoopDriver.units`."""
@@ -277,6 +283,7 @@ class _Building:
     def act(self, decided: Decided) -> object:
         """See `LoopDriver.act`."""
         self._raised = self._raised and decided.observation is None
+        decided = self._with_holds(decided)
         levels, time_s = [block.u for block in decided.blocks], self._building.time_s(self._at)
         name, plan, refused = self._controller.name, decided.plan, decided.refused
         # Of the forecast's table too, which was read after the measurements.
@@ -318,7 +325,7 @@ class _Building:
         self._keep(self._at, decided.before, state)
         # What is not set did not act: as if nothing had been planned.
         acts = self._acts and not self._building.paused
-        blocks = decided.blocks if acts else ()
+        blocks, tank = decided.blocks if acts else (), self._tank_command(decided)
         if self._set and not acts:  # until now it was
             self._set = not self._write((None,) * len(self._building.names), 0.0)
         if not acts:
@@ -333,7 +340,7 @@ class _Building:
             if until > (now := self._clock.now()):
                 hold_s = min((end - now).total_seconds(), self._step.total_seconds()) + beyond_s
                 block = self._as_may_be(block, now, (until - now).total_seconds())
-                taken = self._write(block.told, hold_s)
+                taken = self._write(block.told, hold_s, tank)
                 self._note_commands(block.told if taken else (None,) * len(block.told), now, hold_s)
                 start_s = self._building.time_s(begin)
                 # A plan whose levels were not taken did not act.
@@ -350,6 +357,36 @@ class _Building:
             begin = until
         self._clock.wait_until(min(end, self._clock.now() + self._step))
         return state
+
+    def _with_holds(self, decided: Decided) -> Decided:
+        """What will be set where a command may not change yet, as `_as_may_be` says, and a note on each of these."""
+        if not self._acts or self._building.paused:
+            return decided
+        blocks, notes, begin = list[Block](), dict[str, None](), self._at + self._delay
+        for planned in decided.blocks:
+            now = max(begin, self._clock.now())
+            block = self._as_may_be(planned, now, planned.duration_s)
+            blocks.append(block)
+            begin += pd.Timedelta(seconds=planned.duration_s)
+            for name, wanted, value in zip(self._building.names, planned.told, block.told, strict=True):
+                if value != wanted and (command := self._building.command_of(name)) is not None:
+                    before = self._commands[name]
+                    since = pd.Timestamp(before.since).tz_convert(self._at.tz)
+                    held = f"{self._building.key(name)}: {command.in_words(before.value)} was set at {since:%H:%M}"
+                    stays = f"and stays for {command.hold_min:g} min (hold_min)"
+                    notes[f"{held} {stays if value is not None else 'and may stay no longer'}"] = None
+        return replace(decided, blocks=tuple(blocks), notes=(*decided.notes, *notes)) if notes else decided
+
+    def _tank_command(self, decided: Decided) -> float | None:
+        """What is set at the tank in the step; None: it is given back to the device."""
+        plan, command = decided.plan.hot_water, self._building.command_of(TANK_NAME)
+        value = None if plan is None or decided.refused or not self._sets_tank else plan.command[0]
+        if value is None or command is None:
+            return None
+        if not command.allows(value):
+            _LOG.warning("%s, which the map does not allow: the tank is the device's own", command.in_words(value))
+            return None
+        return value
 
     def _as_may_be(self, block: Block, now: pd.Timestamp, seconds: float) -> Block:
         """What is to be set for `seconds` s, but for commands that a controller that was started again within a step
@@ -404,13 +441,15 @@ class _Building:
                 )
             )
 
-    def _write(self, told: Sequence[CommandValue | None], seconds: float) -> bool:
+    def _write(self, told: Sequence[CommandValue | None], seconds: float, tank: float | None = None) -> bool:
         names = self._building.names
         levels = {name: value if isinstance(value, float) else None for name, value in zip(names, told, strict=True)}
+        if self._sets_tank:
+            levels[TANK_NAME] = tank
         # What people set by hand is not in it, and the watchdog must not give it back either.
         self._building.notice()
         told_by_name = self._building.to_set(levels)
-        near = {self._building.key(name): self._building.nearness(name) for name in names}
+        near = {self._building.key(name): self._building.nearness(name) for name in levels}
         ours = {key: (value, near[key]) for key, value in told_by_name.items() if value is not None}
         # Before the call: one that fails, or is interrupted, may have set them.
         anything = any(value is not None for value in told_by_name.values())

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from controllers.state_classes import STATE_CLASSES
+from controllers.state_classes import STATE_CLASSES, model_key
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import CONDITIONS, J_PER_KWH, Boundary, Period, Record
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
@@ -137,7 +137,8 @@ class ShadowBook:
             if f"{begin:%Y-%m-%d}" not in [known.day for known in self.days]:
                 self.days.append(self._judged(begin))
                 days = [asdict(day) for day in self.days]
-                write_json(self._folder / SHADOW, {"said": in_words(self.days), "of": self._key, "days": days})
+                of = {"of": self._key, "model": model_key(self._model)}
+                write_json(self._folder / SHADOW, {"said": in_words(self.days), **of, "days": days})
             return in_words(self.days)
         if self._today is not None and instant.date() != self._today:
             self._over = pd.Timestamp(self._today, tz=instant.tz)
@@ -216,8 +217,8 @@ def _told_day(path: Path, begin: pd.Timestamp) -> _ToldDay:
         record = replace(history_before(steps[: later + 1]), origin=origin)
         forecasts = {float(round(steps[i].time_s)): given for i in at if (given := steps[i].forecast()[0]) is not None}
         known = [forecast_of(steps[: i + 1]) for i in [*at, later]]
-    first, n = (round((s - float(record.time_s[0])) / record.step_s) for s in (begin_s, end_s))
-    n -= first
+    first = record.nearest(begin_s)
+    n = record.nearest(end_s) - first
     if first < 1 or first + n > record.n_steps or len(at) < _LEAST_DECIDED * n:
         raise DataError(f"{begin:%d %b}: {len(at)} of {n} decisions were made in it: the day does not count")
     period = Period("day", float(record.time_s[first]), n * record.step_s, 0.0)
@@ -241,7 +242,7 @@ def _in_force(record: Record, forecasts: Sequence[Boundary]) -> Boundary:
 
 
 def _day(begin: pd.Timestamp, told: _ToldDay, lived: Sequence[Lived], *, goes_on: bool) -> ShadowDay:
-    likeliest, first = lived[0], round((told.period.start_s - told.record.time_s[0]) / told.record.step_s)
+    likeliest, first = lived[0], told.record.nearest(told.period.start_s)
     was = likeliest.was
     energy_was = was.power_W * was.step_s / J_PER_KWH
     price = told.conditions.price_per_kWh[:, first : first + was.n_steps]

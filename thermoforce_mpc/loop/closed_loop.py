@@ -192,10 +192,33 @@ def run_closed_loop(
     return RunResult(period, controller.name, kpis, driver.steps, driver.start, time.perf_counter() - began, state)
 
 
-class _Simulated:
-    """A simulated plant as the driver of a loop: its clock goes on where it is advanced."""
+class PlantDriver:
+    """What drivers (`LoopDriver`) of a simulated plant share: it is its own clock, and its owner's."""
 
     begun_anew = False
+
+    def __init__(self, plant: Plant) -> None:
+        self._plant = plant
+
+    def unfit(self, blocks: Sequence[Block]) -> str:
+        """See `LoopDriver.unfit`: the plant refuses itself what it has not."""
+        return ""
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """See `Plant.forecast`."""
+        return self._plant.forecast(horizon_s, interval_s)
+
+    def instead(self, index: int, error: Exception, state: object) -> Decided:
+        """See `LoopDriver.instead`: nothing acts in the place of what cannot be decided about a simulated plant."""
+        raise error
+
+    def end(self) -> None:
+        """See `LoopDriver.end`: the plant is its owner's."""
+
+
+class _Simulated(PlantDriver):
+    """A simulated plant under a controller over a scored window."""
+
     start: Measurement
 
     def __init__(
@@ -213,8 +236,9 @@ class _Simulated:
         units: UnitDoubts | None,
         state: object,
     ) -> None:
+        super().__init__(plant)
         self._state = state
-        self._plant, self._period, self._price, self._step_s = plant, period, price, controller.step_s
+        self._period, self._price, self._step_s = period, price, controller.step_s
         self._allowed = allowed or limits_of(controller)
         self._u_min: Sequence[float] = [self._allowed.u_min] if u_min is None else u_min
         self._on_step, self._keeper, self._units, self._record_days = on_step, keeper, units, record_days
@@ -238,21 +262,9 @@ class _Simulated:
         as_read = self._history if self.steps else self._as_read
         return Believed(self._history, as_read, self._notes, self._end_s - self._now_s, self._u_min)
 
-    def unfit(self, blocks: Sequence[Block]) -> str:
-        """See `LoopDriver.unfit`: the plant refuses itself what it has not."""
-        return ""
-
     def units(self) -> UnitDoubts | None:
         """See `LoopDriver.units`."""
         return self._units
-
-    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """See `Plant.forecast`."""
-        return self._plant.forecast(horizon_s, interval_s)
-
-    def instead(self, index: int, error: Exception, state: object) -> Decided:
-        """See `LoopDriver.instead`: nothing acts in the place of what cannot be decided about a simulated plant."""
-        raise error
 
     def act(self, decided: Decided) -> object:
         """See `LoopDriver.act`."""
@@ -318,9 +330,6 @@ class _Simulated:
             self._history = self._history.extended(parts[-1][1].averaged_with(parts))
         if self._history.time_s[-1] - self._history.time_s[0] > (self._record_days + 1.0) * DAY_S:
             self._history = self._history.last(round(self._record_days * DAY_S / self._step_s))
-
-    def end(self) -> None:
-        """See `LoopDriver.end`: the plant is its owner's."""
 
 
 def time_rat(steps: Sequence[StepRecord], step_s: float) -> float:

@@ -125,6 +125,7 @@ class Believed:
         notes: readings that were missing or rejected.
         left_s: time until the loop ends, s.
         u_min: lowest level of each actuator (A,), or of all.
+        tank: temperature of a tank of hot water, °C, NaN where it is not known, and whether it is charged.
     """
 
     history: Record
@@ -132,6 +133,7 @@ class Believed:
     notes: tuple[str, ...]
     left_s: float
     u_min: float | Sequence[float]
+    tank: tuple[float, bool] = (math.nan, False)
 
 
 @dataclass(frozen=True)
@@ -262,7 +264,7 @@ class Loop:
         doubts = self._units.now(believed.as_read, boundary) if self._units else ()
         t1 = time.perf_counter()
         # The controller fills holes of the forecast itself, and says so.
-        observation = Observation(history, forecast)
+        observation = Observation(history, forecast, *believed.tank)
         plan = _planned(controller, observation, state, index)
         t2 = time.perf_counter()
         # Records do not hold the controller's state, which grows with the run; only the latest is kept.

@@ -17,14 +17,13 @@ from thermoforce_mpc.data import (
     SAMPLED,
     YEAR_S,
     Block,
-    Boundary,
     Layout,
     Period,
     PlantInfo,
     Record,
 )
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.loop.closed_loop import advanced
+from thermoforce_mpc.loop.closed_loop import PlantDriver, advanced
 from thermoforce_mpc.loop.inputs import UnitDoubts
 from thermoforce_mpc.loop.loop import Believed, Decided, Loop
 from thermoforce_mpc.model.sun_on_sensor import LIKELY
@@ -213,13 +212,11 @@ class Identifying:
         return replace(look.model, cards=tuple(cards))
 
 
-class Probing:
+class Probing(PlantDriver):
     """A probing of a simulated plant that can be continued, as the driver of a loop.
 
     `record` is what was measured so far, without the warm-up; `blocks` what was asked for, one a step.
     """
-
-    begun_anew = False
 
     def __init__(
         self,
@@ -238,7 +235,8 @@ class Probing:
         from thermoforce_mpc.identification.probing.probe import ProbingConfig
 
         self.config = c = config or ProbingConfig()
-        self._plant, self._layout, self._seed = plant, layout or Layout.single(), seed
+        super().__init__(plant)
+        self._layout, self._seed = layout or Layout.single(), seed
         now = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
         self.record, self.blocks = Record.beginning(now), list[Block]()
         # The past bounds the effect of a level; rooms need none.
@@ -304,21 +302,9 @@ class Probing:
         history = self.record if self.record.n_steps else self._past
         return Believed(history, history, (), math.inf, self._layout.u_min)
 
-    def unfit(self, blocks: Sequence[Block]) -> str:
-        """See `LoopDriver.unfit`: the plant refuses itself what it has not."""
-        return ""
-
     def units(self) -> UnitDoubts | None:
         """See `LoopDriver.units`: `Identifying` looks for them."""
         return None
-
-    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """See `Plant.forecast`."""
-        return self._plant.forecast(horizon_s, interval_s)
-
-    def instead(self, index: int, error: Exception, state: object) -> Decided:
-        """See `LoopDriver.instead`: nothing acts in the place of what cannot be decided about a simulated plant."""
-        raise error
 
     def act(self, decided: Decided) -> object:
         """See `LoopDriver.act`."""
@@ -327,9 +313,6 @@ class Probing:
             self.record = self.record.extended(advanced(self._plant, block))
         self._on_step()
         return decided.after
-
-    def end(self) -> None:
-        """See `LoopDriver.end`: the plant is its owner's."""
 
 
 def probe(

@@ -40,7 +40,7 @@ from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import found_files, head_of, read_tables
 from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import NoColumn, as_numbers, tables_of
-from thermoforce_mpc.measurements.tables.recognition import guessed_form, recognised
+from thermoforce_mpc.measurements.tables.recognition import Recognised, guessed_form, recognised
 from thermoforce_mpc.scenario.bill import SUFFIXES, Bill, file_beside, read_bill
 from thermoforce_mpc.scenario.building import PRICES
 
@@ -276,8 +276,8 @@ def _rows(
             paths = found_files([file])
             if len(paths) > 1:
                 raise DataError(f"{file}: names {len(paths)} files, a forecast is one: name the latest")
-            if rules.table != TableForm():  # a forecast is a table of another form than the measurements
-                taken = recognised(paths)
+            # A forecast is a table of another form than the measurements, or written by another program.
+            if (taken := _taken_for(paths, rules)) is not None:
                 form, csv = rules.forecast.table or taken.table, rules.forecast.csv or taken.csv
                 if rules.forecast.time is None:
                     zone = taken.clock.zone or rules.time.zone
@@ -291,6 +291,18 @@ def _rows(
     if now is not None:
         notes += rows.notes
     return rows, tables[0].name
+
+
+def _taken_for(paths: Sequence[Path], rules: MeasurementMap) -> Recognised | None:
+    """How a forecast is written, where that is not as the map says of the measurements; None where it may be."""
+    if rules.table != TableForm():
+        return recognised(paths)
+    if rules.forecast.time is not None or rules.time.column is None:
+        return None
+    taken = recognised(paths)
+    both = (rules.time.column, taken.clock.column)
+    ours, theirs = ((one,) if isinstance(one, str) else tuple(one or ()) for one in both)
+    return None if not theirs or ours == theirs else taken
 
 
 def _grid(rows: Timed, time_s: Array, name: str, measured: Measurements, least_steps: int) -> tuple[Array, int]:

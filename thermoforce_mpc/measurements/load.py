@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pandas as pd
 
-from thermoforce_mpc.commands.kinds import AnyCommand
+from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, check_told, learn_command
+from thermoforce_mpc.commands.tank import LearnedTank, TankRecord, learn_tank
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.dataframes import clock_s, new_year, seconds_at, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError, counted
@@ -25,7 +26,7 @@ from thermoforce_mpc.measurements.map.mapping import (
     Signal,
     load_map,
 )
-from thermoforce_mpc.measurements.signals import SignalReader, Understood, missing, of_changes, of_clock
+from thermoforce_mpc.measurements.signals import SignalReader, SignalSummary, Understood, missing, of_changes, of_clock
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_tables
@@ -44,6 +45,9 @@ _STEPS_S = (900.0, 3600.0)
 _LEAST_STEPS = 2
 # Rows that are looked at for rooms outside the map.
 _ROWS = 2000
+# Steps of a tank of hot water, s, and of how many days it is learned: habits of a season. From this share of a step on
+# that its machine charges it, the meter says nothing of the rooms.
+_TANK_STEPS_S, _TANK_DAYS, _CHARGED = (60.0, 900.0), 42.0, 0.02
 # A command that is not logged anew holds for so long, h.
 _COMMAND_HOLDS_H = 14 * 24.0
 # A single reading so long after the clock has a wrong stamp.
@@ -172,7 +176,8 @@ class Measurements:
 
     `conditions`: measured weather with the bounds and prices of the map, NaN where it names none. `left_out`: what was
     left out of a table that a machine appends to, in words. `commands`: what was set, by actuator, of those with a
-    command. `windows`: by zone with a contact, 1 where one was open at the boundaries (n + 1,).
+    command. `windows`: by zone with a contact, 1 where one was open at the boundaries (n + 1,). `tank`: of
+    hot water, None where the map has none; the power of its machine in `record` is then that of steps without charging.
     """
 
     record: Record
@@ -183,6 +188,7 @@ class Measurements:
     left_out: tuple[str, ...] = ()
     commands: Mapping[str, CommandRecord] = field(default_factory=dict)
     windows: Mapping[str, Array] = field(default_factory=dict)
+    tank: TankRecord | None = None
 
     def newest_s(self) -> float:
         """Time of the newest temperature of a zone, s; NaN without one."""
@@ -341,7 +347,14 @@ def _from_table(
         reader.mean(f"machines.{name}.return_water", m.return_water, readings.WATER) for name, m in machines
     ] or unknown
     heat = np.array([reader.mean(f"actuators.{name}.heat", a.heat, readings.POWER) for name, a in actuators] or unknown)
-    u, of_levels = actuator_levels(rules, reader, heat, power)
+    tank, of_tank = _tank_record(rules, table, time_s, grid_s, rows_every_s, step_s, origin, refuse=refuse)
+    rooms_W = power
+    if tank is not None:  # what the machine takes for the tank says nothing of the rooms
+        m, share = names.machines.index(rules.tank_machine), tank.share_of(grid_s)
+        rooms_W, power = power.copy(), power.copy()
+        rooms_W[m] *= 1.0 - share
+        power[m, share > _CHARGED] = np.nan
+    u, of_levels = actuator_levels(rules, reader, heat, rooms_W)
     set_by = {name: found for name, _ in actuators if (found := rules.command_of(name)) is not None}
     commands = {
         name: replace(_commanded(reader, where, command), over_K=_over_K(rules.actuators[name], name, reader, rules))
@@ -375,11 +388,60 @@ def _from_table(
         zone,
         rows_every_s,
         step_s,
-        tuple(reader.summaries),
+        (*reader.summaries, *of_tank),
         (*table.notes, *of_clock(zone, rows_every_s, step_s), *of_sun, *of_levels, *of_changes(reader.on_change)),
         missing(rules, record, conditions),
     )
-    return Measurements(record, layout, conditions, understood, rules, commands=commands, windows=windows)
+    return Measurements(record, layout, conditions, understood, rules, commands=commands, windows=windows, tank=tank)
+
+
+def _tank_record(
+    rules: MeasurementMap,
+    table: Timed,
+    time_s: Array,
+    grid_s: Array,
+    rows_every_s: float,
+    step_s: float,
+    origin: pd.Timestamp,
+    *,
+    refuse: bool,
+) -> tuple[TankRecord | None, list[SignalSummary]]:
+    """The tank of hot water in steps of its own, as a charge is shorter than one of the rooms, and its signals."""
+    tank = rules.hot_water
+    if tank is None:
+        return None, []
+    own_s = rows_every_s if np.isfinite(rows_every_s) else _TANK_STEPS_S[0]
+    own_s = min(step_s, float(np.clip(round(own_s / 60.0) * 60.0, *_TANK_STEPS_S)))
+    at_s = grid_s[0] + own_s * np.arange(round((grid_s[-1] - grid_s[0]) / own_s) + 1)
+    reader = SignalReader(table, time_s, at_s, own_s, rules, refuse=refuse)
+    machine = rules.machines[rules.tank_machine]
+    power_W = reader.mean(f"machines.{rules.tank_machine}.power", machine.power, readings.POWER)
+    every_s = reader.summaries[-1].usual_s if machine.power is not None else 0.0
+    command = CommandRecord(np.full(at_s.size, np.nan), np.full(at_s.size - 1, np.nan))
+    if tank.command is not None:
+        command = _commanded(reader, "hot_water", tank.command)
+    found = TankRecord(
+        time_s=at_s,
+        T_C=reader.sampled("hot_water.temperature", tank.temperature, readings.TANK),
+        T_out_C=reader.sampled("outdoor", rules.outdoor, readings.OUTDOOR),
+        command=command.at,
+        power_W=power_W,
+        charging=np.clip(reader.mean("hot_water.charging", tank.charging, readings.LEVEL), 0.0, 1.0),
+        clock_s=clock_s(at_s, origin),
+        usual=command.usual,
+        power_every_s=every_s,
+    )
+    return found, [one for one in reader.summaries if one.key.startswith("hot_water.")]
+
+
+def learned_tank(measured: Measurements) -> LearnedTank | None:
+    """What the measurements tell of the tank, None without one; raises `DataError` where they do not tell it."""
+    rules, tank = measured.map.hot_water, measured.tank
+    if rules is None or tank is None:
+        return None
+    where = f"hot_water (column {' + '.join(rules.temperature.columns)})"
+    learned = learn_tank(tank.last(_TANK_DAYS), rules.command, measured.map.tank_machine, where)
+    return replace(learned, origin=measured.record.origin, comfort=rules.comfort)
 
 
 def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
@@ -400,7 +462,7 @@ def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
     return out
 
 
-def _commanded(reader: SignalReader, where: str, command: AnyCommand) -> CommandRecord:
+def _commanded(reader: SignalReader, where: str, command: Command) -> CommandRecord:
     """What was set: a command holds until the next reading."""
     signal = Signal(column=command.column, hold_h=_COMMAND_HOLDS_H)
     at = reader.scheduled(f"{where}.command", signal, readings.COMMAND)

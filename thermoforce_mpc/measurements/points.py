@@ -158,7 +158,8 @@ def _point(
     point = replace(base, at_s=at_s, values=values, age_s=age_s, every_s=every_s)
     if gone_s > max(_GONE_S, _TIMES_USUAL * np.nan_to_num(every_s)):
         return replace(point, problem=f"not available, for {duration(age_s)}")
-    return replace(point, problem=_problem(point, rule, raw, command), doubts=_doubts(point, rule, command))
+    problem = _problem(point, rule, raw, command)
+    return replace(point, problem=problem, doubts=() if problem else _doubts(point, rule, command))
 
 
 def _summed(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:

@@ -64,6 +64,7 @@ SIGNED_LEVEL = replace(LEVEL, range=(-1.0 - LEVEL_SLACK, 1.0 + LEVEL_SLACK))
 HUMIDITY = replace(LEVEL, range=(0.0, 1.0 + LEVEL_SLACK))
 BOUND = SignalRule("temperature", "°C", ZONE.range, ZONE.usual)
 PRICE = SignalRule("price", "per kWh")
+TANK = SignalRule("temperature", "°C", WATER.range, (25.0, 75.0))
 COMMAND = SignalRule("command", "")
 
 

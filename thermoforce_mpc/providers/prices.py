@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,7 +15,7 @@ import pandas as pd
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.files import secret_from
 from thermoforce_mpc.protocols import Answer
-from thermoforce_mpc.providers.service import PRICE, Service, stamped
+from thermoforce_mpc.providers.service import PRICE, Service, documented, parsed, stamped
 
 _DAY = pd.Timedelta(days=1)
 _PER_MWH = 1e-3
@@ -101,13 +100,7 @@ def entsoe_rows(body: bytes, where: str) -> list[tuple[pd.Timestamp, float, floa
                     found[at] = (*rank, price)
     if not found:
         raise PlantError(f"{where}: no prices")
-    # An hour of a coarser series stands where no quarter of a finer one does.
-    finest_s = min(step_s for step_s, _, _ in found.values())
-    rows: dict[pd.Timestamp, tuple[float, float]] = {}
-    for at, (step_s, _, price) in sorted(found.items(), key=lambda item: -item[1][0]):
-        for k in range(round(step_s / finest_s)):
-            rows[at + pd.Timedelta(seconds=k * finest_s)] = finest_s, price * _PER_MWH
-    return [(at, *rows[at]) for at in sorted(rows)]
+    return [(at, step_s, price * _PER_MWH) for at, (step_s, _, price) in found.items()]
 
 
 class Awattar(Service):
@@ -127,8 +120,8 @@ class Awattar(Service):
         """See `Provider`."""
         begin = (now - _DAY).floor("1D")
         asked = {"start": _ms(begin), "end": _ms(begin + 4 * _DAY)}
-        said = _json(self.get("/v1/marketdata", asked)[1], self.url)
-        with _layout(self.url):
+        said = parsed(self.get("/v1/marketdata", asked)[1], self.url)
+        with documented(self.url):
             rows = []
             for one in said["data"]:
                 if one["unit"].lower() != "eur/mwh":
@@ -160,10 +153,10 @@ class Tibber(Service):
         prices = "today{total startsAt} tomorrow{total startsAt}"
         query = f"{{viewer{{homes{{currentSubscription{{priceInfo(resolution:QUARTER_HOURLY){{{prices}}}}}}}}}}}"
         body = self.get("/v1-beta/gql", headers={"Authorization": f"Bearer {self._token}"}, json={"query": query})[1]
-        said = _json(body, self.url)
+        said = parsed(body, self.url)
         if said.get("errors"):
             raise PlantError(f"{self.url}: {said['errors'][0].get('message', 'an error')}")
-        with _layout(self.url):
+        with documented(self.url):
             homes = said["data"]["viewer"]["homes"]
             if self._home >= len(homes) or homes[self._home]["currentSubscription"] is None:
                 raise PlantError(f"{self.url}: the account has no home {self._home} with a subscription")
@@ -204,8 +197,8 @@ class NordPool(Service):
             status, body, _ = self.get("/api/DayAheadPrices", asked, accepted=(200, 204))
             if status == 204:  # not yet known
                 continue
-            said = _json(body, self.url)
-            with _layout(self.url):
+            said = parsed(body, self.url)
+            with documented(self.url):
                 if said["currency"] != self._currency:
                     raise PlantError(f"{self.url}: prices in {said['currency']}, not in {self._currency}")
                 for one in said["multiAreaEntries"]:
@@ -235,8 +228,8 @@ class EnergyZero(Service):
         begin = (now.tz_convert("Europe/Amsterdam") - _DAY).floor("1D").tz_convert("UTC")
         asked = {"fromDate": _iso_ms(begin), "tillDate": _iso_ms(begin + 4 * _DAY), "interval": 4, "usageType": 1,
                  "inclBtw": str(self._with_tax).lower()}  # fmt: skip
-        said = _json(self.get("/v1/energyprices", asked)[1], self.url)
-        with _layout(self.url):
+        said = parsed(self.get("/v1/energyprices", asked)[1], self.url)
+        with documented(self.url):
             at = stamped([one["readingDate"] for one in said["Prices"]], self.url)
             values = [float(one["price"]) for one in said["Prices"]]
         return _table(self.url, list(zip(at, _lengths_s(at), values, strict=True)))
@@ -271,8 +264,8 @@ class Octopus(Service):
         asked: dict[str, Any] | None = {"period_from": _minute(begin), "period_to": _minute(end), "page_size": 1000}
         path, rows = self._path, list[tuple[pd.Timestamp, float, float]]()
         for _ in range(_MOST_PAGES):
-            said = _json(self.get(path, asked)[1], self.url)
-            with _layout(self.url):
+            said = parsed(self.get(path, asked)[1], self.url)
+            with documented(self.url):
                 for one in said["results"]:
                     ends = one["valid_to"] or end.isoformat()  # a rate without an end holds on
                     start, until = stamped([one["valid_from"], ends], self.url)
@@ -288,29 +281,8 @@ class Octopus(Service):
         raise PlantError(f"{self.url}: more than {_MOST_PAGES} pages")
 
 
-class _layout:
-    """Says that an answer has not the documented layout where a key or value is missing."""
-
-    def __init__(self, where: str) -> None:
-        self._where = where
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, KeyError | TypeError | ValueError | IndexError | AttributeError | OverflowError):
-            raise PlantError(f"{self._where}: not the documented layout ({type(error).__name__}: {error})") from error
-
-
-def _json(body: bytes, where: str) -> Any:
-    try:
-        return json.loads(body)
-    except ValueError as error:
-        raise PlantError(f"{where}: its answer is no JSON") from error
-
-
 def _table(where: str, rows: list[tuple[pd.Timestamp, float, float]]) -> Answer:
-    """Prices at the finest length there is; a hole stays one."""
+    """Prices at the finest length there is, a longer one where no finer one stands; a hole stays one."""
     if not rows:
         raise PlantError(f"{where}: no prices")
     shortest = min(length_s for _, length_s, _ in rows)

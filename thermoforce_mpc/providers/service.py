@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from email.utils import parsedate_to_datetime
@@ -64,6 +66,23 @@ class Service:
         if status not in accepted:
             raise PlantError(f"{where}: status {status}")
         return status, bytes(body), {key.lower(): value for key, value in told.items()}
+
+
+@contextmanager
+def documented(where: str) -> Iterator[None]:
+    """Say (`PlantError`) that an answer has not the documented layout where a key or value is missing in the block."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+        raise PlantError(f"{where}: not the documented layout ({type(error).__name__}: {error})") from error
+
+
+def parsed(body: bytes, where: str) -> Any:
+    """JSON of an answer; raises `PlantError`."""
+    try:
+        return json.loads(body)
+    except ValueError as error:
+        raise PlantError(f"{where}: its answer is no JSON") from error
 
 
 def expires(headers: Mapping[str, str]) -> datetime | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,7 +10,7 @@ import pandas as pd
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.protocols import Answer
-from thermoforce_mpc.providers.service import OUTDOOR, SUN, Service, expires, stamped
+from thermoforce_mpc.providers.service import OUTDOOR, SUN, Service, documented, expires, parsed, stamped
 
 
 class OpenMeteo(Service):
@@ -41,8 +40,8 @@ class OpenMeteo(Service):
                 "minutely_15": "temperature_2m,shortwave_radiation_instant", "past_days": 1, "forecast_days": 3,
             },
         )  # fmt: skip
-        try:
-            said: dict[str, Any] = json.loads(body)
+        said = parsed(body, self.url)
+        with documented(self.url):
             if said["utc_offset_seconds"] != 0:
                 raise PlantError(f"{self.url}: times of another zone than UTC, which was asked for")
             unit, rows = said["minutely_15_units"]["temperature_2m"], said["minutely_15"]
@@ -52,8 +51,6 @@ class OpenMeteo(Service):
                 {OUTDOOR: _numbers(rows["temperature_2m"]), SUN: _numbers(rows["shortwave_radiation_instant"])},
                 index=pd.DatetimeIndex(pd.to_datetime(rows["time"], unit="s", utc=True)),
             )
-        except (KeyError, TypeError, ValueError) as error:
-            raise PlantError(f"{self.url}: not the documented layout ({type(error).__name__}: {error})") from error
         return Answer(table, fresh=expires(headers))
 
 
@@ -95,8 +92,9 @@ class MetNorway(Service):
         kept = {key: told[key] for key in ("last-modified",) if key in told} or state
         if status == 304:
             return Answer(pd.DataFrame(), fresh=expires(told), state=kept, unchanged=True)
-        try:
-            properties = json.loads(body)["properties"]
+        said = parsed(body, self.url)
+        with documented(self.url):
+            properties = said["properties"]
             if properties["meta"]["units"]["air_temperature"] != "celsius":
                 raise PlantError(f"{self.url}: temperatures not in celsius")
             rows = properties["timeseries"]
@@ -104,8 +102,6 @@ class MetNorway(Service):
             details = [row["data"]["instant"]["details"] for row in rows]
             T_out_C = _numbers([one["air_temperature"] for one in details])
             cloud = _numbers([one.get("cloud_area_fraction") for one in details])
-        except (KeyError, TypeError, ValueError) as error:
-            raise PlantError(f"{self.url}: not the documented layout ({type(error).__name__}: {error})") from error
         # Every quarter of an hour as far as it is hourly: the sun moves between two hours, clouds go straight.
         hourly = np.r_[True, np.diff(index.as_unit("s").asi8) <= 3600]
         last = int(np.argmin(hourly)) if not hourly.all() else len(index)

@@ -339,7 +339,7 @@ def _changed(before: Record, now: Record) -> int | None:
     """The first step of `now` that is not as `before` had it; None where `now` does not go on from it."""
     if before.names != now.names or not (before.n_steps and now.n_steps) or before.step_s != now.step_s:
         return None
-    shift = round((float(now.time_s[0]) - float(before.time_s[0])) / now.step_s)
+    shift = before.nearest(float(now.time_s[0]))
     if not 0 <= shift <= before.n_steps or abs(float(before.time_s[shift] - now.time_s[0])) > CLOCK_TOLERANCE_S:
         return None
     first = min(before.n_steps - shift, now.n_steps)

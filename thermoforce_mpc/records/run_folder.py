@@ -115,6 +115,19 @@ def sole_use(folder: Path) -> Iterator[None]:
         lock.release()
 
 
+def in_use(folder: Path) -> bool:
+    """Whether another process has the sole use of `folder` now; nothing is written."""
+    if not (folder / LOCK).exists():
+        return False
+    lock = FileLock(folder / LOCK, timeout=0)
+    try:
+        lock.acquire()
+    except (Timeout, OSError):
+        return True
+    lock.release()
+    return False
+
+
 def trajectory_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
     """One row per applied block: the columns of `Sample` (units in the names), one per zone, actuator and machine."""
     frame = pd.DataFrame([sample.columns() for step in steps for sample in step.samples])

@@ -15,7 +15,6 @@ from thermoforce_mpc.data import (
     ACTING,
     DAY_S,
     SAMPLED,
-    SIGNALS,
     SINGLE,
     Array,
     Block,
@@ -246,12 +245,8 @@ def history_before(steps: Sequence[ToldStep]) -> Record:
     for step in steps[first:-1]:
         parts = [(b.duration_s, with_level(reading, b)) for b, reading in zip(step.blocks, step.after, strict=True)]
         ends.append(parts[-1][1].averaged_with(parts))
-    if ends:
-        columns = {name: np.stack([np.asarray(getattr(end, name)) for end in ends], axis=-1) for name in SIGNALS}
-        columns = {name: np.concatenate([getattr(record, name), new], axis=-1) for name, new in columns.items()}
-        record = Record(**columns, names=record.names)
     # Limits that need a model or a floor area are left to the notes of the run.
-    return screened_history(record, ReadingLimits(u_min=-1.0))[0]
+    return screened_history(record.extended(*ends), ReadingLimits(u_min=-1.0))[0]
 
 
 def forecast_of(steps: Sequence[ToldStep]) -> Boundary:

@@ -342,7 +342,7 @@ def other_levels_json(result: RunResult, model: ThermalModel | None, layout: Lay
     levels = {"off": 0.0} if layout.exclusive else LEVELS
 
     def at(level: float, time_s: float) -> Counterfactual:
-        start = round((time_s - record.time_s[0]) / record.step_s)
+        start = record.nearest(time_s)
         stop = start + round(LENGTH_H * HOUR_S / record.step_s)
         recent = record.slice(max(0, start - round(MOST_PAST_DAYS * DAY_S / record.step_s)), stop)
         return counterfactual(model, recent, level, start=time_s, hours=LENGTH_H)

@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +49,8 @@ _RULE = re.compile(
     r"(?:(?P<days>[a-z]+(?:-[a-z]+)?)\s+)?(?:(?P<begin>\d{1,2}(?::\d\d)?)-(?P<end>\d{1,2}(?::\d\d)?)\s+)?"
     r"(?P<lower>\d+(?:\.\d+)?)-(?P<upper>\d+(?:\.\d+)?)(?:\s*°?c)?"
 )
-# Between these, °C, lie bounds that somebody may mean.
-_LOWEST_C, _HIGHEST_C = 5.0, 40.0
+# Between these, °C, lie bounds that somebody may mean, of rooms and of tanks of hot water.
+_ROOM_C, _TANK_C = (5.0, 40.0), (20.0, 80.0)
 
 
 @dataclass(frozen=True)
@@ -72,22 +72,26 @@ class Rule:
 
 
 @cache  # asked for in every step
-def rules_from(text: str) -> tuple[Rule, ...]:
-    """The rules of a schedule, of which the first that holds counts; raises `ValueError` for a part that is none."""
+def rules_from(text: str, within_C: tuple[float, float] = _ROOM_C) -> tuple[Rule, ...]:
+    """The rules of a schedule, of which the first that holds counts; raises `ValueError` for a part that is none.
+
+    `within_C`: between which bounds lie.
+    """
     parts = [part.strip() for part in re.split(r"[,;\n]", text.lower().replace("–", "-")) if part.strip()]
     if not parts or not parts[-1].startswith("else "):
         raise ValueError("the last part says what holds else, as in 'weekdays 6:00-22:00 21-24, else 17-26'")
-    rules = [_rule(part) for part in parts[:-1]]
-    return (*rules, _rule("daily " + parts[-1].removeprefix("else ")))
+    rules = [_rule(part, within_C) for part in parts[:-1]]
+    return (*rules, _rule("daily " + parts[-1].removeprefix("else "), within_C))
 
 
-def _rule(text: str) -> Rule:
+def _rule(text: str, within_C: tuple[float, float]) -> Rule:
     found = _RULE.fullmatch(text)
     if found is None:
         raise ValueError(f"'{text}': expected DAYS BEGIN-END LOWER-UPPER, as 'weekdays 6:00-22:00 21-24'")
     lower, upper = float(found["lower"]), float(found["upper"])
-    if not _LOWEST_C <= lower < upper <= _HIGHEST_C:
-        raise ValueError(f"'{text}': bounds are °C, the lower below the upper, from {_LOWEST_C:g} to {_HIGHEST_C:g}")
+    least, most = within_C
+    if not least <= lower < upper <= most:
+        raise ValueError(f"'{text}': bounds are °C, the lower below the upper, from {least:g} to {most:g}")
     begin, end = (_hour(found[key], text) for key in ("begin", "end")) if found["begin"] else (0.0, 24.0)
     if begin == end:
         raise ValueError(f"'{text}': it begins and ends at the same time")
@@ -117,6 +121,8 @@ def _days(text: str, rule: str) -> Sequence[int]:
 class Comfort(StrictModel):
     """Comfort bounds of the zones by schedule, in the place of the test case's."""
 
+    within_C: ClassVar[tuple[float, float]] = _ROOM_C
+
     schedule: str | dict[str, str] = Field(
         description="rules DAYS BEGIN-END LOWER-UPPER (°C), of which the first that holds counts, and what holds else: "
         "'weekdays 6:00-22:00 21-24, else 17-26'; or one such text a zone, by name, and `others`. Days: weekdays, "
@@ -133,7 +139,7 @@ class Comfort(StrictModel):
     @classmethod
     def _can_be_read(cls, value: str | dict[str, str]) -> str | dict[str, str]:
         for text in value.values() if isinstance(value, dict) else (value,):
-            rules_from(text)
+            rules_from(text, cls.within_C)
         return value
 
     @field_validator("holidays")
@@ -154,7 +160,7 @@ class Comfort(StrictModel):
         hour = (time_s - whole * DAY_S) / HOUR_S
         day = (whole + WEEK.index(first_weekday)) % len(WEEK)
         holiday = np.isin(whole % 365, [day_of_year(date) for date in self.holidays])
-        bounds = np.array([_bounds(rules_from(text), day, hour, holiday) for text in texts])
+        bounds = np.array([_bounds(rules_from(text, self.within_C), day, hour, holiday) for text in texts])
         return bounds[:, 0], bounds[:, 1]
 
     def bounds_at(self, at: pd.DatetimeIndex, zones: Sequence[str]) -> tuple[Array, Array]:
@@ -163,12 +169,12 @@ class Comfort(StrictModel):
         hour = np.asarray(at.hour + at.minute / 60.0 + at.second / 3600.0, dtype=np.float64)
         holiday = np.isin(at.strftime("%Y-%m-%d"), [_full_date(date) for date in self.holidays])
         day = np.asarray(at.day_of_week, dtype=np.float64)
-        bounds = np.array([_bounds(rules_from(text), day, hour, holiday) for text in texts])
+        bounds = np.array([_bounds(rules_from(text, self.within_C), day, hour, holiday) for text in texts])
         return bounds[:, 0], bounds[:, 1]
 
     def strictest_C(self, zones: Sequence[str]) -> list[tuple[float, float]]:
         """The highest lower and the lowest upper bound of each of `zones`, °C; raises as `bounds_C`."""
-        rules = [rules_from(text) for text in self._of_zones(zones)]
+        rules = [rules_from(text, self.within_C) for text in self._of_zones(zones)]
         return [(max(rule.lower_C for rule in of), min(rule.upper_C for rule in of)) for of in rules]
 
     def _of_zones(self, zones: Sequence[str]) -> list[str]:
@@ -201,6 +207,15 @@ def _bounds(rules: Sequence[Rule], day: Array, hour: Array, holiday: NDArray[np.
 def _schedule_alone(value: object) -> object:
     return {"schedule": value} if isinstance(value, str) else value
 
+
+class TankComfort(Comfort):
+    """Lowest and highest temperature of a tank of hot water by schedule, °C."""
+
+    within_C: ClassVar[tuple[float, float]] = _TANK_C
+
+
+OfTankComfort = Annotated[TankComfort, BeforeValidator(_schedule_alone, json_schema_input_type=str | TankComfort)]
+"""A schedule of a tank's temperatures; a mere text stands for one without holidays."""
 
 OfComfort = Annotated[Comfort, BeforeValidator(_schedule_alone, json_schema_input_type=str | Comfort)]
 """A schedule of comfort bounds; a mere text stands for one without holidays."""

@@ -17,7 +17,7 @@ import re
 import reprlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
 import yaml
 from pydantic import (
@@ -82,21 +82,25 @@ class StrictModel(BaseModel):
 
     Refused: unknown keys, NaN and infinity, true and false where a number is meant, text that only Python takes for one
     (1_0), and numbers that no building can have, by the unit that a key's name ends with. A class variable is a
-    constant: files that name it with its own value are read, another value is refused.
+    constant: files that name it with its own value are read, another value is refused. So are keys of `gone`, with the
+    value that they had by default, and what to write instead of another one.
     """
 
+    gone: ClassVar[Mapping[str, tuple[Any, str]]] = {}
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     @model_validator(mode="before")
     @classmethod
     def _constants_are_no_options(cls, data: Any) -> Any:
-        named = cls.__class_vars__ & data.keys() if isinstance(data, Mapping) else set()
+        known = cls.gone.keys() | (cls.__class_vars__ - {"gone"})
+        named = known & data.keys() if isinstance(data, Mapping) else set()
         for key in named:
-            constant, value = getattr(cls, key), data[key]
-            same = constant.model_dump().items() >= value.items() if _is_model(constant, value) else value == constant
-            if not same:
+            constant, instead = cls.gone.get(key) or (getattr(cls, key), "")
+            value = data[key]
+            if not _is_same(constant, value):
                 shown = "what it is" if _is_model(constant, value) else f"{constant}"
-                raise ValueError(f"{key} is no option any more: it stays {shown}; leave the key out")
+                instead = instead or f"it stays {shown}; leave the key out"
+                raise ValueError(f"{key} is no option any more: {instead}")
         return {key: value for key, value in data.items() if key not in named} if named else data
 
     @field_validator("*", mode="before")
@@ -129,6 +133,13 @@ class StrictModel(BaseModel):
 
 def _is_model(constant: Any, value: Any) -> bool:
     return isinstance(constant, BaseModel) and isinstance(value, Mapping)
+
+
+def _is_same(constant: Any, value: Any) -> bool:
+    """Whether a value in a file says what a constant is."""
+    if _is_model(constant, value):
+        return all(hasattr(constant, key) and _is_same(getattr(constant, key), one) for key, one in value.items())
+    return (tuple(value) if isinstance(value, list) else value) == constant
 
 
 @functools.cache

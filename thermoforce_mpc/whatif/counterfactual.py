@@ -200,7 +200,7 @@ def days_of(record: Record, meter: str, name: str, past: Record | None = None) -
     low_out, low_sun = _low_passes(record, past)
     first = int(np.ceil(record.time_s[0] / DAY_S - 1e-9))
     last = int(np.floor(record.time_s[-1] / DAY_S + 1e-9))
-    offset = round((first * DAY_S - record.time_s[0]) / record.step_s)
+    offset = record.nearest(first * DAY_S)
     # Heat that is taken out of a zone is negative in a record: cold that was used is energy like heat.
     total = (record.power_W if meter == "power_W" else np.abs(record.heat_W)).sum(axis=0)
     total = np.where(np.isfinite(total), total, np.nan)
@@ -456,7 +456,7 @@ def _boundary(record: Record, start: pd.Timestamp | str | float) -> int:
         if record.origin is None:
             raise DataError(f"start is '{start}', but the record has no time stamps: give seconds")
         start = seconds_at(record.origin, start, "start")
-    return round((start - record.time_s[0]) / record.step_s)
+    return record.nearest(start)
 
 
 def _certified_bounds(model: ThermalModel, change: Array, step_s: float) -> tuple[Array, Array]:

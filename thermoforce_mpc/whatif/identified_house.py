@@ -194,7 +194,7 @@ class IdentifiedHouse(Releasing):
 
     def lived(self, start_s: float) -> Record:
         """The record of this house from `start_s` until now."""
-        return self._lived(round((start_s - self._was.time_s[0]) / self._was.step_s), self._k)
+        return self._lived(self._was.nearest(start_s), self._k)
 
     @property
     def warmth_Kh(self) -> Array:

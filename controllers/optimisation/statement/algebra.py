@@ -149,8 +149,8 @@ class Structure:
     first `n_chosen` steps. `peak`, `capped`, `exchange`, `curved`: a price of peak power, a power cap, a price of what
     is bought that differs from that of what is fed in, and whether the power in
     them, or in a term of the user, has a part in u². `hidden`: hidden units of the gain where it sees the predicted
-    temperature; 0: it does not. `stored`: heat at the end has a price. `terms`, `step_s`: further terms of the user,
-    and the length of a step for them, s.
+    temperature; 0: it does not. `terms`, `step_s`: further terms of the user, and the length of a step for
+    them, s.
     """
 
     Z: int
@@ -173,7 +173,6 @@ class Structure:
     exchange: bool = False
     curved: bool = False
     hidden: int = 0
-    stored: bool = True
     terms: tuple[Callable[..., None], ...] = ()
     step_s: float = 0.0
 
@@ -248,7 +247,6 @@ def structure_of(
         exchange=shape.exchange,
         curved=shape.curved and bool(shape.peak or shape.capped or shape.exchange or shape.terms),
         hidden=operator.of_actuator(0).hidden_bias.size if feedback else 0,
-        stored=shape.stored,
         terms=shape.terms,
         step_s=operator.step_s if shape.terms else 0.0,
     )
@@ -348,10 +346,10 @@ class Algebra:
             best, least = ca.if_else(value < least, kink, best), ca.fmin(value, least)
         return self.variable(name, best, 0.0, MOST_RUNNING)
 
-    def response(self, q: Mapping[str, ca.SX], s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Responses of the zones (Z, N), drives m·v (A, N) of `heat` v by difference equations, and slack (Z, N).
+    def response(self, q: Mapping[str, ca.SX], s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Responses of the zones (Z, N) to `heat` v (A, N) by difference equations, and slack (Z, N).
 
-        m is a parameter unless it sees the response.
+        The gain m is a parameter unless it sees the response.
 
         The response is what is inside the comfort bounds, a variable between numbers, less what is below, plus what is
         above: where a zone has one group, comfort needs no rows. At given levels it is counted mode by mode.
@@ -373,7 +371,7 @@ class Algebra:
             gain = ca.horzcat(*(_gain(q, s, k, seen[0, k]) for k in range(s.N)))
             self.equal.append(ca.vec(drive - gain * heat))
         self.equal.append(ca.vec(_difference_equations(q, s, y, drive)))
-        return forced, drive, below + above
+        return forced, below + above
 
     def require(self, what: str, row: ca.SX) -> None:
         """Rows that are at least 0; `what` they are, '' where given levels leave no choice."""

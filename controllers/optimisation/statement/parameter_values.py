@@ -35,9 +35,7 @@ class Numbers:
         self._gains = [ExportedGain(head, s.N) for head in heads]
         self._z, self._a = (np.array(numbers, dtype=np.intp) for numbers in zip(*s.pairs, strict=True))
         poles, gains_ = operator.poles, operator.gains
-        n, self._firsts = shape.n_steps, shape.first_steps
-        self._remaining = gains_[..., None] * poles[..., None] ** (n - 1 - np.arange(n))
-        self._faded, self._lengths = poles**n, np.array(s.lengths)
+        self._firsts, self._lengths = shape.first_steps, np.array(s.lengths)
         alone = ~machinery.shared[machinery.machine_of]
         self._lasts = self._firsts + self._lengths - 1
         each = [[difference_equation(g.poles, g.gains, kind) for g in groups] for kind in s.kinds]
@@ -80,18 +78,14 @@ class Numbers:
     def of(self, p: MPCProblem) -> Array:
         """The parameters of an instance.
 
-        Raises `DataError` where it does not fit the shape: in its steps, by a part in u² in peak, cap or exchange, or
-        by a price of heat at the end.
+        Raises `DataError` where it does not fit the shape: in its steps, or by a part in u² in peak, cap or exchange.
         """
         s, machine_of = self._s, self._shape.machinery.machine_of
         if p.power_per_u2_W is not None and (s.peak or s.capped or s.exchange or s.terms) and not s.curved:
             raise DataError("MPC problem: power has a part in u², which its shape (`curved`) does not say")
         if p.n_steps != self._shape.n_steps:
             raise DataError(f"MPC problem: {p.n_steps} steps, but the shape has {self._shape.n_steps}")
-        if not s.stored and np.any(p.terminal_price_per_K):
-            raise DataError("MPC problem: heat at the end has a price, which its shape (`stored`) does not say")
         drive, sag = self._drive(p)
-        worth = np.einsum("zar,zarn->an", p.terminal_price_per_K, self._remaining)
         price_of = p.price_per_W[machine_of]
         bend_W = np.zeros(drive.shape) if p.power_per_u2_W is None else p.power_per_u2_W
         per_u_W, fixed_W, fixed_cost = self._switching(p, bend_W)
@@ -103,8 +97,6 @@ class Numbers:
             "forced": p.forced_state_K[self._z, self._a],
             "drive": self._mean(drive),
             "sag": np.where(heat_cost < 0.0, 0.0, self._mean(sag)),
-            "worth": self._sum(worth),
-            "kept": float((p.terminal_price_per_K * self._faded * p.forced_state_K).sum()),
             "per_u": self._mean(per_u_W),
             "heat_cost": heat_cost,
             "bend": self._mean(bend_W),

@@ -3,7 +3,7 @@
 For zones z, actuators a and machines m, over steps k of the plan,
 
     minimise    Σ_k [ Σ_m fixed_cost_mk · on_mk  +  Σ_a ( cost_ak u_ak + bend_cost_ak c_ak )  +  Σ_z w_z · s_zk · Δt
-                      +  Σ_a ε u_ak²  +  c · o_k · Δt ]  +  π · p  −  Σ_za λ_za' F_za,N
+                      +  Σ_a ε u_ak²  +  c · o_k · Δt ]  +  π · p
     subject to  F_za,k+1 = A_za F_za,k + g_za m(x_ak) v(u_ak)     forced response of each pair (paper eq:operator)
                 lower_zk − s_zk ≤ T_free,zk + Σ_a F_za,k ≤ upper_zk + s_zk,   s_zk ≥ 0,   least_ak ≤ u_ak ≤ most_ak
                 P_mk = fixed_mk · on_mk + Σ_{a of m} (per_u_ak u_ak + bend_ak c_ak)
@@ -23,7 +23,8 @@ level for the share on_ak ≥ 0 of the step; above it, by e_ak ≥ max(0, u_ak �
 Power P(u) per heat v(u) is least at l_a, so both are the convex envelope of what the machine does at all of its levels,
 and heat costs the same whenever it is given. One that always switches, or whose heat and power are proportional to u,
 has e = 0 and c = u². The first steps decide which of actuators that exclude one another acts; later they share a step.
-The free response T_free is fixed. The slack makes every instance feasible. λ is the value of heat stored at the end.
+The free response T_free is fixed. The slack makes every instance feasible. What is
+stored at the end has no price: a term of the user can give it one.
 
 A machine's actuators begin together; w_a is the share of the time that it runs while only actuator a is on
 (`model.machine.load`), and it runs at least as long as its capacity asks.
@@ -48,9 +49,8 @@ from thermoforce_mpc.model.operator.casadi_export import network_size
 from thermoforce_mpc.model.operator.parameters import N_FEATURES
 
 Parameters = Mapping[str, ca.SX]
-# What the cost is made of, currency: `stored heat` is minus what it is worth at the end, `other` the curvature and the
-# user's terms.
-PARTS = ("energy", "discomfort", "peak, cap", "stored heat", "other")
+# What the cost is made of, currency: `other` is the curvature and the user's terms.
+PARTS = ("energy", "discomfort", "peak, cap", "other")
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Stated:
 def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
     """Rows and columns of every parameter of the statement, in their order."""
     G, P, E = len(s.groups), len(s.pairs), sum(len(actuators) for _, actuators in s.groups)
-    heat = ("drive", "sag", "worth", "per_u", "heat_cost", "bend", "bend_cost")
+    heat = ("drive", "sag", "per_u", "heat_cost", "bend", "bend_cost")
     sizes = {
         **{"denominator": (G, s.r * len(s.kinds)), "numerator": (s.r * len(s.kinds), E), "begin": (G, s.r)},
         **{"poles": (P, s.r * len(set(s.lengths))), "gains": (P, s.r * len(set(s.lengths))), "forced": (P, s.r)},
@@ -83,7 +83,7 @@ def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
         **dict.fromkeys(("T_free", "lower", "upper"), (s.Z, s.N)),
         **dict.fromkeys(("fixed", "fixed_cost", "capacity"), (s.M, s.N)),
         **dict.fromkeys(("share", "runs_for", "u_max", "u_min", "lowest_level", "on_per_v", "last_u"), (s.A, 1)),
-        **{"comfort": (s.Z, 1), "weights": (3, 1), "kept": (1, 1)},
+        **{"comfort": (s.Z, 1), "weights": (3, 1)},
         **dict.fromkeys(("reached", "limit", "surplus", "dearer"), (1, s.N)),
     }
     # The last ones: a nonlinear programme has the gain's own in its place.
@@ -103,7 +103,7 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
     runs = _running(alg, q, s, heat, on)
     _exclude(alg, q, s, heat, cool, alg.acting(q, s, heat, cool))
     u, lengths = heat - cool, ca.DM(s.lengths).T
-    forced, drive, slack = alg.response(q, s, q["drive"] * u - q["sag"] * over)
+    forced, slack = alg.response(q, s, q["drive"] * u - q["sag"] * over)
 
     energy = ca.sum1(q["fixed_cost"] * runs) + ca.sum1(q["heat_cost"] * heat + q["bend_cost"] * curve)
     power = q["fixed"] * runs + _of_machines(s, q["per_u"] * heat)
@@ -112,8 +112,6 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
         power += _of_machines(s, q["cold_power"] * cool)
     parts = dict.fromkeys(PARTS, ca.SX(0))
     parts["discomfort"] = ca.dot(lengths, ca.mtimes(q["comfort"].T, slack))
-    if s.stored:
-        parts["stored heat"] = -ca.dot(q["worth"], drive) - q["kept"]
     parts["other"] = q["weights"][0] * ca.dot(lengths, ca.sum1(u**2))
     whole = power + _of_machines(s, q["bend"] * curve)
     power = whole if s.curved else power  # rows of power are linear otherwise

@@ -71,12 +71,10 @@ def test_what_the_peer_cannot_express_is_left_out():
     rng = np.random.default_rng(4)
     problem = replace(
         random_problem(rng, 2),
-        terminal_price_per_K=np.ones((1, 1, 2)),
         weights=Weights(5.0, 1e-6, peak=1.0),
         peak_so_far_W=1.0,
     )
     plain = without_extras(problem)
-    assert not plain.terminal_price_per_K.any()
     assert (plain.weights.peak, plain.weights.comfort) == (0.0, 5.0)
 
 

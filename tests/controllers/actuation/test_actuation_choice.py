@@ -66,6 +66,16 @@ def test_a_machine_is_switched_where_heat_costs_least(costs, lowest, words):
         assert choice.power.load == FIXED_SPEED, "blocks at full level draw what was identified there"
 
 
+def test_heat_that_a_meter_knows_of_blocks_is_given_in_blocks():
+    """Before, 'tf-mpc plan' of a house with only a heat meter ended: "the data have only off and full level"."""
+    by_meter = law(0.0, 7000.0, 1.0, seen=False)
+    choice = choose(by_meter, by_meter, [cost(0.21, 1.0), cost(0.72, 1.0)])
+    assert not choice.actuation.modulates
+    lowest = choice.actuation.lowest_level
+    assert HeatInput(heat=by_meter).at_lowest_level(lowest)(0.4, 0.0) == pytest.approx(0.4)
+    assert choice.power.at_lowest_level(lowest).load == by_meter
+
+
 def test_a_fixed_part_on_the_meter_counts_more_than_heat_guessed_from_temperatures():
     fan, costs = law(350, 2650), [cost(0.5, 0.87), cost(0.25, 1.03)]
     choice = choose(fan, None, costs)

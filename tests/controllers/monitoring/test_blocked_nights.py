@@ -83,7 +83,7 @@ def test_an_evening_in_which_a_schedule_blows_cold_is_planned_around_from_the_th
     assert [time_s for time_s, _ in news] == [11 * DAY_S + 20 * HOUR_S], "two evenings tell"
     assert news[0][1].startswith("watch: from 19:00 to 20:00 acting does ")
     assert PlanStatus.WATCH not in {step.plan.status for step in steps}
-    assert missing_K(cold_at_seven(watch={"hour_effects": False}), 12) > 0.5
+    assert missing_K(cold_at_seven(watch={"blocked_hours": False}), 12) > 0.5
 
 
 def test_what_a_record_told_of_an_evening_keeps_the_first_one():

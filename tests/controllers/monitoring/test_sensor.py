@@ -145,7 +145,7 @@ def test_a_sensor_that_was_moved_for_good_is_believed_again_after_a_day():
 def test_a_sensor_is_the_business_of_its_own_zone_and_its_options_are_its_own(silent):
     fault = (lambda T, last: np.nan) if silent else (lambda T, last: 40.0)
     houses = TwoHouses(first=sensor(fault, hours=10.0))
-    options = {} if silent else {"sensors": {TWO.zones[0]: {"highest_C": 39.0}}}
+    options = {} if silent else {"sensor": {"enabled": False}, "sensors": {TWO.zones[0]: {}}}
     config = MPCConfig(step_s=None, horizon_h=24.0, **options)
     mpc = ThermoForceMPC(two_model(), config, free_response=Exact())
     result = run_closed_loop(houses, mpc, SimpleHouse().period("x"))
@@ -161,7 +161,7 @@ def test_a_sensor_is_the_business_of_its_own_zone_and_its_options_are_its_own(si
     [
         ({"sensors": {"attic": {}}}, "there is no zone 'attic'; the building has zone"),
         ({"actuations": {"boilr": {}}}, "actuations: there is no actuator 'boilr'; the building has actuator"),
-        ({"sensor": {"lowest_C": 40.0, "highest_C": 10.0}}, "lowest_C"),
+        ({"sensor": {"lowest_C": 10.0}}, "lowest_C is no option any more"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(options, says):

@@ -52,27 +52,17 @@ def test_none_is_much_cheaper_than_the_plan_of_those_that_keep_the_bounds(single
 
 def test_the_parts_add_up_to_what_was_minimised_and_the_plan_has_the_least(single):
     _, _, _, found = single
-    assert {"energy", "discomfort", "peak, cap", "stored heat", "other"} == set(found.courses[0].parts)
+    assert {"energy", "discomfort", "peak, cap", "other"} == set(found.courses[0].parts)
     for course in found.courses:
         assert course.total == pytest.approx(sum(course.parts.values()))
     chosen, *others = found.courses
     assert chosen.total == pytest.approx(plan_cost(single), abs=1e-3)
     assert chosen.total <= min(course.total for course in others) + 1e-3
     assert found.reason.startswith("the least total; next is ")
-    # What the comfort bounds alone do not say: heat left at the end, and margins inside them.
+    # What the comfort bounds alone do not say: margins inside them.
     loop = named(found)["loops at the bounds"]
     assert loop.parts["energy"] < chosen.parts["energy"]
     assert loop.parts["discomfort"] > chosen.parts["discomfort"]
-    assert chosen.parts["stored heat"] == 0.0, "without a terminal value"
-
-
-def test_stored_heat_counts(single):
-    _, seen, _, _ = single
-    mpc = controller(simple_model(), objective={"terminal_value": 1.0})
-    courses = named(alternatives(mpc, seen, mpc.plan(seen)))
-    worth = {name: -course.parts["stored heat"] for name, course in courses.items()}
-    assert worth["off"] < worth["loops at the bounds"] < worth["plan"] < worth["full"]
-    assert courses["plan"].total < courses["loops at the bounds"].total
 
 
 def plan_cost(single) -> float:

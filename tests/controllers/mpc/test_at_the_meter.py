@@ -55,7 +55,7 @@ def planned(home, path, bill, *, used=1.0, **objective):
 
 
 def test_what_the_sun_leaves_over_is_used_before_energy_is_bought(home, tmp_path):
-    with_sun, ahead = planned(home, tmp_path / "bill.yaml", BILL, exchange=True)
+    with_sun, ahead = planned(home, tmp_path / "bill.yaml", BILL, at_the_meter=True)
     without, _ = planned(home, tmp_path / "bill.yaml", BILL)
     spare_W = np.maximum(-ahead.others_W[:-1], 0.0)
     assert set(np.round(spare_W)) == {0.0, 3000.0}
@@ -89,7 +89,7 @@ def test_the_cost_of_a_plan_is_that_of_what_is_bought_and_not_sold(home, tmp_pat
 
 def test_a_dimmed_machine_takes_no_more_than_the_grid_lets_it(home, tmp_path):
     bill = BILL | {"dimming": {"kW": 1.0, "hours": "4:00-8:00"}}
-    plan, ahead = planned(home, tmp_path / "bill.yaml", bill, keep_limits=True)
+    plan, ahead = planned(home, tmp_path / "bill.yaml", bill, at_the_meter=True)
     dimmed = np.isfinite(ahead.limit_W[:-1])
     assert dimmed.sum() == 4
     assert plan.power_W[0, dimmed].max() <= 1000.0 + 1e-3

@@ -21,7 +21,7 @@ def test_the_scenario_says_what_the_paper_prints():
     c = controller_config(scenario.controller.name, scenario.controller.options, testcase)
     identification = identification_settings(scenario, chosen_of(scenario, testcase))[1]
     assert (c.solver, c.horizon_h, c.step_s, scenario.step_s) == ("ipopt", 24.0, None, HOUR_S)
-    assert (c.free_response.name, c.backoff_level, c.comfort_margin_K, c.offset_h) == ("chronos", 0.5, 0.0, None)
+    assert (c.free_response.name, c.backoff_level, c.comfort_margin_K, c.corrections) == ("chronos", 0.5, 0.0, False)
     assert (identification.method, identification.order, identification.heat_input) == ("two_stage", 1, "identity")
     assert (identification.gamma, identification.hidden, identification.optimiser) == (0.75, 32, "adam")
     assert 300 <= identification.epochs <= 400

@@ -57,7 +57,6 @@ class Machine:
             step_s=STEP_S,
             machinery=EquipmentLayout.one(lowest_level=self.lowest),
             weights=Weights(20.0, 1e-6),
-            terminal_price_per_K=np.zeros((1, 1, pair.poles.size)),
             power_per_u2_W=np.full((1, n), self.bend) if self.bend else None,
         )
 

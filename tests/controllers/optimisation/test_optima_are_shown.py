@@ -63,7 +63,7 @@ def test_an_optimum_is_one_whatever_comfort_weighs(name, weight):
     least = min(answer.cost for answer in answers.values() if answer.ok)
     for solver, answer in answers.items():
         if answer.ok and answer.optimal:
-            assert answer.cost <= least + 1e-3 * but_discomfort(answer) + 1e-5 * abs(weight), solver
+            assert answer.cost <= least + 1e-3 * but_discomfort(answer) + 1e-5 * abs(weight) + 1e-7, solver
         else:
             assert answer.problem
 
@@ -88,7 +88,7 @@ def test_choices_look_at_prices_whatever_comfort_weighs(weight):
     heavy = replace(problem, weights=replace(problem.weights, comfort=weight * np.asarray(problem.weights.comfort)))
     found = MilpSolver(operator, shape, MilpConfig(gap=0.0)).solve(heavy)
     assert found.optimal, found.problem
-    assert PlanModel(operator, shape).brings(problem, found.u).cost == pytest.approx(0.2409, abs=1e-3)
+    assert PlanModel(operator, shape).brings(problem, found.u).cost == pytest.approx(0.2420, abs=1e-3)
 
 
 @pytest.mark.parametrize("weight", [0.02, 5.0, 221.0, 1e5])

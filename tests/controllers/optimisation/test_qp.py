@@ -39,8 +39,7 @@ SHAPES = {
 def full_problem(rng: np.random.Generator, order: int, *, peak: bool):
     problem = random_problem(rng, order, curvature=1e-6)
     weights = Weights(5.0, 1e-6, 2e-4 if peak else 0.0)
-    terminal = rng.uniform(0.0, 0.05, (1, 1, order))
-    return replace(problem, weights=weights, terminal_price_per_K=terminal, peak_so_far_W=1500.0)
+    return replace(problem, weights=weights, peak_so_far_W=1500.0)
 
 
 def test_it_finds_the_optimum_of_the_linear_programme():
@@ -69,21 +68,6 @@ def test_a_priced_peak_is_lower():
     free = QPSolver(operator, SHAPES["every step"], QPConfig()).solve(replace(problem, weights=Weights(5.0, 1e-6)))
     dear = QPSolver(operator, SHAPES["peak"], QPConfig()).solve(replace(problem, weights=Weights(5.0, 1e-6, 1.0)))
     assert numpy_problem.power_W(problem, dear.u).max() < numpy_problem.power_W(problem, free.u).max() - 100.0
-
-
-def test_what_is_left_at_the_end_is_worth_something():
-    rng = np.random.default_rng(8)
-    operator = single(random_operator(rng, 2))
-    problem = random_problem(rng, 2, curvature=1e-6)
-    # Too warm already, so that heat is worth nothing within the horizon.
-    problem = replace(
-        problem, T_free_C=np.full((1, N), 22.0), forced_state_K=np.zeros((1, 1, 2)), upper_C=np.full((1, N), 30.0)
-    )
-    solver = QPSolver(operator, SHAPES["every step"], QPConfig())
-    spent = numpy_problem.power_W(problem, solver.solve(problem).u).sum()
-    kept = replace(problem, terminal_price_per_K=np.array([[[0.0, 100.0]]]))
-    assert spent == pytest.approx(0.0, abs=1.0)
-    assert numpy_problem.power_W(problem, solver.solve(kept).u).sum() > 1000.0
 
 
 def test_ipopt_acts_where_it_fails():
@@ -216,7 +200,6 @@ def test_cooling_over_any_horizon_has_ipopts_optimum(n):
         random_problem(rng, 3, n=n, curvature=1e-6),
         T_free_C=rng.uniform(26.0, 32.0, (1, n)),
         forced_state_K=-rng.uniform(0.0, 1.0, (1, 1, 3)),
-        terminal_price_per_K=np.full((1, 1, 3), -0.01),
     )
     piqp_alone_finds_ipopts_optimum(operator, problem)
 

@@ -13,7 +13,6 @@ from structures import CASES, instance
 
 from controllers.optimisation.problem import MPCProblem, ProblemShape, every_step
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
-from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import single
 
 
@@ -122,12 +121,4 @@ def test_ipopt_is_given_the_exported_operator_with_its_network(name):
     again = IpoptSolver(other, shape, IpoptConfig())
     assert again.programme is solver.programme
     assert abs(again.solve(problem).cost - found.cost) > 1e-4
-
-
-def test_a_price_of_stored_heat_that_a_shape_does_not_say_is_refused():
-    operator, problem, shape = instance(CASES["one zone"], np.random.default_rng(0))
-    solver = IpoptSolver(operator, replace(shape, stored=False), IpoptConfig())
-    with pytest.raises(DataError, match="stored"):
-        solver.solve(problem)
-    assert solver.solve(replace(problem, terminal_price_per_K=0.0 * problem.terminal_price_per_K)).optimal
     assert tanhs(solver.programme.get_function("nlp_f")) == 0

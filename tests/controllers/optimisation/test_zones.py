@@ -63,10 +63,7 @@ def test_the_order_of_zones_actuators_and_machines_does_not_change_the_plan():
     turned = replace(
         problem,
         **{name: getattr(problem, name)[zones] for name in ("features", "T_free_C", "lower_C", "upper_C")},
-        **{
-            name: getattr(problem, name)[np.ix_(zones, actuators)]
-            for name in ("forced_state_K", "terminal_price_per_K")
-        },
+        forced_state_K=problem.forced_state_K[np.ix_(zones, actuators)],
         **{name: getattr(problem, name)[machines] for name in ("price_per_kWh", "power_fixed_W")},
         power_per_u_W=problem.power_per_u_W[actuators],
         machinery=machinery,
@@ -96,7 +93,7 @@ def test_zones_that_share_nothing_are_planned_as_if_alone():
         alone = replace(
             problem,
             **{name: getattr(problem, name)[one] for name in rows},
-            **{name: getattr(problem, name)[one, one] for name in ("forced_state_K", "terminal_price_per_K")},
+            forced_state_K=problem.forced_state_K[one, one],
             machinery=EquipmentLayout.one(),
             weights=Weights(float(np.asarray(problem.weights.comfort)[z]), 1e-6),
         )
@@ -238,7 +235,6 @@ def test_one_zone_is_solved_as_in_arrays_of_length_one():
         **both,
         price_per_kWh=np.repeat(problem.price_per_kWh, 2, axis=0),
         forced_state_K=np.repeat(0.5 * problem.forced_state_K, 2, axis=1),
-        terminal_price_per_K=np.zeros((1, 2, 2)),
         machinery=machinery,
     )
     whole = QPSolver(single(pair), ProblemShape(every_step(N)), QPConfig()).solve(problem)

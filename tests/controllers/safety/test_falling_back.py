@@ -13,7 +13,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from waiting import wait_for
 
 from controllers import ThermoForceMPC
-from controllers.mpc.config import MPCConfig
+from controllers.mpc.config import DeadlineConfig, MPCConfig
 from controllers.mpc.readings import ReadingsFilter
 from controllers.mpc.state import MPCState
 from controllers.optimisation.solution import Solution
@@ -84,9 +84,10 @@ def test_no_answer_of_a_solver_acts_unchecked(acts, says):
     assert all(u in (0.0, 1.0) for block in plan.blocks for u in block.u)
 
 
-def test_a_solver_that_hangs_is_left_behind_within_its_time_and_another_one_takes_over(released):
+def test_a_solver_that_hangs_is_left_behind_within_its_time_and_another_one_takes_over(released, monkeypatch):
+    monkeypatch.setattr(DeadlineConfig, "solve_s", SOON_S)
     hanging = lambda n, found: found if n else released.wait(30.0)  # noqa: E731
-    controller = mpc(changed=hanging, deadline={"solve_s": SOON_S})
+    controller = mpc(changed=hanging)
     seen = observation()
     plan = controller.plan(seen)
     assert plan.status is PlanStatus.THERMOSTAT

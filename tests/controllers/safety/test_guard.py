@@ -55,10 +55,11 @@ def test_a_right_forecast_is_never_overruled():
     assert run(0.0).fallback_levels()["guard"] == 0
 
 
-def test_minimum_off_time_holds_and_the_overruled_plan_is_not_followed_later():
+def test_minimum_off_time_holds_and_the_overruled_plan_is_not_followed_later(monkeypatch):
+    monkeypatch.setattr(GuardConfig, "margin_K", 0.5)
     house = SimpleHouse(T_start_C=17.0)
     house.reset(10 * 86400.0, 0.0)
-    config = MPCConfig(step_s=None, horizon_h=24.0, guard=GuardConfig(margin_K=0.5), **WRONG)
+    config = MPCConfig(step_s=None, horizon_h=24.0, **WRONG)
     mpc = ThermoForceMPC(simple_model(), config, free_response=shifted(12.0))
     seen = Observation(Record.beginning(house.measure()), house.forecast(86400.0, 3600.0))
     plan = mpc.plan(seen)
@@ -68,19 +69,22 @@ def test_minimum_off_time_holds_and_the_overruled_plan_is_not_followed_later():
     assert plan.state.good is None
 
 
-def test_cooling_is_guarded_the_other_way_round():
-    house = SimpleHouse(T_start_C=26.0)
+@pytest.mark.parametrize(("T_C", "acts"), [(26.0, True), (24.9, False)])
+def test_cooling_is_guarded_the_other_way_round(T_C, acts):
+    house = SimpleHouse(T_start_C=T_C)
     house.reset(10 * 86400.0, 0.0)
     seen = Observation(Record.beginning(house.measure()), house.forecast(86400.0, 3600.0))
 
-    def guarded(planned: float, **options: float) -> dict[int, Override]:
-        guard = ComfortGuard(GuardConfig(**options), Layout.single("cooling"), [0.8])
+    def guarded(planned: float) -> dict[int, Override]:
+        guard = ComfortGuard(GuardConfig(), Layout.single("cooling"), [0.8])
         return guard.overrides(Situation(seen, Zones(()), (), {0: planned}))
 
+    assert guarded(0.8) == {}, "fully used already"
+    if not acts:
+        assert guarded(0.0) == {}, "within 1 K of the band"
+        return
     assert guarded(0.0)[0].level == 0.8
     assert "2.00 K above" in guarded(0.0)[0].why
-    assert guarded(0.8) == {}, "fully used already"
-    assert guarded(0.0, margin_K=2.5) == {}
 
 
 def test_no_plan_from_before_the_guard_is_followed_after_it():

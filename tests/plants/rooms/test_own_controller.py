@@ -110,3 +110,16 @@ def test_the_same_house_has_the_same_device_and_goes_on_where_it_stood():
     again = [plant.advance(None, HOUR_S).power_W[0]]
     plant.restore(there)
     assert plant.advance(None, HOUR_S).power_W[0] == again[0]
+
+
+def test_the_tank_follows_its_target_and_is_charged_at_once_where_it_is_told():
+    _, _, plant = lived(days=0.5)
+    plant.tank_target_C = plant.device.tank_C + 6.0
+    plant.advance(None, 3 * HOUR_S)
+    _, raised = plant.tank_C(_START + 0.5 * DAY_S, _START + 0.5 * DAY_S + 3 * HOUR_S)
+    assert raised.max() == pytest.approx(plant.device.tank_C + 6.0, abs=1.0)
+    plant.tank_target_C, before = 30.0, float(raised[-1])
+    after = plant.advance(None, 2 * HOUR_S).points["T_tank_C"]
+    assert after < before
+    plant.tank_target_C, plant.charges = before, True
+    assert plant.advance(None, HOUR_S).points["T_tank_C"] == pytest.approx(before, abs=1.0)

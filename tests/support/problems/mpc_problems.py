@@ -45,7 +45,6 @@ def random_problem(
         step_s=3600.0,
         machinery=EquipmentLayout.one(lowest_level=lowest),
         weights=Weights(5.0, curvature),
-        terminal_price_per_K=np.zeros((1, 1, order)),
     )
 
 
@@ -147,6 +146,5 @@ def random_building_problem(
         "power_fixed_W": rng.uniform(500, 1000, (M, n)),
         "power_per_u_W": rng.uniform(1000, 2000, (A, n)),
         "weights": Weights(rng.uniform(2.0, 6.0, Z), 1e-6),
-        "terminal_price_per_K": rng.uniform(0, 0.02, (Z, A, r)) * sign,
     }
     return MPCProblem(**(numbers | {"step_s": 3600.0, "machinery": machinery} | options))

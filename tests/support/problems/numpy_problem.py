@@ -130,7 +130,7 @@ def cost_under(p: MPCProblem, u: Array, modes: Array) -> Array:
     cost = cost + p.weights.peak * np.maximum((power + others_W).max(axis=-1) - p.peak_so_far_W, 0.0)
     if p.power_cap is not None:
         cost = cost + p.cap_price_per_W * np.maximum(power - p.power_cap.limit_W, 0.0).sum(axis=-1)
-    return cost - (modes[..., -1, :] * p.terminal_price_per_K).sum(axis=(-3, -2, -1))
+    return cost
 
 
 def cost(p: MPCProblem, operator: BuildingOperator, u: Array) -> Array:

@@ -110,7 +110,7 @@ def forecast(
 
 
 def _split_at(record: Record, start: str, n: int) -> tuple[Record, Record]:
-    first = round((seconds_at(record.origin, start, "--start") - record.time_s[0]) / record.step_s)
+    first = record.nearest(seconds_at(record.origin, start, "--start"))
     if not 0 < first <= record.n_steps - n:
         stamps = record.stamps()
         raise DataError(f"--start {start}: {n} steps from there are not in the record ({stamps[0]} to {stamps[-1]})")

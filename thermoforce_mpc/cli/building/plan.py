@@ -25,6 +25,7 @@ from thermoforce_mpc.cli.options import (
     plot_option,
 )
 from thermoforce_mpc.commands.loop import command_rows
+from thermoforce_mpc.commands.tank import LearnedTank, tank_in_words, tank_rows
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan, PlannedSaving
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError
@@ -35,6 +36,8 @@ from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from thermoforce_mpc.measurements.load import Measurements
 
 
 # Least and usual length of a plan, h, and how much of the measurements it looks back at, days.
@@ -75,7 +78,7 @@ def plan(
     numbers. Nothing is connected: set the levels yourself, and plan again when new measurements are there.
 
     Where the map names a command of an actuator (docs/how-it-works/commands.md), that is what to set, with what it
-    saves against leaving the building alone. Of others the level is.
+    saves against leaving the building alone. Of others the level is. With hot_water in the map the tank is planned too.
 
     A level between 0 and 1 of a machine that is only on or off means that share of the step. Where a step does not hold
     its minimum on and off times (actuation.min_on_s, min_off_s), levels are those of runs that keep them, also towards
@@ -116,13 +119,14 @@ def plan(
     chosen["objective"] = billed_objective(prices, measured.map, peak_kW)
     config = validate(MPCConfig, merge(chosen, parse_overrides(assignments)), "--set")
     if commands_file is not None:
-        if not measured.commands:
+        if not measured.commands and (measured.map.hot_water is None or measured.map.hot_water.command is None):
             raise ConfigError(f"--commands {commands_file}: --map {map_file} names no command of an actuator")
         if commands_file.suffix not in (".csv", ".json"):
             raise ConfigError(f"--commands {commands_file}: a .csv or .json file")
     commands = learned_commands(measured)
+    tank = _tank(measured, display)
     try:
-        controller = ThermoForceMPC(thermal, config, commands=commands)
+        controller = ThermoForceMPC(thermal, config, commands=commands, hot_water=tank)
     except ControllerConfigError as error:
         if "block_s" not in str(error):
             raise
@@ -131,7 +135,7 @@ def plan(
             f"--step {step}: a plan of on/off blocks has {least:g}min to 1h; {error}"
         ) from error
     ahead = ahead.head(round(controller.horizon_s / step_s))
-    plan = controller.plan(Observation(history, ahead))
+    plan = controller.plan(Observation(history, ahead, *(measured.tank.now() if measured.tank else ())))
     display.say(f"Plan from {record.stamps()[-1]} for {horizon_h:.4g} h: {plan.why}")
     display.say(f"Actuation: {controller.actuation_in_words}")
     for note in notes:
@@ -141,20 +145,41 @@ def plan(
         click.get_current_context().exit(NOT_COMPETENT if plan.status == "gate" else 1)
     table = plan_table(plan, ahead.head(plan.u.shape[1]), measured.layout)
     _show(plan, table, measured.layout, display, by_commands=bool(commands))
-    found = command_rows(plan, commands)
-    if commands:
+    found = [*command_rows(plan, commands), *tank_rows(plan, None if tank is None else tank.command)]
+    if found:
         _show_commands(plan, found, display)
+    if plan.hot_water is not None:
+        display.say(tank_in_words(plan.hot_water))
     if commands_file is not None:
         _write_commands(commands_file, plan, found, display)
     if out is not None:
         acting = dict(zip(plan.names.actuators, map(str, plan.acting), strict=True))
         beside: dict[str, Any] = {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status}
         beside["acting"] = acting
-        if commands:
+        if found:
             beside |= {"commands": found, "saving": _saving_json(plan)}
+        if (of_tank := plan.hot_water) is not None:
+            beside["hot_water"] = {
+                name: round(getattr(of_tank, name), 4)
+                for name in ("cost", "cost_alone", "below_Kh", "below_alone_Kh", "gap")
+            }
         write_table(out, table, display.console, "Plan", **beside)
     if plot is not None:
         write_picture(plot, drawn_plan(plan, table, ahead.head(plan.u.shape[1])), display.console)
+
+
+def _tank(measured: Measurements, display: RunDisplay) -> LearnedTank | None:
+    """What the record tells of the tank of hot water, which is said; None where there is none, or it tells nothing."""
+    from thermoforce_mpc.measurements.load import learned_tank
+
+    try:
+        tank = learned_tank(measured)
+    except DataError as error:
+        display.say(f"Hot water is left to the device, and plans do not count on its charges: {error}")
+        return None
+    if tank is not None:
+        display.say(f"Hot water: {tank.in_words}")
+    return tank
 
 
 def _seconds(step: str) -> float:
@@ -202,6 +227,9 @@ def plan_table(plan: Plan, ahead: Boundary, layout: Layout | None = None) -> pd.
         table["others_W"] = ahead.others_W[:-1]
         cost = cost - plan.power_W / np.maximum(power_W, 1e-9) * np.minimum(power_W, spare_W) / 1000.0 * hours * dearer
     table["cost"] = cost[machines].sum(axis=0) if machines.any() else np.nan
+    if (tank := plan.hot_water) is not None:
+        table["T_tank_C"], table["T_tank_low_C"] = tank.T_C, tank.low_C
+        table["tank_power_W"], table["tank_share"] = tank.power_W, tank.share
     return table
 
 

@@ -109,8 +109,7 @@ def worth(
     controller = ThermoForceMPC(thermal, validate(MPCConfig, chosen, "--set"), commands=learned)
     start_s = float(record.time_s[-1]) - round(days * DAY_S / HOUR_S) * HOUR_S
     if start is not None:
-        at_s = seconds_at(record.origin, start, "--start")
-        start_s = float(record.time_s[0]) + round((at_s - record.time_s[0]) / HOUR_S) * HOUR_S
+        start_s = float(record.time_s[0]) + record.nearest(seconds_at(record.origin, start, "--start")) * HOUR_S
     error = None if forecasts == "none" else ForecastError(forecasts, forecasts, seed)  # type: ignore[arg-type]
     found = worth_of(
         thermal,
@@ -257,8 +256,7 @@ def saving(
 
 def _index(record: Record, text: str, option: str) -> int:
     """The boundary of the record nearest to the time `text`, or its nearer end."""
-    steps = (seconds_at(record.origin, text, option) - record.time_s[0]) / record.step_s
-    return int(np.clip(round(steps), 0, record.n_steps))
+    return int(np.clip(record.nearest(seconds_at(record.origin, text, option)), 0, record.n_steps))
 
 
 def _show_saving(saving: Saving, record: Record, console: Console) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -116,7 +115,7 @@ def commission(
         )
         notes = [book.begun_anew] if book.begun_anew else []
         if book.under_way:
-            notes.append(_restored(building, book, sets, dry_run))
+            notes.append(_of_under_way(book, out) if dry_run else _restored(building, book, sets))
         found = _read(building, rules, wait_s, say)
         _show(found, say)
         keys = [building.key(one) for one in building.names]
@@ -214,15 +213,23 @@ def _try(
     return ""
 
 
-def _restored(building: LiveBuilding, book: CommissioningBook, sets: Sets, dry_run: bool) -> str:
+def _of_under_way(book: CommissioningBook, out: Path) -> str:
+    """What is known of a trial that was begun."""
+    from thermoforce_mpc.records.run_folder import in_use
+
+    what = f"the trial of {book.under_way.get('key')} at {book.under_way.get('at')}"
+    if in_use(out):
+        return f"{what} is under way, by another process"
+    return f"{what} was not ended: it is put back at the next start without --dry-run"
+
+
+def _restored(building: LiveBuilding, book: CommissioningBook, sets: Sets) -> str:
     """Put back what a trial set that was not ended (the machine stood, say); what was done."""
     from thermoforce_mpc.connections.sole import sole_control
     from thermoforce_mpc.live.trial import put_back
 
     was = book.under_way
     what = f"the trial of {was.get('key')} at {was.get('at')} was not ended"
-    if dry_run:
-        return f"{what}: it is put back at the next start without --dry-run"
     try:
         near = None if was.get("near") is None else float(was["near"])
         key, name = str(was["key"]), str(was["actuator"])
@@ -282,12 +289,10 @@ def _files(
     from thermoforce_mpc.live.commissioning import CommissioningFiles
 
     table = {"files": settings.get("measurements", "house.csv"), "mqtt": settings.get("record", "mqtt.csv")}
-    where = {"config": config, "map_file": map_file, "out": out, "model": model, "control": control_out}
-    where["table"] = table.get(name, "house.csv")
-    quoted = {key: shlex.quote(str(one)) for key, one in where.items()}
     return CommissioningFiles(
-        **quoted, has_history=hasattr(connection, "history"), records=hasattr(connection, "begin")
-    )
+        config, str(map_file), str(out), model, control_out, str(table.get(name, "house.csv")),
+        has_history=hasattr(connection, "history"), records=hasattr(connection, "begin"),
+    )  # fmt: skip
 
 
 def _step_s(rules: MeasurementMap) -> float:

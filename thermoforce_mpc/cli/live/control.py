@@ -16,12 +16,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange, billed_objective, map_option, own_prices_option
-from thermoforce_mpc.errors import ConfigError, ThermoForceError
+from thermoforce_mpc.commands.tank import TANK_NAME
+from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 
 if TYPE_CHECKING:
     from controllers.mpc.config import MPCConfig
     from thermoforce_mpc.commands.command import Command
     from thermoforce_mpc.commands.loop import LearnedCommand
+    from thermoforce_mpc.commands.tank import LearnedTank
     from thermoforce_mpc.data import CommandValue
     from thermoforce_mpc.live import Decision, LiveBuilding, People
     from thermoforce_mpc.live.probing import ProbingPlan
@@ -245,6 +247,21 @@ class _Run:
         )
         return None if found is None else found.save(folder)
 
+    def _learned_tank(self, step_s: float) -> LearnedTank | None:
+        """The tank of the map, which is said; None without one, or where the measurements do not tell what it is."""
+        from thermoforce_mpc.live import LiveBuilding
+
+        if self.rules.hot_water is None:
+            return None
+        try:
+            tank = LiveBuilding(self.building, self.rules, step_s).tank()
+        except DataError as error:
+            self.say(f"Hot water is left to the device, and plans do not count on its charges: {error}")
+            return None
+        if tank is not None:
+            self.say(f"Hot water: {tank.in_words}")
+        return tank
+
     def control(self, model: Path, thermal: ThermalModel, mode: str, dry: bool) -> None:
         """Control with the model `thermal` of the folder `model`, or say what it would do."""
         from controllers.mpc.controller import ThermoForceMPC
@@ -255,8 +272,12 @@ class _Run:
 
         acts = mode in ACTING
         commands = commands_of(self.building, self.rules, self.options.step_s or thermal.operator.step_s)
-        mpc = ThermoForceMPC(thermal, self.options, commands=commands)
-        key = controller_key(thermal, mpc.config, {name: learned.command for name, learned in commands.items()})
+        tank = self._learned_tank(self.options.step_s or thermal.operator.step_s)
+        mpc = ThermoForceMPC(thermal, self.options, commands=commands, hot_water=tank)
+        by_name = {name: learned.command for name, learned in commands.items()}
+        if tank is not None and tank.command is not None:
+            by_name[TANK_NAME] = tank.command
+        key = controller_key(thermal, mpc.config, by_name)
         names = ", ".join(thermal.names.actuators)
         does = {"advise": "Advice for", "shadow": "Shadow of"}.get(mode, "Control of")
         self.say(f"{does} {names} by connection {self.connection}; log: {self.out}/log.jsonl")
@@ -307,6 +328,8 @@ def _advice(decision: Decision) -> dict[str, Any]:
         {"seconds": block.duration_s, "levels": dict(zip(names.actuators, block.told, strict=True))}
         for block in decision.blocks
     ]
+    if plan.hot_water is not None:
+        blocks = [one | {"hot_water": plan.hot_water.command[0]} for one in blocks]
     planned = {"u": plan.u.tolist(), "T_zone_C": plan.T_zone_C.tolist()} if plan.u.size else {}
     why = decision.refused or plan.why
     return {"from": decision.instant.isoformat(), "blocks": blocks, "why": why, "planned": planned}
@@ -370,8 +393,19 @@ def in_words(decision: Decision, commands: Mapping[str, LearnedCommand] | None =
         command = commands[name].command if name in commands else None
         shares = [f"{_set_in_words(told, command)} for {s / 60:g} min" for told, s in turns]
         parts.append(f"{name} {', '.join(shares)}")
+    if (told_tank := _tank_in_words(decision)) is not None:
+        parts.append(told_tank)
     why = decision.refused or decision.plan.why
     return f"{decision.instant:%a %d %b %H:%M %Z}  {'; '.join(parts)}: {why}"
+
+
+def _tank_in_words(decision: Decision) -> str | None:
+    """What is set at the tank; None without one."""
+    plan = decision.plan.hot_water
+    if plan is None:
+        return None
+    value = None if decision.refused else plan.command[0]
+    return f"hot water {'own control' if value is None else f'{value:g}'}"
 
 
 def _set_in_words(told: CommandValue | None, command: Command | None) -> str:

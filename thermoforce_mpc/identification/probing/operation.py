@@ -24,12 +24,16 @@ _EVERY_DAYS, _LEAST_KNOWN = 7.0, 0.5
 
 @dataclass(frozen=True)
 class OperationFinding:
-    """What a linear model of a record says of one actuator: whether it is competent, why, and what to do about it."""
+    """What a linear model of a record says of one actuator: whether it is competent, why, and what to do about it.
+
+    `words`: for an engineer, `plainly`: for the owner of the building, '' where competent or nothing could be fitted.
+    """
 
     actuator: str
     competent: bool
     words: str
     advice: tuple[str, ...] = ()
+    plainly: str = ""
 
 
 def telling_part(record: Record, layout: Layout, days: float = MOST_DAYS) -> tuple[Record, str]:
@@ -75,7 +79,7 @@ def findings(record: Record, layout: Layout) -> list[OperationFinding]:
         return [OperationFinding(name, False, str(error)) for name in layout.names.actuators]
     verdicts = [card.competence for card in model.cards]
     return [
-        OperationFinding(name, verdict.competent, verdict.in_words(), verdict.advice)
+        OperationFinding(name, verdict.competent, verdict.in_words(), verdict.advice, verdict.plainly)
         for name, verdict in zip(layout.names.actuators, verdicts, strict=True)
         if verdict is not None
     ]

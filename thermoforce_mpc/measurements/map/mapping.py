@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,11 +11,12 @@ import pandas as pd
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from thermoforce_mpc.commands.kinds import AnyCommand
+from thermoforce_mpc.commands.tank import AnyTankCommand
 from thermoforce_mpc.data import J_PER_KWH, ZERO_C_K, Array, Layout, Names
 from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
-from thermoforce_mpc.scenario.comfort import OfComfort
+from thermoforce_mpc.scenario.comfort import OfComfort, OfTankComfort
 from thermoforce_mpc.scenario.settings import StrictModel, read_yaml, validate
 
 TemperatureUnit = Literal["°C", "C", "degC", "K", "°F", "F", "degF"]
@@ -281,6 +282,23 @@ class MappedMachine(StrictModel):
     )
 
 
+class MappedTank(StrictModel):
+    """A tank of hot water that a machine heats in the place of the rooms."""
+
+    temperature: OfTemperature
+    machine: str | None = Field(None, description="the machine that heats it; may be left out where there is one")
+    charging: OfLevel | None = Field(
+        None, description="on or 1 while the machine heats the tank; without it that is read off its rise"
+    )
+    comfort: OfTankComfort = Field(
+        description="lowest and highest temperature by weekday, hour and holiday on the clock of time.zone",
+        examples=["6:00-9:00 44-58, 17:00-22:00 42-58, else 38-58"],
+    )
+    command: AnyTankCommand | None = Field(
+        None, description="what can be set: tank_target or tank_charge; without it the tank is left to the device"
+    )
+
+
 class ForecastMap(StrictModel):
     """Where a forecast file differs from the table of measurements; what is left out stands there by the same key."""
 
@@ -320,6 +338,7 @@ class MeasurementMap(StrictModel):
     )
     actuators: dict[str, MappedActuator] = Field(default_factory=dict)
     machines: dict[str, MappedMachine] = Field(default_factory=dict)
+    hot_water: MappedTank | None = Field(None, description="a tank that one of the machines heats too")
     forecast: ForecastMap = ForecastMap()
 
     @field_validator("step")
@@ -375,6 +394,8 @@ class MeasurementMap(StrictModel):
                     f"actuators.{name}.command: column '{actuator.command.column}' is the command of {other} too, and "
                     "one command cannot have two values: name it once, at the machine that feeds them"
                 )
+        if self.hot_water is not None:
+            self._check_tank(self.hot_water, set_by)
         if self.comfort is not None:
             try:
                 self.comfort.strictest_C(tuple(self.zones))
@@ -389,6 +410,25 @@ class MeasurementMap(StrictModel):
         if estimates and (self.site is None or self.time.zone is None):
             raise ValueError("sun.estimate needs site (latitude, longitude) and time.zone")
         return self
+
+    def _check_tank(self, tank: MappedTank, set_by: Mapping[str, str]) -> None:
+        """Raise `ValueError` where the tank has no machine or clock, or shares a column with something else."""
+        if tank.machine is None and len(self.machines) != 1:
+            raise ValueError(f"hot_water.machine: say which one heats it, of {', '.join(self.machines) or 'machines'}")
+        if tank.machine is not None and tank.machine not in self.machines:
+            raise ValueError(
+                f"hot_water.machine: there is no '{tank.machine}'; there are {', '.join(self.machines) or 'none'}"
+            )
+        if "hot_water" in (*self.actuators, *self.machines):
+            raise ValueError(
+                "hot_water is the tank's name for what it is set to: call the actuator or machine otherwise"
+            )
+        if self.time.zone is None:
+            raise ValueError("hot_water.comfort needs time.zone, whose clock its hours are of")
+        if tank.temperature.columns in [one.temperature.columns for one in self.zones.values()]:
+            raise ValueError("hot_water.temperature is the column of a zone too")
+        if tank.command is not None and (other := set_by.get(tank.command.column)) is not None:
+            raise ValueError(f"hot_water.command: column '{tank.command.column}' is the command of {other} too")
 
     @property
     def names(self) -> Names:
@@ -431,6 +471,19 @@ class MeasurementMap(StrictModel):
                     yield f"{kind}.{name}.command", Signal(column=item.command.column)
                     if isinstance(item.command.usual, str):
                         yield f"{kind}.{name}.command.usual", Signal(column=item.command.usual)
+        if (tank := self.hot_water) is not None:
+            yield "hot_water.temperature", tank.temperature
+            if tank.charging is not None:
+                yield "hot_water.charging", tank.charging
+            if tank.command is not None:
+                yield "hot_water.command", Signal(column=tank.command.column)
+
+    @property
+    def tank_machine(self) -> str:
+        """The machine that heats the tank, '' without one."""
+        if self.hot_water is None:
+            return ""
+        return self.hot_water.machine or next(iter(self.machines))
 
     def command_of(self, actuator: str) -> tuple[str, AnyCommand] | None:
         """Where the command of an actuator stands, its own or that of its machine, and it; None: its level is set."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from thermoforce_mpc.measurements.tables.recognition import Recognised, recognis
 # Rows of a file that are looked at where its columns are signals, and readings of a signal where rows are readings.
 _ROWS, _READINGS = 20_000, 5_000
 _CHECK = "CHECK: "
+_HEAT_PAID = "heat, as no electric power is metered: so district heat is billed; of a boiler or heat pump set factor"
 # Words amid numbers that a map says to be empty cells, at most; and what may be a number that is written otherwise.
 _MOST_MISSING, _NUMBER = 6, re.compile(r"\d[.,' ]?\d|^\W*\d\W*$")
 # Zones of time of people who write so.
@@ -316,6 +317,8 @@ class _Text:
                 lines.append(
                     f"    power: {self._signal(power)}{_comment(power.doubt) or '  # electric power that is paid for'}"
                 )
+            elif (heat := self._heat_paid_for(acting)) is not None:
+                lines.append(f"    power: {self._signal(heat)}{_comment(_HEAT_PAID)}")
             else:
                 lines.append(
                     "    # power: {column: ..., unit: W}  # without it nothing can be planned; without a meter take"
@@ -323,6 +326,12 @@ class _Text:
                 lines.append("    #   the column of the level, with factor: the W of a reading of 1")
             lines.append(f"    price: {cost}  # per kWh, a number or a column")
         return lines
+
+    def _heat_paid_for(self, acting: Mapping[str, tuple[str, Guess | None, Guess | None]]) -> Guess | None:
+        """The heat meter that tells what is paid for where no power is metered; None without one, or of several."""
+        metered = [guess for _, guess, _ in acting.values() if guess is not None and guess.role == "heat"]
+        metered = metered or self.of("heat")
+        return metered[0] if len(metered) == 1 else None
 
     def _factor(self, guess: Guess) -> float:
         """What the readings of a level are multiplied by: its seconds or turns over the most of them."""

@@ -14,7 +14,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.data.series import first_order
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
@@ -80,11 +80,6 @@ class RcParameters:
     def order(self) -> int:
         """Number of modes q."""
         return int(self.poles.size)
-
-    @property
-    def time_constants_h(self) -> Array:
-        """−step / ln(a_i), shape (q,), h."""
-        return np.asarray(-self.step_s / HOUR_S / np.log(self.poles))
 
     def resampled(self, step_s: float) -> RcParameters:
         """Return the model at another step; exact if the weather is constant over the longer of the two steps."""
@@ -172,8 +167,9 @@ def _filtered(params: RcParameters, drive: Array, free_C: Array) -> tuple[Array,
     q, n = params.order, len(drive)
     mean = params.beginning(drive) if n else np.zeros(q)
     # The last step goes nowhere: it stays where its reading has brought the modes.
-    stays = [np.ones(q), np.zeros(q * q), [params.sensor_sd_K**2]]
-    moves = [params.poles, params.process_K2.ravel(), [params.sensor_sd_K**2]]
+    reading = np.array([params.sensor_sd_K**2])
+    stays = [np.ones(q), np.zeros(q * q), reading]
+    moves = [params.poles, params.process_K2.ravel(), reading]
     known = np.isfinite(free_C)
     given = np.column_stack([known, np.where(known, free_C, 0.0), np.vstack([drive.reshape(n, q), np.zeros(q)])])
     of_step = np.repeat([np.concatenate(moves), np.concatenate(stays)], [n, 1], axis=0)

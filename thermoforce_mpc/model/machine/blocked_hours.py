@@ -322,7 +322,7 @@ class HourEffects:
         if not told:
             return ""
         return (
-            f"{'; '.join(told)}: the plant's own schedule; plans count on that (controller.options.watch.hour_effects)"
+            f"{'; '.join(told)}: the plant's own schedule; plans count on that (controller.options.watch.blocked_hours)"
         )
 
 

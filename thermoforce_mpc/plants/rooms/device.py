@@ -53,6 +53,17 @@ class Device:
         """Target of the tank, °C; 0 where there is none."""
         return float(self.parameters[TANK_TARGET]) if self.parameters[TANK_J_K] else 0.0
 
+    def told(self, target_C: float | None, charges: bool) -> Array:
+        """Its parameters with another target of the tank, °C, and without its band where it is to be charged now."""
+        if target_C is None and not charges:
+            return self.parameters
+        parameters = self.parameters.copy()
+        if target_C is not None:
+            parameters[TANK_TARGET] = target_C
+        if charges:
+            parameters[TANK_BAND] = 0.0
+        return parameters
+
     def begin(self) -> Array:
         """The state at the begin: it stands, and may start."""
         state = np.zeros(N_STATES)

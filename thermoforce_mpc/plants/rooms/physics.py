@@ -201,6 +201,15 @@ def circuits_W(
 
 
 @njit(cache=True)
+def _curve_C(h: HouseNetwork, i: int, raised_K: float, T_out_C: float) -> float:
+    """Supply temperature, °C, by the heating curve of circuit `i`, raised by so much."""
+    curve = h.curve[i]
+    return _supply(
+        curve[DESIGN], curve[EXPONENT], curve[SHIFT] + raised_K, curve[LIMIT], h.heat_pump[DESIGN_OUT], T_out_C
+    )
+
+
+@njit(cache=True)
 def machine(
     h: HouseNetwork, T: np.ndarray, levels: np.ndarray, T_out_C: float, q: np.ndarray
 ) -> tuple[float, float, float]:
@@ -215,14 +224,7 @@ def machine(
     own = np.empty(n)
     supply, any_C = -1e9, -1e9
     for i in range(n):
-        own[i] = _supply(
-            h.curve[i, DESIGN],
-            h.curve[i, EXPONENT],
-            h.curve[i, SHIFT],
-            h.curve[i, LIMIT],
-            h.heat_pump[DESIGN_OUT],
-            T_out_C,
-        )
+        own[i] = _curve_C(h, i, 0.0, T_out_C)
         any_C = max(any_C, own[i])
         if levels[i] > 0.0:
             supply = max(supply, own[i])
@@ -264,14 +266,7 @@ def own_controller(
     asked = np.empty(n)
     raised, wanted, is_open = device[RAISE] if contact >= RECOMMENDED else 0.0, -1e9, False
     for i in range(n):
-        asked[i] = _supply(
-            h.curve[i, DESIGN],
-            h.curve[i, EXPONENT],
-            h.curve[i, SHIFT] + raised,
-            h.curve[i, LIMIT],
-            h.heat_pump[DESIGN_OUT],
-            T_out_C,
-        )
+        asked[i] = _curve_C(h, i, raised, T_out_C)
         if levels[i] > 0.0:
             wanted, is_open = max(wanted, asked[i]), True
     switched(state, device, wanted, is_open, contact, dt)

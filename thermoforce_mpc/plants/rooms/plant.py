@@ -25,13 +25,12 @@ from thermoforce_mpc.plants.drawn_houses import (
     year,
 )
 from thermoforce_mpc.plants.people import PERSON_W, at_home, hour_of_day, live, set_back, varying
+from thermoforce_mpc.plants.points import means_between
 from thermoforce_mpc.plants.random_houses.plant import PREHEAT_H, SET_BACK_K
-from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics
 from thermoforce_mpc.plants.rooms.device import N_STATES, NORMAL, TANK, TANK_J_K, Device
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
-from thermoforce_mpc.plants.rooms.house import DrawnHouse, Room
-from thermoforce_mpc.plants.rooms.use import USES, Kind
+from thermoforce_mpc.plants.rooms.house import USES, DrawnHouse, Kind, Room
 from thermoforce_mpc.plants.shell import check_levels
 from thermoforce_mpc.scenario.building import Machine, Zone, ZoneActuator
 from thermoforce_mpc.scenario.testcase import MeasuredWeather, TestCase
@@ -194,6 +193,8 @@ class HouseOfRooms(DrawnHousePlant):
         curve_offset_K: offset of the heating curves of all circuits, K.
         device: the controller of the heat pump itself; None: an ideal machine, which gives what is asked at once.
         contact: state of its SG-Ready contacts, from 1 to 4; only with a device.
+        tank_target_C: target of the tank of hot water, °C; None: the device's own.
+        charges: whether the tank is charged up to its target now, however little is missing.
         layout: rooms, valves and the heat pump; valve i stands in room i.
         zones, actuators: names by row of all arrays.
         thermostat_C: of the baseline thermostat of each room, shape (Z,).
@@ -203,6 +204,8 @@ class HouseOfRooms(DrawnHousePlant):
     curve_offset_K: float = 0.0
     device: Device | None = None
     contact: int = NORMAL
+    tank_target_C: float | None = None
+    charges: bool = False
     _told: tuple[float | None, ...] = ()
     _kind = "house of rooms"
     _changing = (*DrawnHousePlant._changing, "_T", "_on", "_device_state")
@@ -267,6 +270,11 @@ class HouseOfRooms(DrawnHousePlant):
         times, rows = self._samples.times, self._samples.rows
         return means_between(times, rows[:, [physics.SUPPLY]].T, edges)[0]
 
+    def tank_C(self, start_s: float, final_s: float) -> tuple[Array, Array]:
+        """Times (n,), s, and temperature of the tank of hot water (n,), °C, NaN without one; as `recorded`."""
+        time_s, rows = self.recorded(start_s, final_s)
+        return time_s, rows[:, physics.TANK]
+
     def stored_kWh(self) -> float:
         """Heat in the house and its tank of hot water now, above 0 °C, kWh."""
         tank_J = 0.0 if self.device is None else self.device.parameters[TANK_J_K] * self._device_state[TANK]
@@ -308,7 +316,9 @@ class HouseOfRooms(DrawnHousePlant):
             curve[:, physics.SHIFT] += self.curve_offset_K
             network = network._replace(curve=curve)
         state = self._T, self._on, before_s, len(rows), dt_s
-        parameters, draws = (np.empty(0),) * 2 if self.device is None else (self.device.parameters, self.device.draw_W)
+        parameters, draws = np.empty(0), np.empty(0)
+        if self.device is not None:
+            parameters, draws = self.device.told(self.tank_target_C, self.charges), self.device.draw_W
         own = self._device_state, parameters, draws, float(self.contact)
         physics.advance(*state, forced, weather, gains, setpoints, network, rows, *own)
 

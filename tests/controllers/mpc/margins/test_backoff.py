@@ -129,7 +129,8 @@ class Widening(OutdoorResponse):
 
 def test_only_the_bound_that_actuation_protects_is_kept_less(monkeypatch):
     monkeypatch.setattr(MPCConfig, "backoff_max_K", 9.0)
-    config = MPCConfig(step_s=None, horizon_h=24.0, backoff_violation_K=None, comfort_margin_K=0.0)
+    monkeypatch.setattr(MPCConfig, "backoff_violation_K", 9.0)
+    config = MPCConfig(step_s=None, horizon_h=24.0, comfort_margin_K=0.0)
     mpc = ThermoForceMPC(simple_model(), config, free_response=Widening())
     house = SimpleHouse()
     house.reset(10 * DAY_S, DAY_S)

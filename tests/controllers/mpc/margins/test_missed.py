@@ -100,7 +100,7 @@ def test_margins_in_all_are_never_less_than_nothing():
 def test_half_a_step_of_the_sensor_is_kept_inside_the_bound_that_is_protected():
     given = Margins(learned=replace(LearnedMargin.nothing(1), reserve_K=np.array([[-5.0], [-5.0]])))
     for reserve, kept_K in ((True, 0.25), (False, 0.0)):
-        mpc, seen, context = before_a_plan(coarse_model(), reserve=reserve)
+        mpc, seen, context = before_a_plan(coarse_model(), corrections=reserve)
         problem = mpc.instance(context, seen.history, given)
         np.testing.assert_allclose(problem.lower_C, context.boundary.lower_C[:, 1:] + kept_K)
         np.testing.assert_array_equal(problem.upper_C, context.boundary.upper_C[:, 1:])
@@ -189,8 +189,8 @@ def test_a_plan_keeps_what_was_missed_inside_the_bound_that_it_protects():
     assert not second_plan(24.5, 0.3)[0].margins.learned.reserve_K.any(), (
         "no actuator protects the upper bound of a heated house"
     )
-    assert not second_plan(20.8, 0.3, reserve=False)[0].margins.learned.reserve_K.any()
-    assert not second_plan(20.8, 0.3, backoff_violation_K=None)[0].margins.learned.reserve_K.any()
+    assert not second_plan(20.8, 0.3, corrections=False)[0].margins.learned.reserve_K.any()
+    assert not second_plan(20.8, 0.3, backoff_level=0.5)[0].margins.learned.reserve_K.any()
 
 
 @pytest.mark.parametrize(("above_K", "known_above_K"), [(0.1, 0.0), (-0.1, 0.0), (-0.4, -0.15), (0.4, 0.15)])
@@ -219,8 +219,8 @@ def swings(house: FaultyHouse, hours: float) -> float:
 
 @pytest.mark.slow
 def test_a_swing_that_no_plan_sees_costs_less_comfort_once_it_was_seen():
-    def discomfort_Kh(reserve: bool) -> float:
-        config = MPCConfig(step_s=None, horizon_h=24.0, reserve=reserve)
+    def discomfort_Kh(corrections: bool) -> float:
+        config = MPCConfig(step_s=None, horizon_h=24.0, corrections=corrections)
         mpc = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
         house = FaultyHouse(moves=swings)
         period = replace(house.period("x"), scored_s=4 * DAY_S)

@@ -18,11 +18,11 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 HELD = {"mode": "modulating", "lowest_level": 0.0}
 
 
-def settled_K(offset_h: float | None) -> float:
+def settled_K(*, corrections: bool) -> float:
     """Mean distance of the zone from its lower bound in the second night's last hours, K."""
     strong = linear_operator(np.array([POLE]), np.array([1.4 * GAIN_K]), step_s=HOUR_S)
     model = ThermalModel.of_zone(replace(simple_model().only, operator=strong))
-    config = MPCConfig(step_s=None, horizon_h=24.0, offset_h=offset_h, backoff_level=0.5, backoff_violation_K=None)
+    config = MPCConfig(step_s=None, horizon_h=24.0, corrections=corrections, backoff_level=0.5)
     # The exact forecast from where the zone is: what the machine missed in the last step is not foreseen.
     mpc = ThermoForceMPC(model, config, free_response=OutdoorResponse())
     house = SimpleHouse()
@@ -31,8 +31,9 @@ def settled_K(offset_h: float | None) -> float:
     return float(np.mean([s.T_zone_C[0] - s.lower_C[0] for s in nights[-6:]]))
 
 
-def test_a_machine_weaker_than_its_law_still_reaches_the_bound():
-    assert abs(settled_K(3.0)) < 0.6 * abs(settled_K(None))
+def test_a_machine_weaker_than_its_law_still_reaches_the_bound(monkeypatch):
+    monkeypatch.setattr(MPCConfig, "offset_h", 3.0)
+    assert abs(settled_K(corrections=True)) < 0.6 * abs(settled_K(corrections=False))
 
 
 def test_the_offset_is_the_mean_of_recent_errors_and_limited():

@@ -11,8 +11,8 @@ from controllers import MPCConfig, ThermoForceMPC
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation
 
 
-def upper_backoff_K(price_per_kWh: float, weight: float = 0.026, **options: float) -> float:
-    """Back-off inside the upper bound of a heated house at the end of the first step, K."""
+def backoffs_K(price_per_kWh: float) -> tuple[float, float]:
+    """Back-off inside the upper bound of a heated house, and inside the lower at a fifth, first step, K."""
     house = SimpleHouse(21.0)
     house.reset(10 * DAY_S, 0.0)
     ahead = house.forecast(DAY_S, HOUR_S)
@@ -22,22 +22,17 @@ def upper_backoff_K(price_per_kWh: float, weight: float = 0.026, **options: floa
         {
             "step_s": None,
             "horizon_h": 24.0,
-            "backoff_violation_K": None,
-            "objective": {"comfort_weight_per_m2": weight},
-            **options,
+            "backoff_level": 0.2,
         }
     )
     plan = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse()).plan(seen)
-    return float(plan.margins["backoff"][1, 0])
+    lower, upper = plan.margins["backoff"][:, 0]
+    return float(upper), float(lower)
 
 
-def test_cheap_heat_keeps_more_room_below_the_upper_bound_than_dear_heat():
-    cheap, dear = upper_backoff_K(0.01), upper_backoff_K(20.0)
-    assert cheap == pytest.approx(upper_backoff_K(0.01, backoff_level_other=0.05))
+def test_cheap_heat_keeps_more_room_below_the_upper_bound_than_dear_heat(monkeypatch):
+    monkeypatch.setattr(MPCConfig, "backoff_violation_K", 9.0)
+    (cheap, _), (dear, lower) = backoffs_K(0.01), backoffs_K(20.0)
     assert cheap > 1.2 * dear > 0.0
     # However dear, a K·h counts as at least five times the heat that avoids it: the fifth.
-    assert dear == pytest.approx(upper_backoff_K(20.0, backoff_level_other=0.2), rel=0.01)
-
-
-def test_a_level_that_is_given_stays():
-    assert upper_backoff_K(0.01, backoff_level_other=0.3) == upper_backoff_K(20.0, backoff_level_other=0.3)
+    assert dear == pytest.approx(lower, rel=0.01)

@@ -1,0 +1,287 @@
+"""When to charge the tank of hot water of a machine that heats either it or the rooms.
+
+In two stages, since a charge is a whole act of the device (it begins and ends by its own rules) while the plan of the
+rooms is a continuous programme. First, ways to command the tank over the horizon, up to three charges a day, are each
+followed on all days of draw-off that the record holds, with what the device does by itself where the tank falls below
+its own limit. Then, the cheapest first, the rooms are planned with what a way leaves them of the machine: in the share
+of a step that the tank is charged no level gives heat, nor takes power. What the rooms cost with the whole machine is
+least, so that a way whose own cost and this exceed the best sum cannot be better: the search ends there, and what was
+not looked at is known to save no more than the `gap`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from controllers.mpc.formulation import Instance
+from controllers.optimisation.problem import MPCProblem
+from thermoforce_mpc.commands.command import SAME, StepwiseCommand
+from thermoforce_mpc.commands.tank import LearnedTank, TankCourse, TankTarget, follow_tank
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, HotWaterPlan, Layout
+from thermoforce_mpc.data.dataframes import clock_s, stamps
+
+# Charges a day, ways that are kept from one number of them to the next, and targets that are tried.
+_CHARGES, _KEPT, _TARGETS = 3, 24, 3
+# Plans of the rooms for one plan of the tank, at most.
+MOST_TANK_SOLVES = 5
+# Days of ten on which the tank may be below what is wanted.
+_COLD_DAYS = 0.1
+# What a K·h below what is wanted costs, in kelvin of the tank at the dearest price: a tank that is 1 K too cold for an
+# hour is charged at any price.
+_DISCOMFORT_K = 10.0
+# A change of the command costs this share of a kelvin of the tank: of ways that are alike the quieter one.
+_CHANGE_K = 0.05
+# A share of a step below which the rooms do not feel the tank, and differences of shares that do not matter.
+_FELT = 0.01
+_SENSIBLE_C = (1.0, 98.0)
+
+
+@dataclass(frozen=True, eq=False)
+class TankWay:
+    """One way to command a tank: `cost` with discomfort and less what is stored, and the plan as it would be told."""
+
+    cost: float
+    plan: HotWaterPlan
+
+    @property
+    def first(self) -> float | None:
+        """What is set in the first step."""
+        return self.plan.command[0]
+
+
+class HotWater:
+    """The tank of a building, `tank` as learned, with a plan every `step_s` seconds."""
+
+    def __init__(self, tank: LearnedTank, layout: Layout, step_s: float) -> None:
+        """The machine that heats it is one of `layout`."""
+        self.tank, self._step_s = tank, step_s
+        self.machine = layout.names.machines.index(tank.machine)
+        self._fed = layout.fed_by(self.machine)
+
+    def ways(
+        self, boundary: Boundary, origin: Any, T_C: float, is_charged: bool, told: tuple[float, float] | None
+    ) -> tuple[TankWay, ...]:
+        """Ways to command the tank over the steps of `boundary`, the cheapest first; () where its temperature, or what
+        is wanted of it, is not known.
+
+        `origin`: what seconds count from; `T_C`, `is_charged`: now; `told`: what is set now, and since when, s.
+        """
+        if not _SENSIBLE_C[0] < T_C < _SENSIBLE_C[1]:
+            return ()
+        tank, N, begins = self.tank, boundary.n_steps, boundary.time_s[:-1]
+        if origin is None:  # a simulated year
+            bounds_C = tank.comfort.bounds_C(boundary.time_s, ("tank",), "monday")
+        else:
+            bounds_C = tank.comfort.bounds_at(pd.DatetimeIndex(stamps(boundary.time_s, origin)), ("tank",))
+        lower_C, upper_C = (bound[0] for bound in bounds_C)
+        # What is wanted at the end of a step is wanted from its begin on, so that the device charges before.
+        wanted_C, most_C = np.maximum(lower_C[:-1], lower_C[1:]), np.minimum(upper_C[:-1], upper_C[1:])
+        hour = clock_s(begins, origin) / HOUR_S % 24.0
+        usual = tank.usual_C[hour.astype(np.intp)]
+        alone = usual[None], np.zeros((1, N), dtype=bool)
+        T_out_C = 0.5 * (boundary.T_out_C[:-1] + boundary.T_out_C[1:])
+        draws_K = tank.draws_from(float(hour[0]), N, self._step_s)
+        price = boundary.price_per_kWh[self.machine, :-1]
+        known = _Known(tank, T_C, is_charged, draws_K, T_out_C, self._step_s, price, lower_C[:-1], boundary)
+        own = known.judged(alone[0], alone[1], np.full((1, N), np.nan))
+        ways = list(self._charged(known, wanted_C, most_C, hour, usual, told, begins))
+        found = [one for of_number in ways for one in of_number]
+        # What is set is held for its least time, also against leaving the device to itself.
+        is_held = told is not None and tank.command is not None and begins[0] - told[1] < 60.0 * tank.command.hold_min
+        best = sorted(found if is_held and found else [own, *found], key=lambda one: float(one.score[0]))
+        return tuple(known.told(one, own) for one in best)
+
+    def _charged(
+        self,
+        known: _Known,
+        wanted_C: Array,
+        most_C: Array,
+        hour: Array,
+        usual: Array,
+        told: tuple[float, float] | None,
+        begins_s: Array,
+    ) -> Sequence[Sequence[_Judged]]:
+        """Ways with up to three charges a day, as good as were found by adding one to the best of one less."""
+        tank, N, command = self.tank, wanted_C.size, self.tank.command
+        if command is None:
+            return []
+        by_target = isinstance(command, TankTarget)
+        if by_target:
+            low, targets, most_C = self._targets(wanted_C, most_C)
+        else:
+            low, targets = np.zeros(N), np.ones(1)
+        least_s = max(60.0 * command.hold_min, self._step_s)
+        longest_h = (float(most_C.max() - wanted_C.min()) if by_target else tank.band_K) / max(tank.rise_K_h, 0.1)
+        each = math.ceil(max(least_s, min(longest_h, 6.0) * HOUR_S) / self._step_s)
+        every = max(1, round(HOUR_S / self._step_s))
+        of_day = np.round(hour * HOUR_S / self._step_s).astype(np.intp)
+        per_day = round(DAY_S / self._step_s)
+        # Where charges may begin, each hour of the first day, and again the day after.
+        windows = np.array([((of_day - of_day[k]) % per_day) < each for k in range(0, min(N, per_day), every)])
+        kept = np.zeros((1, N), dtype=bool)
+        out: list[list[_Judged]] = []
+        for _ in range(_CHARGES + 1):
+            found = []
+            for target in targets:
+                values = np.where(kept, np.minimum(target, most_C) if by_target else 1.0, low)
+                values = self._as_may_be(values, told, begins_s)
+                charges = values > 0.5
+                targets_C = values if by_target else usual + 0.0 * values
+                at_once = np.zeros(values.shape, dtype=bool) if by_target else charges
+                found.append(known.judged(targets_C, at_once, values))
+            scores = np.stack([one.score for one in found])
+            order = np.argsort(scores.min(axis=0), kind="stable")[:_KEPT]
+            out.append([found[int(np.argmin(scores[:, i]))].part(int(i)) for i in order])
+            more = (kept[order][:, None, :] | windows[None]).reshape(-1, N)
+            kept = np.unique(more, axis=0)
+        return out
+
+    def _targets(self, wanted_C: Array, most_C: Array) -> tuple[Array, Array, Array]:
+        """The lowest target of each step (N,), with which the device keeps what is wanted, of charges, and highest."""
+        command = self.tank.command
+        assert isinstance(command, TankTarget)
+        least, most = command.within(wanted_C + self.tank.band_K, most_C)
+        values = command.values(float(np.min(least)), float(np.max(most)))
+        highest = values[np.maximum(np.searchsorted(values, most + SAME, side="right") - 1, 0)]
+        low = np.minimum(values[np.minimum(np.searchsorted(values, least - SAME), values.size - 1)], highest)
+        charges = values[values >= low.max() - SAME]
+        picked = np.unique(np.round(np.linspace(0, charges.size - 1, _TARGETS)).astype(np.intp))
+        return low, charges[picked], highest
+
+    def _as_may_be(self, values: Array, told: tuple[float, float] | None, begins_s: Array) -> Array:
+        """Commands (K, N) with the least time between changes and the fastest change kept, from what is set now on."""
+        command, out = self.tank.command, values.copy()
+        assert command is not None
+        hold_s = 60.0 * command.hold_min
+        last, since = (values[:, 0].copy(), np.full(len(values), -np.inf)) if told is None else (
+            np.full(len(values), told[0]), np.full(len(values), told[1]),
+        )  # fmt: skip
+        for k, now_s in enumerate(begins_s.tolist()):
+            held = now_s - since < hold_s - 1e-6
+            most = np.array([command.most_change(one) for one in now_s - since])
+            wanted = np.clip(values[:, k], last - most, last + most)
+            if isinstance(command, StepwiseCommand):
+                wanted = np.where(most < np.inf, np.round(wanted / command.resolution) * command.resolution, wanted)
+            out[:, k] = np.where(held, last, wanted)
+            since = np.where(np.abs(out[:, k] - last) > SAME, now_s, since)
+            last = out[:, k]
+        return out
+
+    def beside(self, instance: Instance, plan: HotWaterPlan) -> Instance:
+        """The instance of the rooms with what the tank leaves them of the machine, and of power."""
+        problem, m, fed = instance.problem, self.machine, list(self._fed)
+        share = np.where(plan.share > _FELT, np.minimum(plan.share, 1.0), 0.0)
+        left = 1.0 - share
+        shape = (len(problem.machinery.actuators), problem.n_steps)
+        available = np.ones(shape) if problem.available is None else problem.available.copy()
+        per_u_W, fixed_W = problem.power_per_u_W.copy(), problem.power_fixed_W.copy()
+        available[fed] *= left
+        per_u_W[fed] *= left
+        fixed_W[m] *= left
+        bend_W = None if problem.power_per_u2_W is None else problem.power_per_u2_W.copy()
+        if bend_W is not None:
+            bend_W[fed] *= left
+        cap = problem.power_cap
+        exchange = problem.exchange
+        changed = replace(
+            problem,
+            available=available,
+            power_per_u_W=per_u_W,
+            power_fixed_W=fixed_W,
+            power_per_u2_W=bend_W,
+            power_cap=cap and replace(cap, limit_W=np.maximum(cap.limit_W - plan.power_W, 0.0)),
+            exchange=exchange and replace(exchange, others_W=exchange.others_W + plan.power_W),
+        )
+        return instance._replace(problem=changed)
+
+    def felt(self, problem: MPCProblem, u: Array, plan: HotWaterPlan) -> bool:
+        """Whether the rooms' levels (A, N) use the machine in a step in which the tank is charged."""
+        return bool((np.abs(u[list(self._fed)]) * (plan.share > _FELT) > 0.0).any()) or problem.exchange is not None
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """K ways: what each costs with discomfort and less what is stored, its energy's cost, and its course by steps."""
+
+    score: Array
+    cost: Array
+    below_Kh: Array
+    values: Array
+    T_C: Array
+    low_C: Array
+    share: Array
+    Wh: Array
+
+    def part(self, i: int) -> _Judged:
+        """One of them."""
+        return _Judged(*(getattr(self, name)[i : i + 1] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """What all ways have in common."""
+
+    tank: LearnedTank
+    T_C: float
+    is_charged: bool
+    draws_K: Array
+    T_out_C: Array
+    step_s: float
+    price: Array
+    lower_C: Array
+    boundary: Boundary
+
+    def judged(self, target_C: Array, at_once: NDArray[np.bool_], values: Array) -> _Judged:
+        """K ways by what the device makes of them, (K, N) each."""
+        course: TankCourse = follow_tank(
+            self.tank, self.T_C, self.is_charged, target_C, at_once, self.draws_K, self.T_out_C, self.step_s
+        )
+        hours = self.step_s / HOUR_S
+        low_C = np.quantile(course.lowest_C, _COLD_DAYS, axis=1)
+        below = (np.maximum(self.lower_C - low_C, 0.0) * hours).sum(axis=1)
+        Wh = course.Wh.mean(axis=1)
+        cost = (Wh / 1000.0 * self.price).sum(axis=1) - self._own_generation(Wh / hours)
+        kelvin = self.tank.Wh_per_K(float(np.median(self.lower_C)), float(self.T_out_C.mean())) / 1000.0
+        stored = course.T_C[:, :, -1].mean(axis=1) * kelvin * float(np.quantile(self.price, 0.25))
+        dear = kelvin * max(float(self.price.max()), 1e-3)
+        known = np.nan_to_num(values)
+        changes = (np.abs(np.diff(known, axis=1)) > SAME).sum(axis=1)
+        score = cost - stored + dear * (_DISCOMFORT_K * below + _CHANGE_K * changes)
+        return _Judged(score, cost, below, values, course.T_C.mean(axis=1), low_C, course.share.mean(axis=1), Wh)
+
+    def _own_generation(self, power_W: Array) -> Array:
+        """What K ways (K, N) save since they use what would be fed in for less, (K,)."""
+        b = self.boundary
+        if not b.others_W.size:
+            return np.zeros(len(power_W))
+        spare_W = np.maximum(-np.nan_to_num(b.others_W[:-1]), 0.0)
+        earns = np.nan_to_num(b.export_per_kWh[:-1]) if b.export_per_kWh.size else np.zeros(spare_W.size)
+        less = np.maximum(self.price - earns, 0.0)
+        used = np.minimum(power_W, spare_W) / 1000.0 * self.step_s / HOUR_S
+        return np.asarray((used * less).sum(axis=1))
+
+    def told(self, way: _Judged, alone: _Judged) -> TankWay:
+        """A way as a plan, beside the tank left alone."""
+        values = tuple(None if math.isnan(one) else float(one) for one in way.values[0].tolist())
+        return TankWay(
+            float(way.score[0]),
+            HotWaterPlan(
+                command=values,
+                T_C=way.T_C[0],
+                low_C=way.low_C[0],
+                lower_C=self.lower_C,
+                share=way.share[0],
+                power_W=way.Wh[0] * HOUR_S / self.step_s,
+                cost=float(way.cost[0]),
+                cost_alone=float(alone.cost[0]),
+                below_Kh=float(way.below_Kh[0]),
+                below_alone_Kh=float(alone.below_Kh[0]),
+            ),
+        )
