@@ -1,4 +1,4 @@
-"""What stands in the gaps of a history, whatever their place and length."""
+"""Lags of series, and what stands in the gaps of a history, whatever their place and length."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.data import HOUR_S, Boundary, Record
-from thermoforce_mpc.data.series import bridged, short_gaps_bridged
+from thermoforce_mpc.data.series import bridged, first_order, short_gaps_bridged
 from thermoforce_mpc.errors import DataError
 
 NAN = np.nan
@@ -128,3 +128,15 @@ def test_lines_between_values_that_are_near_and_nowhere_else():
     np.testing.assert_allclose(short_gaps_bridged(values, 1), values)
     np.testing.assert_allclose(short_gaps_bridged(values, 4), [NAN, *range(1, 11), NAN])
     np.testing.assert_allclose(short_gaps_bridged(np.full(3, NAN), 4), np.full(3, NAN))
+
+
+@pytest.mark.parametrize("n", [0, 1, 31, 32, 33, 1000, 1100])
+def test_lags_are_what_step_by_step_they_are(n: int):
+    rng = np.random.default_rng(n)
+    poles, drive, start = np.array([0.0, 0.7, 0.9999, 1.0]), rng.normal(size=(3, n, 4)), rng.normal(size=(3, 4))
+    expected, state = np.empty_like(drive), start
+    for t in range(n):
+        state = expected[:, t] = poles * state + drive[:, t]
+    np.testing.assert_allclose(first_order(poles, drive, start), expected, rtol=0.0, atol=1e-11)
+    one_for_all = first_order(poles, drive, start[0])
+    np.testing.assert_allclose(one_for_all[0], expected[0], rtol=0.0, atol=1e-11)

@@ -1,6 +1,6 @@
 """Functions compiled by numba, kept on disk under a hash of all sources that they hold.
 
-numba and LLVM take 80 MB and a third of a second: a process that calls none of these functions does not load them.
+numba and LLVM take 97 MB and a third of a second: a process that calls none of these functions does not load them.
 
 numba keeps a function by the file that it stands in. Of functions and constants of other files that it took in when it
 was compiled it knows nothing, and goes on with those as they were.

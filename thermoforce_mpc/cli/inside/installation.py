@@ -39,9 +39,9 @@ _PACKAGE = "thermoforce-mpc"
 _LITTLE_SPACE_GB, _NO_SPACE_GB = 2.0, 0.2
 _CLOCK_OFF_S = 60.0
 _SLOW_SYNC_S = 0.2
-# From where a running loop takes much, MB and s of one core a step: it took 310 MB and 0.14 s on 2026-11-28, 370 MB
-# where pyarrow is installed, which pandas loads. How long it may be tried, s.
-_MEMORY_MB, _STEP_S, _LOOP_S = 450.0, 1.0, 300.0
+# From where a running loop takes much, MB and s of one core a step: it took 256 MB with pyarrow, which pandas loads,
+# and 0.04 s on 2026-11-28. How long it may be tried, s.
+_MEMORY_MB, _STEP_S, _LOOP_S = 350.0, 1.0, 300.0
 
 
 @dataclass(frozen=True)
