@@ -10,15 +10,19 @@ from thermoforce_mpc.model.machine.change import UNKNOWN, Share, share_of_change
 
 
 def record(days: int, step_h: float = 0.5) -> tuple[Record, np.ndarray]:
-    """Days whose levels are high when it is cold, at other hours each day; and what else takes power by hour, W."""
+    """Days whose levels are high when it is cold and dull, at other hours each day; and what else takes power by hour, W."""
     rng, n = np.random.default_rng(3), round(24 * days / step_h)
     time_s = step_h * HOUR_S * np.arange(n + 1)
     hour, day = time_s / HOUR_S % 24, (time_s // (24 * HOUR_S)).astype(int)
     T_out_C = 5.0 + 4.0 * np.cos(2 * np.pi * (hour - 15) / 24) + rng.normal(0.0, 3.0, days + 1)[day]
-    sun = np.maximum(300.0 * np.cos(2 * np.pi * (hour - 12) / 24), 0.0)
-    u = np.clip(0.5 - 0.04 * (T_out_C[:-1] - 5.0) + np.repeat(rng.uniform(-0.3, 0.3, n // 6 + 1), 6)[:n], 0.0, 1.0)
+    sun = np.maximum(600.0 * np.cos(2 * np.pi * (hour - 12) / 24), 0.0) * rng.uniform(0.1, 1.0, days + 1)[day]
+    u = np.clip(
+        0.5 - 0.04 * (T_out_C[:-1] - 5.0) - 0.0005 * sun[:-1] + np.repeat(rng.uniform(-0.3, 0.3, n // 6 + 1), 6)[:n],
+        0.0,
+        1.0,
+    )
     seen = Record(time_s, np.full(n + 1, 20.0), T_out_C, sun, u=u, power_W=u, heat_W=u)
-    return seen, 200.0 * np.isin(hour[:-1].astype(int) // 3, (2, 6)) + 30.0 * (10.0 - T_out_C[:-1]) + 0.2 * sun[:-1]
+    return seen, 200.0 * np.isin(hour[:-1].astype(int) // 3, (2, 6)) + 30.0 * (10.0 - T_out_C[:-1]) - 1.5 * sun[:-1]
 
 
 @pytest.mark.parametrize("share", [1.0, 0.6, 0.0])
