@@ -125,11 +125,6 @@ class WatchConfig(StrictModel):
         description="plan without hours of the day in which nothing comes, whatever is asked for, and with what acting "
         "does in hours in which predictions miss its effect",
     )
-    mornings: bool = Field(
-        True,
-        description="stand back for a day after two days running that were dearer and less comfortable than under the"
-        " on/off rule, and other than planned",
-    )
     # Promises of errors below this at 1 h, and √6 times this at 6 h, are not held to, K: the resolution of sensors.
     least_K: ClassVar[float] = 0.1
     # A band counts with at most this many times the median band of the last week: calibration widens it after errors.
