@@ -10,7 +10,7 @@ from thermoforce_mpc.model.machine.change import UNKNOWN, Share, share_of_change
 
 
 def record(days: int, step_h: float = 0.5) -> tuple[Record, np.ndarray]:
-    """Days whose levels are high when it is cold and dull, at other hours each day; and what else takes power by hour, W."""
+    """Days whose levels are high when it is cold and dull, and the power that is not theirs, W."""
     rng, n = np.random.default_rng(3), round(24 * days / step_h)
     time_s = step_h * HOUR_S * np.arange(n + 1)
     hour, day = time_s / HOUR_S % 24, (time_s // (24 * HOUR_S)).astype(int)
