@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -193,6 +194,34 @@ def test_a_record_that_begins_now_is_no_fault(tmp_path):
     assert said["stages"][2]["words"] == "nothing is recorded yet: let it run for days"
 
 
+def test_what_is_only_heard_is_waited_for_also_where_it_was_heard_before(tmp_path, monkeypatch):
+    """A second start over MQTT planned its trials from what the record held of minutes before."""
+    from thermoforce_mpc.connections.registry import build_connection
+
+    class Heard:
+        def __init__(self, *named):
+            self.files, self.looks = build_connection(*named), 0
+
+        def __getattr__(self, name):
+            return getattr(self.files, name)
+
+        def begin(self):
+            pass
+
+        def measurements(self):
+            self.looks += 1
+            rows = table()
+            rows.index = pd.date_range(end=pd.Timestamp.now("UTC"), periods=len(rows), freq="1s", name="time")
+            return rows.iloc[: -20 if self.looks < 3 else None]
+
+    monkeypatch.setattr("thermoforce_mpc.connections.registry.build_connection", Heard)
+    monkeypatch.setattr("thermoforce_mpc.cli.live.commission._LOOK_S", 0.01)
+    written(tmp_path, table())
+    result, said = told(tmp_path, "--dry-run")
+    assert "Waits up to 60 s for outdoor" in result.output
+    assert all(point["age_s"] < 120 for point in said["points"])
+
+
 def test_names_with_spaces_are_found_and_said_as_a_shell_takes_them(tmp_path):
     written(tmp_path, table())
     folder = tmp_path / "our house"
@@ -213,7 +242,7 @@ def test_days_of_a_shadow_count_for_their_own_model(tmp_path):
     control.mkdir()
     home, rules = by_setpoint()
     every = MeasurementMap.model_validate(rules)
-    found = read_house(LiveBuilding(home, every, 900.0), every, home.now())
+    found = replace(read_house(LiveBuilding(home, every, 900.0), every, home.now()), measured=None)
     book = CommissioningBook(tmp_path / "none.json", {})
     files = CommissioningFiles("c.yaml", "map.yaml", "out", str(tmp_path / "m"), str(control), "house.csv")
     told_days = {"said": "would have saved 3.2", "days": [{}] * 7, "of": "k"}

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 # Time between two looks whether all points came, s, where a connection only hears what is sent.
 _LOOK_S = 1.0
+# Usual distances of a point's readings from which on the next one is waited for.
+_LATE = 3.0
 
 
 @click.command()
@@ -253,7 +255,11 @@ def _read(building: LiveBuilding, rules: MeasurementMap, wait_s: float, say: Cal
     while True:
         try:
             found = read_house(building, rules, clock.now())
-            missing = [point.key for point in found.points if not point.values.size]
+            # What stands in a record from before says what was then.
+            missing = [
+                point.key for point in found.points
+                if not point.values.size or (point.every_s <= wait_s and point.age_s > _LATE * point.every_s)
+            ]  # fmt: skip
             problem: Exception | None = None
         except (PlantError, InputError) as error:
             missing, problem = ["points"], error
