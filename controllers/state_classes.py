@@ -15,7 +15,6 @@ from controllers.monitoring.watch import Issued, ScaledModel, Track, WatchState
 from controllers.monitoring.zone_sensors import Anchor, SensorState
 from controllers.mpc.acting import NoModelState
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.courses import DayBelieved, MorningState
 from controllers.mpc.margins import Innovations, LearnedMargin, Margins
 from controllers.mpc.state import MPCState
 from controllers.rules.pi import PIState
@@ -56,8 +55,6 @@ STATE_CLASSES: tuple[type[Any], ...] = (
     Anchor,
     SunState,
     WatchState,
-    MorningState,
-    DayBelieved,
     BlockedHours,
     HourEffects,
     HourSeen,

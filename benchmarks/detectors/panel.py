@@ -350,7 +350,7 @@ FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "gate": ("generated house", _anothers_sensor),
     "meters and weather sensors": ("generated house", _stuck_meters),
     "shared machine at its limit": ("house of rooms", _weaker_than_named),
-    "worse days": ("house of rooms", _doors),
-    "worse days, mornings": ("generated house", _new_schedule),
+    "watch, doors": ("house of rooms", _doors),
+    "hours of the day, since probed": ("generated house", _new_schedule),
 }
 """Faults by the rule they are for (up to a comma or 'of a'): the kind of plant, and what is done to it."""

@@ -174,12 +174,6 @@ RULES: tuple[Detector, ...] = (
         controller={"watch": {"enabled": False}},
     ),
     Detector(
-        "worse days",
-        "who acts for a day: native control or the rule",
-        lambda ran: ran.news("the last day cost"),
-        controller={"watch": {"mornings": False}},
-    ),
-    Detector(
         "rule's levels",
         "levels of a plan: the on/off rule's",
         lambda ran: ran.reasons("the on/off rule's levels act"),

@@ -21,7 +21,7 @@ from controllers.mpc.commanding import (
     with_commands,
 )
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.courses import Courses, Mornings
+from controllers.mpc.courses import Courses
 from controllers.mpc.formulation import Formulation, Instance
 from controllers.mpc.hot_water import MOST_TANK_SOLVES, HotWater, TankWay
 from controllers.mpc.margins import Margins
@@ -64,12 +64,11 @@ from controllers.safety.overrides import (
     Situation,
     UntoldCommand,
     WatchAlarm,
-    WorseDays,
     decide,
 )
 from thermoforce_mpc.commands.loop import LearnedCommand, left_alone
 from thermoforce_mpc.commands.tank import LearnedTank
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, PlanStatus, Record
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
@@ -81,8 +80,6 @@ from thermoforce_mpc.protocols import FreeResponse
 _CLEARLY, _LEAST_KH = 0.05, 0.1
 # Solvers that did not return and were replaced, before no more are started; besides a forecaster of each zone.
 _SOLVERS_ABANDONED = 3
-# A plan acts, or guards do within it.
-_PLANNED = (PlanStatus.SOLVED, PlanStatus.BRIDGED, PlanStatus.ACCEPTABLE, PlanStatus.GUARD)
 
 
 class ThermoForceMPC(ActuatedController):
@@ -184,10 +181,7 @@ class ThermoForceMPC(ActuatedController):
         self._prediction = PlanPredictor(
             self._planners, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
         )
-        self.mornings = Mornings(
-            model.operator, layout, self._formulation.machinery, self._fallbacks, self._formulation.power
-        )
-        alarms = (WatchAlarm(self._fallbacks), WorseDays(self._fallbacks)) if self._watched.enabled else ()
+        alarms = (WatchAlarm(self._fallbacks),) if self._watched.enabled else ()
         untold = UntoldCommand(left_alone(by_number), self._fallbacks)
         self._overrides: tuple[OverrideRule, ...] = (*alarms, self._gate, untold, LostZone(self._fallbacks))
         guard = ComfortGuard(c.guard, layout, [actuation.highest for actuation in self._actuators.each])
@@ -282,11 +276,8 @@ class ThermoForceMPC(ActuatedController):
         """One control step: each line a station, from what is believed to what is applied."""
         readings, state = yield from self._clean(observation, state)
         state = yield from self._watch(readings, state)
-        state = self._compare_day(readings, state)
-        situation = Situation(
-            readings.observation, readings.zones, state.watch, days=state.mornings.stands_back(readings.time_s)
-        )
-        overrides, joined_in = self._opened(decide(self._overrides, situation), situation)
+        situation = Situation(readings.observation, readings.zones, state.watch)
+        overrides, joined_in = self._shared.open(decide(self._overrides, situation))
         state = self._learn(readings, state)
         if len(overrides) == len(self._fallbacks):
             plan = self._realisation.stand_back(overrides, state)
@@ -309,14 +300,7 @@ class ThermoForceMPC(ActuatedController):
                 )
                 result = yield from self._with_tank(result, instance, ways, forecast.planner.evaluator, solve)
             plan = self._realise(result, readings, overrides, situation)
-        plan = self._believe(plan, readings, state)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
-
-    def _opened(
-        self, overrides: dict[int, Override], situation: Situation
-    ) -> tuple[dict[int, Override], dict[int, ActsTogether]]:
-        """The overrides without those of actuators that act together, and these; none while all plans stand back."""
-        return (overrides, {}) if situation.days else self._shared.open(overrides)
 
     def _clean(self, observation: Observation, state: MPCState) -> Computation[tuple[Readings, MPCState]]:
         """What is believed; a model that may not act says nothing of readings."""
@@ -334,29 +318,6 @@ class ThermoForceMPC(ActuatedController):
             return state
         ahead = self._prediction.ahead(readings.observation)
         return (yield from within(self.config.deadline.forecast_s, self._watched.predict_in_background(ahead, state)))
-
-    def _compare_day(self, readings: Readings, state: MPCState) -> MPCState:
-        """The state with the day that ended now beside what was believed of it and what the rule would have had."""
-        if not self._watched.enabled or not self.config.watch.mornings:
-            return state
-        try:
-            return replace(state, mornings=self.mornings.validate(state.mornings, readings.history, readings.forced_K))
-        except Exception as error:  # what compares must not stop what it compares
-            news = f"the last day could not be compared ({message_of(error)})"
-            return replace(state, mornings=replace(state.mornings, believed=None, news=news))
-
-    def _believe(self, plan: Plan, readings: Readings, state: MPCState) -> Plan:
-        """The plan, its state with what it believes of the day; of a day in which something else acts nothing is."""
-        assert isinstance(plan.state, MPCState)
-        if not self._watched.enabled or not self.config.watch.mornings:
-            return plan
-        mornings = state.mornings
-        if any(status not in _PLANNED for status in plan.acting):
-            mornings = replace(mornings, believed=None)
-        elif plan.u.size:
-            mornings = self.mornings.believing(mornings, plan, readings.observation.boundary)
-        news = [f"watch: {mornings.news}"] if mornings.news else []
-        return replace(plan.with_news(*news), state=replace(plan.state, mornings=replace(mornings, news="")))
 
     def _learn(self, readings: Readings, state: MPCState) -> MPCState:
         """The state with what the last step taught of bounds, predictions, capacities and peak power."""

@@ -12,7 +12,6 @@ from controllers.monitoring.meters import MeterState
 from controllers.monitoring.sun_on_sensors import SunState
 from controllers.monitoring.watch import ScaledModel, WatchState
 from controllers.monitoring.zone_sensors import SensorState
-from controllers.mpc.courses import MorningState
 from controllers.mpc.margins import Margins
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import DAY_S, Array, Boundary, Names, Observation, Record, month_of
@@ -29,8 +28,8 @@ class MPCState:
     `margins`: what was learned of bounds, predictions and capacities. `sensors` (Z,): what is known of the zone
     sensors, and `sun` of the sun on them; `meters`: of weather sensors and meters. `boundary`: the last forecast of the
     boundary conditions without gaps. `failures`: consecutive failed plans. `ruled`: whether the on/off rule's levels
-    acted, since the plan's own statement priced them lower. `mornings`: what was believed of the day. `tank`: what is
-    set at the tank of hot water, and since when, s; None: nothing. `last_s`: time of the last plan, s.
+    acted, since the plan's own statement priced them lower. `tank`: what is set at the tank of hot water, and since
+    when, s; None: nothing. `last_s`: time of the last plan, s.
     """
 
     first_s: float
@@ -47,7 +46,6 @@ class MPCState:
     boundary: Boundary | None = None
     failures: int = 0
     ruled: bool = False
-    mornings: MorningState = field(default_factory=MorningState)
     tank: tuple[float, float] | None = None
     last_s: float | None = None
 

@@ -53,15 +53,13 @@ class Situation:
     """What overrides decide from.
 
     `zones`: each zone now; `watch` (A,): the watch over each actuator's predictions; `planned`: mean
-    level of actuators over the step by their number, empty before there is a plan; `days`: why the last days say that
-    plans are to stand back, or ''.
+    level of actuators over the step by their number, empty before there is a plan.
     """
 
     observation: Observation
     zones: Zones
     watch: tuple[WatchState, ...]
     planned: Mapping[int, float] = field(default_factory=dict)
-    days: str = ""
 
 
 class OverrideRule(Protocol):
@@ -92,22 +90,6 @@ class WatchAlarm:
         time_s = situation.observation.time_s
         alarms = {a: state.reason(time_s) for a, state in enumerate(situation.watch) if state.alarm}
         return {a: backup_override(self._fallbacks[a], situation, PlanStatus.WATCH, why) for a, why in alarms.items()}
-
-
-class WorseDays:
-    """Days that were dearer and less comfortable than the on/off rule's, and other than planned (`mpc.mornings`)."""
-
-    def __init__(self, fallbacks: Sequence[FallbackPolicy]) -> None:
-        self._fallbacks = tuple(fallbacks)
-
-    def overrides(self, situation: Situation) -> dict[int, Override]:
-        """Of all actuators, since they share the plan that was believed."""
-        if not situation.days:
-            return {}
-        return {
-            a: backup_override(fallback, situation, PlanStatus.WATCH, f"watch: {situation.days}")
-            for a, fallback in enumerate(self._fallbacks)
-        }
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def test_a_rule_is_charged_for_its_false_claims_and_credited_for_its_faults():
 
 
 def test_doors_that_stood_open_while_probing_are_shut_since():
-    place = built(PanelCase("house of rooms", 0, 3, "worse days"))
+    place = built(PanelCase("house of rooms", 0, 3, "watch, doors"))
 
     def spread_K(start_s: float) -> float:
         """How far apart rooms are after a day in which the first alone is heated."""

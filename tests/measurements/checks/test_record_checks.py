@@ -286,6 +286,19 @@ def test_three_days_of_a_heat_pump_in_even_weather_are_no_other_unit():
     assert not [one for one in remarks(metered, LAYOUT) if one.kind == "unit of power"]
 
 
+def test_a_heat_pump_of_constant_power_is_no_other_unit():
+    """Its ratio goes with the heat, which goes with the weather: at equal heat the weather does nothing more."""
+    record = CLEAN.slice(0, 96 * 3)
+    T_out = record.T_out_C[:-1]
+    on = (np.arange(record.n_steps) // 4 % 2).astype(float)
+    noise = np.random.default_rng(4).normal(0.0, 0.01, record.n_steps)
+    heat_W = 1200.0 * on * (1.0 + 0.025 * (T_out - T_out.mean()) + noise)
+    metered = replace(record, u=on[None], power_W=400.0 * on[None], heat_W=heat_W[None])
+    assert not [one for one in remarks(metered, LAYOUT) if one.kind == "unit of power"]
+    steady = replace(metered, heat_W=3.0 * metered.power_W * np.exp(noise))
+    assert "too much for a boiler" in str(remarks(steady, LAYOUT))
+
+
 def test_a_chiller_of_one_efficiency_is_no_boiler_in_other_units():
     """A steady 2.9 units of cold from one of energy in any weather; as heat of a machine that only heats a doubt."""
     cold_W = 0.8 * FULL_W * CLEAN.u * (1.0 + 0.2 * np.sin(np.arange(CLEAN.n_steps)))

@@ -136,25 +136,35 @@ def _of_ratio(
     rows = on & np.isfinite(T_out)
     if cools or rows.sum() < _LEAST_ROWS or step_h == 1.0:
         return []
-    # At equal temperatures and loads: mild days are those of part load, which has a ratio of its own.
-    columns = np.array([np.ones(rows.sum()), T_out[rows], heat[rows] / _most(heat[rows])]).T
-    beta, covariance, residual = fitted(columns, np.log(heat[rows] / power[rows]))
     days = record.time_s[:-1][rows] // DAY_S
     if np.unique(days).size < _LEAST_DAYS:
         return []
-    from scipy.special import stdtrit
-
-    clear = max(_CLEAR_OF_DAYS, float(stdtrit(np.unique(days).size - 1, _SURE)))
-    margin = max(_CLEAR * float(np.sqrt(covariance[1, 1])), clear * _sd_of_days(columns, residual, days))
+    # At equal temperatures and loads: mild days are those of part load, which has a ratio of its own.
+    by_weather = np.array([np.ones(rows.sum()), T_out[rows]]).T
+    at_load = np.column_stack([by_weather, heat[rows] / _most(heat[rows])])
+    target = np.log(heat[rows] / power[rows])
+    slope, margin, residual = _slope(at_load, target, days)
     if ratio <= _NO_HEAT_PUMP:
-        rises = beta[1] - margin > _LEAST_SLOPE_PER_K and beta[1] < _MOST_SLOPE_PER_K
+        rises = slope - margin > _LEAST_SLOPE_PER_K and slope < _MOST_SLOPE_PER_K
         wrong = rises and _NO_HEAT_PUMP < ratio / step_h < possible
         words = "as of a boiler, and yet it rises with the outdoor temperature as that of a heat pump does"
     else:
-        steady = residual.std() <= _STEADY and beta[1] + margin < _LEAST_SLOPE_PER_K
+        # A machine of constant power gives heat that goes with the weather, and a ratio that goes with the heat.
+        whole, of_whole, _ = _slope(by_weather, target, days)
+        steady = residual.std() <= _STEADY and max(slope + margin, whole + of_whole) < _LEAST_SLOPE_PER_K
         wrong = steady and _LEAST_RATIO <= ratio * step_h <= _NO_HEAT_PUMP
         words = "too much for a boiler, and it does not go with the outdoor temperature as that of a heat pump does"
     return [_ratio_remark(ratio, step_h, where, words)] if wrong else []
+
+
+def _slope(columns: Array, target: Array, days: Array) -> tuple[float, float, Array]:
+    """The second coefficient of `columns` (n, k), what it may be off, and the residuals (n,); `days` (n,): of rows."""
+    from scipy.special import stdtrit
+
+    beta, covariance, residual = fitted(columns, target)
+    clear = max(_CLEAR_OF_DAYS, float(stdtrit(np.unique(days).size - 1, _SURE)))
+    margin = max(_CLEAR * float(np.sqrt(covariance[1, 1])), clear * _sd_of_days(columns, residual, days))
+    return float(beta[1]), margin, residual
 
 
 def _sd_of_days(columns: Array, residual: Array, days: Array) -> float:
