@@ -39,6 +39,8 @@ ROOMS = ("controllers", "thermoforce_mpc/identification", "thermoforce_mpc/model
 BUILDINGS = ("generated:4242:1", "bestest_hydronic_heat_pump", "house:3rooms:8811")
 # Changes below this share are rounding.
 _ROUNDING = 1e-6
+# Numbers nearer to 0, such as probabilities of what is not so, are compared as if they were this.
+_NEAR_0 = 0.1
 _TIMEOUT_S = 600.0
 
 
@@ -142,7 +144,7 @@ def outcome(building: str, probing: Path, model: tf.ThermalModel | None = None) 
         competent = card.competence is not None and card.competence.competent
         numbers = {**card.uncertainty, **card.scores, "competent": float(competent)}
         found |= {f"{_kind(name)} {index} {name}": float(value) for name, value in numbers.items()}
-    levels = result.to_dataframe().filter(regex="^u")
+    levels = result.to_dataframe().filter(regex="^u_")
     return found | {f"level {name} {row}": float(v) for name in levels for row, v in enumerate(levels[name])}
 
 
@@ -182,7 +184,7 @@ def moved(before: Mapping[str, float], after: Mapping[str, float] | str) -> dict
     def largest(prefix: str) -> float:
         names = {name for name in {*before, *after} if name.startswith(prefix)}
         pairs = [(before.get(name, 0.0), after.get(name, 0.0)) for name in names]
-        return max((abs(b - a) / max(abs(a), abs(b), 1e-3) for a, b in pairs if a != b), default=0.0)
+        return max((abs(b - a) / max(abs(a), abs(b), _NEAR_0) for a, b in pairs if a != b), default=0.0)
 
     return {
         "effect": largest("effect"),

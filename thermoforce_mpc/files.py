@@ -165,6 +165,15 @@ def storage_errors(path: Path) -> Iterator[None]:
         ) from error
 
 
+def check_writable(path: Path) -> None:
+    """Raise `StorageError` where a file or folder `path` cannot be written, before its content is computed."""
+    there = next(one for one in (path, *path.absolute().parents) if one.exists())
+    if there != path and not there.is_dir():
+        raise StorageError(f"{path}: cannot be written: {there} is a file")
+    if not os.access(there, os.W_OK):
+        raise StorageError(f"{path}: cannot be written: no right to write to {there}; choose another folder")
+
+
 _PIECE = 1 << 20
 
 

@@ -17,12 +17,10 @@ class ResultFile(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """See `click.ParamType.convert`."""
+        from thermoforce_mpc.files import check_writable
+
         path = Path(os.fsdecode(super().convert(value, param, ctx)))
-        there = next(one for one in (path, *path.absolute().parents) if one.exists())
-        if there != path and not there.is_dir():
-            self.fail(f"{path} cannot be written: {there} is a file", param, ctx)
-        if not os.access(there, os.W_OK):
-            self.fail(f"{path} cannot be written: no right to write to {there}", param, ctx)
+        check_writable(path)
         return path
 
 

@@ -1,6 +1,6 @@
 """Random offices in `tf-mpc bench buildings`: is a band that begins at 6:00 reached in time, and at what cost?
 
-Offices are light, of several zones, and stand unused at night (`plants.rooms.use.OFFICE`). Beside the default
+Offices are light, of several zones, and stand unused at night (`plants.rooms.house.OFFICE`). Beside the default
 configuration run thermostats whose machine is off from the end of the office hours until 6:00 or some hours before: one
 starts at 6:00, one two hours earlier, and one as early as it needs to be as comfortable as the controller.
 """

@@ -25,7 +25,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Block, Observa
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.plants.records import means_between
+from thermoforce_mpc.plants.points import means_between
 from thermoforce_mpc.plants.rooms import physics
 from thermoforce_mpc.scenario.comfort import TankComfort
 

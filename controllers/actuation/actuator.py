@@ -40,8 +40,9 @@ from thermoforce_mpc.model.machine.power import (
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.scenario.settings import StrictModel
 
-# Shares below this mean off; also the tolerance on measured mean levels.
-_OFF = 1e-3
+# Shares and levels below this mean off (signed: neither heating nor cooling); also the tolerance on measured mean
+# levels.
+OFF = 1e-3
 # Shares of a step nearer than this are one.
 _SAME = 1e-6
 
@@ -163,7 +164,7 @@ class Actuation:
     def _state_from_levels(self, u: Array, step_s: float) -> ActuationState:
         """State estimated from the mean levels of past steps; where ambiguous, the one with the longer wait."""
         level = self.block_level
-        off, full = u <= _OFF, u >= level - _OFF
+        off, full = u <= OFF, u >= level - OFF
         between = np.isfinite(u) & ~off & ~full
         if off[-1]:
             return ActuationState(on=False, held_s=_last_run(off) * step_s)
@@ -188,7 +189,7 @@ class Actuation:
         if self.by_supply:
             return self._valve_blocks(u, step_s, state, water or self.water(u), most)
         if not self.switches:
-            return (Block(min(u, most, 1.0) if u > _OFF else 0.0, step_s),), state
+            return (Block(min(u, most, 1.0) if u > OFF else 0.0, step_s),), state
         return self._on_off_blocks(u, step_s, state, most)
 
     def longest_on_s(self, most_s: float, step_s: float) -> float:
@@ -205,7 +206,7 @@ class Actuation:
 
     def water(self, u: float) -> float:
         """Least level at which an open valve can give `u` over a step."""
-        return min(max(u, self.config.lowest_level, _OFF), 1.0)
+        return min(max(u, self.config.lowest_level, OFF), 1.0)
 
     def _valve_blocks(
         self, u: float, step_s: float, state: ActuationState, water: float, most: float
@@ -218,7 +219,7 @@ class Actuation:
         """
         c = self.config
         within = np.arange(c.min_on_s, step_s - c.min_off_s + 1e-6, c.block_s)
-        wanted_s = u / water * step_s if u > _OFF else 0.0
+        wanted_s = u / water * step_s if u > OFF else 0.0
         allowed = [open_s for open_s in (*within.tolist(), step_s) if open_s * water <= (most + _SAME) * step_s]
         on_s = min([0.0, *allowed], key=lambda open_s: abs(open_s - wanted_s))
         parts = ((water, on_s), (0.0, step_s - on_s)) if state.on else ((0.0, step_s - on_s), (water, on_s))
@@ -232,7 +233,7 @@ class Actuation:
         on_level = min(max(min(u, most), self.block_level), self.highest)
         share = min(max(u / on_level, 0.0), 1.0)
         # A plan of "off" discards the carried-over on-time: it must not heat a zone that needs no heat.
-        wanted_s = share * step_s + state.owed_s if share > _OFF else 0.0
+        wanted_s = share * step_s + state.owed_s if share > OFF else 0.0
         longest_s = self.longest_on_s((most / on_level + _SAME) * step_s, step_s)
         stays_s = self._time_in_state(wanted_s, longest_s, step_s, state)
         on_s = stays_s if on else step_s - stays_s

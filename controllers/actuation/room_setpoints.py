@@ -10,14 +10,13 @@ import math
 
 import numpy as np
 
+from controllers.actuation.actuator import OFF
 from thermoforce_mpc.data import Array, Block
 
 # Planned change of the zone temperature beyond its present value from which the loop runs at its limit, K.
 _MOVES_K = 0.3
 # A loop slows down before it is there: factor on the time at full level.
 _SLOWS = 1.25
-# Levels nearer to 0 than this are no heating and no cooling.
-_OFF = 1e-3
 # A loop that worked at its bound in the last step, at this level or more, is taken to go on within this distance, K.
 _WORKED, _AT_BOUND_K = 0.01, 0.3
 
@@ -46,8 +45,8 @@ def room_blocks(
     """
     lower, upper = bounds_C
     holding = _holding_sign(u_last, T_now_C, bounds_C)
-    hold = math.copysign(max(_OFF, abs(u_last)), holding) if holding else 0.0
-    if abs(u) < _OFF:
+    hold = math.copysign(max(OFF, abs(u_last)), holding) if holding else 0.0
+    if abs(u) < OFF:
         return (Block(hold, step_s, bounds_C),)
     end = min(max(T_end_C, lower), upper)
     band = (end, upper) if u > 0 else (lower, end)
@@ -56,10 +55,10 @@ def room_blocks(
         return (Block(u, step_s, band),)
     base_level = abs(hold) if hold * u > 0 else 0.0
     full = 1.0 if u > 0 else -u_min
-    share = max(abs(u) - base_level, 0.0) / max(full - base_level, _OFF)
+    share = max(abs(u) - base_level, 0.0) / max(full - base_level, OFF)
     moving_s = min(max(math.ceil(_SLOWS * share * step_s / block_s), 1) * block_s, step_s)
     level = (abs(u) - base_level) * step_s / moving_s + base_level
-    moving = Block(math.copysign(min(max(level, _OFF), full), u), moving_s, band)
+    moving = Block(math.copysign(min(max(level, OFF), full), u), moving_s, band)
     if moving_s >= step_s:
         return (moving,)
     return Block(hold, step_s - moving_s, bounds_C), moving

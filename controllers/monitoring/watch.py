@@ -48,6 +48,7 @@ from pydantic import Field
 
 from controllers.monitoring.single_actuator import SingleActuatorContext
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.model.free_response.checks import NORMAL_90
 from thermoforce_mpc.model.machine.blocked_hours import (
     BlockedHours,
     Directions,
@@ -239,8 +240,6 @@ WINDOW_H, EVERY_H = 24.0, 6.0
 _MONTH_H = 30 * 24.0
 # Least share of the effect that is missing in a fault: smaller ones are errors of the gain, for adaptation.
 _LEAST_SHARE = 0.2
-# 0.9 quantile of the normal distribution: half-width of an 80 % band over standard deviation.
-_NORMAL_90 = 1.2816
 # Largest error that counts, in promised half-widths.
 _LARGEST = 2.0
 
@@ -258,7 +257,7 @@ def missing_effect(error_K: Array, effect_K: Array, promise_K: Array) -> tuple[f
         return 0.0, 0.0
     clipped_K = np.clip(error_K, -_LARGEST * promise_K, _LARGEST * promise_K)
     share = -float(weight @ (clipped_K * effect_K)) / information
-    return share, share * math.sqrt(information) * _NORMAL_90
+    return share, share * math.sqrt(information) * NORMAL_90
 
 
 def effect_fault(error_K: Array, effect_K: Array, promise_K: Array, false_alarm: float) -> str:
@@ -591,7 +590,7 @@ class Watch:
         if not rows.lead.size or sd <= 0.0:
             return 0.0
         # Predictions that overlap count as one.
-        weight = _NORMAL_90**2 / rows.promise_K**2 * min(1.0, self.every / self.leads[lead])
+        weight = NORMAL_90**2 / rows.promise_K**2 * min(1.0, self.every / self.leads[lead])
         share = float(weight @ (rows.error_K * rows.effect_K)) / (float(weight @ rows.effect_K**2) + sd**-2)
         return float(np.clip(share, -_LEAST_SHARE, _MOST_MORE))
 
@@ -611,7 +610,7 @@ class Watch:
         usual = float(np.median(track.bands[track.bands[:, 0] <= item.time_s, 1 + lead]))
         effect = float(forced - idle)
         unknown = self._beyond_identified(history.slice(start, start + n))
-        gain = _NORMAL_90 * math.hypot(self._gain_sd[lead], unknown) * effect
+        gain = NORMAL_90 * math.hypot(self._gain_sd[lead], unknown) * effect
         promise = math.hypot(
             min(band, self.config.widest * usual), gain, self._least_K[lead], _rebound_K(track, item.time_s, error)
         )

@@ -23,7 +23,7 @@ from controllers.mpc.command_search import Knob, better_commands
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.state import MPCState
 from controllers.optimisation.plan_model import Evaluator
-from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.problem import MPCProblem, Weights
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving, PlanStatus
@@ -117,6 +117,7 @@ class BuildingCommands:
         alone = {a for group in groups.values() if set(group) & set(left_alone) for a in group} | set(left_alone)
         together = tuple(tuple(group) for group in groups.values())
         held = {self._layout.home[a]: _HeldRoom.of(self._cards[a]) for a in unknown if a not in alone}
+        problem = replace(problem, weights=_of_any_room(problem.weights))
         return CommandedPlan(operator, problem, boundary, loops, together, frozenset(alone), self._spread, held)
 
 
@@ -402,6 +403,15 @@ def with_commands(config: MPCConfig, commands: Collection[str]) -> MPCConfig:
     if not commands:
         return config
     return config.model_copy(update={"actuations": {**config.actuations, **dict.fromkeys(commands, any_level)}})
+
+
+def _of_any_room(weights: Weights) -> Weights:
+    """`weights` with a K·h outside the bounds that costs in each room what it costs in the largest one.
+
+    Weights go by floor area, and a kelvin in a small bath costs less than the hour of heat that it takes: a plan let it
+    be cold, which the building left alone never did (`bench commands`, seed 421, 2026-11-28: 0.76 K·h a week).
+    """
+    return replace(weights, comfort=float(np.max(weights.comfort)))
 
 
 def _effect_spread(card: ModelCard) -> float:

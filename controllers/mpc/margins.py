@@ -105,7 +105,8 @@ def with_recourse_K(backoff: Array, operator: OperatorParameters) -> Array:
     return kept
 
 
-# Effect of an hour at full level from which a zone is fast, K: a slab gives a few tenths, radiators and air several.
+# Effect of an hour at full level from which a zone is fast, K: a slab gives a few tenths, radiators and air several. A
+# third more changes the cost of the heat pump's peak day by 2.4 % (`benchmarks.constants`, 2026-11-28).
 _FAST_K = 0.6
 # Mean share of on-time that is assumed for the swing.
 _SHARE = 0.35

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, StorageError
 
 
 @pytest.mark.parametrize(
@@ -27,5 +27,5 @@ def test_what_makes_no_sense_is_refused_before_anything_runs(tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
     told = CliRunner().invoke(cli, ["bench", *words.split()], standalone_mode=False)
-    assert isinstance(told.exception, ConfigError | click.UsageError)
+    assert isinstance(told.exception, ConfigError | StorageError | click.UsageError)
     assert message in str(told.exception)

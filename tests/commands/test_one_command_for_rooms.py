@@ -70,6 +70,18 @@ def test_both_rooms_have_the_one_offset_that_is_good_for_both(plan):
     assert plan.saving.outside_Kh <= plan.saving.outside_alone_Kh + 0.5
 
 
+def test_a_small_room_is_kept_as_warm_as_a_large_one(home, measured):
+    """Weights go by floor area: a kelvin in 3 m² would count less than an hour of the heat that avoids it."""
+    ahead = read_forecast(home.forecast(), measured)
+    more_K = np.array([[0.0], [1.5]])
+    asked = Observation(measured.record, replace(ahead, lower_C=ahead.lower_C + more_K, upper_C=ahead.upper_C + 2.0))
+    outside_Kh = []
+    for area_m2 in ((30.0, 30.0), (57.0, 3.0)):
+        model = replace(curve_model(home), floor_area_m2=area_m2)
+        outside_Kh.append(controller(home, measured, model).plan(asked).saving.outside_Kh)
+    assert outside_Kh[1] <= outside_Kh[0] + 0.1
+
+
 def judged_plan(home, measured, **reasons):
     """The plan where models of the rooms in `reasons` may not act, of these, ± 60 % by themselves, ± 20 % together."""
     cards = []

@@ -9,7 +9,7 @@ import pytest
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.load import learned_tank, read_measurements
-from thermoforce_mpc.plants.records import means_between
+from thermoforce_mpc.plants.points import means_between
 from thermoforce_mpc.plants.rooms import house_of_rooms, physics
 from thermoforce_mpc.plants.rooms.device import TANK_J_K, TANK_LOSS, draw_device
 

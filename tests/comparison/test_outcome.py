@@ -29,6 +29,14 @@ def test_best_front_and_fallbacks():
     assert rows["broken"]["cost_tot"] is None
 
 
+def test_levels_of_a_trained_policy_are_no_fallback():
+    """Every plan of `dpc` is checked, and none is shown to be the best: a table said of all of them '96 fallbacks'."""
+    policy = record("dpc", 0.6, 0.1, needs_model=True) | {
+        "fallback_levels": {"acceptable": 90, "shifted": 2, "solved": 4}
+    }
+    assert outcome_rows([policy])[0]["fallbacks"] == 2
+
+
 def test_windows_are_judged_apart():
     rows = outcome_rows([*RECORDS, record("thermostat", 0.1, 0.0, needs_model=False, window="58")])
     assert sum(row["best_cost"] for row in rows) == 2

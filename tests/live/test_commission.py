@@ -182,7 +182,15 @@ def test_what_is_wrong_is_said_once_and_counted(tmp_path):
     written(tmp_path, stopped(table()))
     _, said = told(tmp_path, "--dry-run")
     assert not any("h old" in one for one in said["doubts"]), "what is wrong is not to be looked at besides"
-    assert said["stages"][0]["words"].startswith(f"{len(said['problems'])} faults in 8 points, ")
+    assert said["stages"][0]["words"].startswith(f"{len(said['problems'])} faults in 8 points")
+
+
+def test_a_record_that_begins_now_is_no_fault(tmp_path):
+    """The first start over MQTT, which has no history: steps that are not there yet were to be looked at."""
+    written(tmp_path, table().tail(2))
+    result, said = told(tmp_path, "--dry-run")
+    assert (result.exit_code, said["problems"], said["doubts"]) == (0, [], [])
+    assert said["stages"][2]["words"] == "nothing is recorded yet: let it run for days"
 
 
 def test_names_with_spaces_are_found_and_said_as_a_shell_takes_them(tmp_path):

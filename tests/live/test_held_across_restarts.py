@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from itertools import groupby, pairwise
 
 import pandas as pd
@@ -10,6 +11,7 @@ from home_by_curve import SG_RULES, START, HomeByCurve, curve_model
 
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
+from thermoforce_mpc.data import Block, Plan, PlanStatus
 from thermoforce_mpc.live import KeptState, LiveBuilding, control
 from thermoforce_mpc.measurements.load import learned_commands, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
@@ -29,11 +31,19 @@ def controlled(home, folder, kill_at_h=None, steps=None):
     controller = ThermoForceMPC(
         curve_model(home), MPCConfig.model_validate(options), commands=learned_commands(measured)
     )
+    building = LiveBuilding(home, RULES, 3600.0)
+    with killed(home, kill_at_h):
+        control(building, controller, clock=home, steps=steps, delay_s=0.0, kept=KeptState(folder / "s.npz", "k"))
+
+
+@contextmanager
+def killed(home, at_h):
+    """The process that controls the home is killed so many hours after START; None: it is not."""
     wait, write = home.wait_until, home.write
 
-    def killed(until):
-        if kill_at_h is not None and until > START + pd.Timedelta(hours=kill_at_h):
-            wait(START + pd.Timedelta(hours=kill_at_h))
+    def until_killed(until):
+        if at_h is not None and until > START + pd.Timedelta(hours=at_h):
+            wait(START + pd.Timedelta(hours=at_h))
             home.write = home.wait_until = nothing
             raise KilledError
         wait(until)
@@ -41,12 +51,11 @@ def controlled(home, folder, kill_at_h=None, steps=None):
     def nothing(*_):
         raise KilledError
 
-    home.wait_until = killed
-    building = LiveBuilding(home, RULES, 3600.0)
+    home.wait_until = until_killed
     try:
-        control(building, controller, clock=home, steps=steps, delay_s=0.0, kept=KeptState(folder / "s.npz", "k"))
+        yield
     except BaseException as error:
-        if kill_at_h is None or KilledError not in (type(error), type(error.__cause__)):
+        if at_h is None or KilledError not in (type(error), type(error.__cause__)):
             raise
     finally:
         home.wait_until, home.write = wait, write
@@ -68,3 +77,31 @@ def test_what_is_blocked_is_so_for_two_hours_at_most_also_across_restarts(tmp_pa
     assert blocked_s
     assert max(blocked_s) <= 7200.0
     assert min(held_s) >= 600.0
+
+
+class AlwaysSets:
+    """A controller that sets one state of the contacts."""
+
+    name, step_s, horizon_s = "always", 3600.0, 3600.0
+
+    def __init__(self, value: float) -> None:
+        self.value = value
+
+    def plan(self, observation, state=None):
+        block = Block((0.5, 0.5), self.step_s, command=(self.value, self.value))
+        return Plan((block,), PlanStatus.RULE, "as ever", names=observation.history.names)
+
+
+def test_what_is_said_is_what_is_set_where_a_command_must_be_held(tmp_path):
+    """Before, terminal, page and journal told of the state that was planned, for as long as another one was held."""
+    home, said = HomeByCurve(days=1, contacts=True), []
+    for value, kill_at_h in ((3.0, 0.05), (1.0, None)):
+        with killed(home, kill_at_h):
+            control(
+                LiveBuilding(home, RULES, 3600.0), AlwaysSets(value), clock=home, steps=1, delay_s=0.0,
+                kept=KeptState(tmp_path / "s.npz", "k"), told=said.append,
+            )  # fmt: skip
+    assert [decision.blocks[0].told for decision in said] == [(3.0, 3.0), (3.0, 3.0)]
+    assert [row["contact"] for row in home.rows if row["time"] > START] == [3.0] * 12, "so it was set"
+    (note,) = [one for one in said[1].notes if "was set at" in one]
+    assert "3 (recommended) was set at 00:00 and stays for 10 min (hold_min)" in note

@@ -129,3 +129,10 @@ def test_a_guess_of_the_weather_is_as_far_off_as_such_guesses_were_in_the_record
     assert not weather_spread("solar_W_m2", filled, record()).any()
     longer = lengthened(filled, N + 6, HOUR_S)
     assert longer.guessed["T_out_C"].shape == longer.T_out_C.shape
+
+
+def test_what_is_guessed_of_more_than_six_hours_errs_as_the_day_before_does():
+    filled, _ = completed(without(boundary(), "T_out_C", slice(20, 29)), record(), None)
+    np.testing.assert_allclose(weather_spread("T_out_C", filled, record())[20:29], 0.5)
+    shorter, _ = completed(without(boundary(), "T_out_C", slice(20, 25)), record(), None)  # a gap of 6 h
+    assert weather_spread("T_out_C", shorter, record())[22] != pytest.approx(0.5)

@@ -108,6 +108,8 @@ def test_predict_effect_and_counterfactuals_agree(predictor):
     assert np.all(np.diff(fan.total_C, axis=0) > 0), "more heating must be warmer at every step"
     np.testing.assert_allclose(fan.total_C[1], context.predict(np.full(24, 0.25)).total_C, atol=1e-12)
     np.testing.assert_allclose(context.predict(u).total_C, context.free.median_C + context.predict(u).forced_K)
+    band = (context.predict(u).free_low_C, context.predict(u).free_high_C)
+    np.testing.assert_allclose(band, [context.free.quantile_C(level) for level in (0.1, 0.9)])
 
 
 def test_weather_that_does_not_begin_where_the_record_ends_is_refused(predictor):

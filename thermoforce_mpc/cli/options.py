@@ -221,16 +221,20 @@ def course_options(level: str) -> Callable[[Function], Function]:
 
 
 class _FileOf(click.Path):
-    """A file to write, refused before the work where its name says no format that we write."""
+    """A file to write, refused before the work where it cannot be, or its name says no format that we write."""
 
     def __init__(self, *endings: str) -> None:
         super().__init__(path_type=Path, dir_okay=False)
         self._endings = endings
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        from thermoforce_mpc.files import check_writable
+
         path = Path(str(super().convert(value, param, ctx)))
         if path.suffix not in self._endings:
             self.fail(f"{path}: end the name in {' or '.join(self._endings)}", param, ctx)
+        if param is None or path != param.default:
+            check_writable(path)
         return path
 
 

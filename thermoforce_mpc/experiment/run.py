@@ -204,7 +204,9 @@ def print_summary(
     if outcome.experiment.own.chosen.needs_model:
         display.say(f"{outcome.result.controller}: {outcome.planning[outcome.result.controller].in_words()}")
     levels = outcome.result.fallback_levels()
-    fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule", "gate")}
+    fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "acceptable", "rule", "gate")}
+    if unproved := levels["acceptable"]:
+        display.say(f"Not shown to be the cheapest: {counted(unproved, 'plan')}, checked as all are")
     if fallbacks:
         display.say(f"Fallbacks: {fallbacks}; reasons in {folder / 'steps.csv'}")
     for spell in watch_spells(outcome.result):

@@ -159,7 +159,7 @@ def worth(
         stamps, begin = record.stamps(), stamps_at(np.array([start_s]), record.origin)[0]
         raise DataError(
             f"{days:g} days from {begin} on are not in the record ({stamps[0]} to {stamps[-1]}) with "
-            f"{LEAST_BEFORE_DAYS:g} days before: choose another start, or fewer days"
+            f"{LEAST_BEFORE_DAYS:g} days before: choose another start or fewer days, or give a longer record"
         )
     for name, after in (("lower_C", 1), ("upper_C", 1), ("price_per_kWh", 0)):  # a price is that of a step
         if not np.isfinite(getattr(conditions, name)[:, first : first + n + after]).all():

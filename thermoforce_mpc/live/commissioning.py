@@ -38,6 +38,8 @@ _FORMAT = 1
 # What a model is learned from at least, days (as `measurements.signals` says); whole days before a shadow says
 # what it would have saved.
 _LEAST_DAYS, _SHADOW_DAYS = 2.9, 7
+# Readings of fewer steps are a record that has just begun.
+_BEGUN_STEPS = 3.0
 _AHEAD_S = 24 * 3600.0
 # Remarks on which nothing is tried: what would be set, or watched, is another thing.
 _BARS = ("rooms swapped", "command is no command", "unit of temperature")
@@ -130,7 +132,9 @@ def read_house(building: LiveBuilding, rules: MeasurementMap, now: pd.Timestamp)
             problems += [words for kind, words in told if kind in _BARS]
             doubts += [words for kind, words in told if kind not in _BARS]
         except (DataError, ConfigError) as error:
-            doubts.append(f"no record yet: {error}")
+            # What is only heard begins with now: that there are no steps yet is nothing to be looked at.
+            if max(-float(point.at_s[0]) for point in points) > _BEGUN_STEPS * building.step_s:
+                doubts.append(f"no record yet: {error}")
     if measured is not None:
         wrong, odd = _as_controlled(building, now)
         problems, doubts = problems + wrong, doubts + odd

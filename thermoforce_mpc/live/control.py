@@ -283,6 +283,7 @@ class _Building:
     def act(self, decided: Decided) -> object:
         """See `LoopDriver.act`."""
         self._raised = self._raised and decided.observation is None
+        decided = self._with_holds(decided)
         levels, time_s = [block.u for block in decided.blocks], self._building.time_s(self._at)
         name, plan, refused = self._controller.name, decided.plan, decided.refused
         # Of the forecast's table too, which was read after the measurements.
@@ -356,6 +357,25 @@ class _Building:
             begin = until
         self._clock.wait_until(min(end, self._clock.now() + self._step))
         return state
+
+    def _with_holds(self, decided: Decided) -> Decided:
+        """What will be set where a command may not change yet, as `_as_may_be` says, and a note on each of these."""
+        if not self._acts or self._building.paused:
+            return decided
+        blocks, notes, begin = list[Block](), dict[str, None](), self._at + self._delay
+        for planned in decided.blocks:
+            now = max(begin, self._clock.now())
+            block = self._as_may_be(planned, now, planned.duration_s)
+            blocks.append(block)
+            begin += pd.Timedelta(seconds=planned.duration_s)
+            for name, wanted, value in zip(self._building.names, planned.told, block.told, strict=True):
+                if value != wanted and (command := self._building.command_of(name)) is not None:
+                    before = self._commands[name]
+                    since = pd.Timestamp(before.since).tz_convert(self._at.tz)
+                    held = f"{self._building.key(name)}: {command.in_words(before.value)} was set at {since:%H:%M}"
+                    stays = f"and stays for {command.hold_min:g} min (hold_min)"
+                    notes[f"{held} {stays if value is not None else 'and may stay no longer'}"] = None
+        return replace(decided, blocks=tuple(blocks), notes=(*decided.notes, *notes)) if notes else decided
 
     def _tank_command(self, decided: Decided) -> float | None:
         """What is set at the tank in the step; None: it is given back to the device."""

@@ -9,7 +9,7 @@ from threading import Thread
 import pytest
 
 from thermoforce_mpc.boundary.weather import load_weather
-from thermoforce_mpc.boundary.weather.fetch import FILE_NAME, fetch_brussels
+from thermoforce_mpc.boundary.weather.readers import FILE_NAME, fetch_brussels
 from thermoforce_mpc.errors import WeatherError
 
 

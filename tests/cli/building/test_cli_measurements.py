@@ -200,6 +200,11 @@ def test_a_plan_is_a_table_a_file_and_a_picture(folder, model):
         (("identify", "--data", "probed.csv", "--map", "map.yaml", "--testcase", "x"), "--testcase is for probing"),
         (("identify", "--data", "probed.csv", "--map", "map.yaml", "--set", "seed=1"), "identification.options"),
         (("identify", "--data-days", "7"), "--data-days belongs to --data"),
+        (("identify", "--data", "probed.csv", "--map", "map.yaml", "--out", "map.yaml/m"), "map.yaml is a file"),
+        (
+            ("plan", "--model", "m", "--data", "x", "--map", "y", "--forecast", "z", "--out", "map.yaml/p.csv"),
+            "is a file",
+        ),
     ],
 )
 def test_bad_input_is_told_and_nothing_is_written(folder, words, message, monkeypatch):

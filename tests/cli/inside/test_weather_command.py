@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from thermoforce_mpc.boundary.weather import load_weather
-from thermoforce_mpc.boundary.weather.fetch import FILE_NAME, FINGERPRINT
+from thermoforce_mpc.boundary.weather.readers import FILE_NAME, FINGERPRINT
 from thermoforce_mpc.cli import main
 from thermoforce_mpc.cli.inside.doctor import weather as command
 from thermoforce_mpc.errors import WeatherError

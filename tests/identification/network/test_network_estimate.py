@@ -9,7 +9,13 @@ import pytest
 from houses import random_levels
 from thermal_networks import effect_K, random_theta, simulated, theta_of, with_gap
 
-from thermoforce_mpc.identification.network.estimate import RoomFit, RoomRun, estimate_room, posterior
+from thermoforce_mpc.identification.network.estimate import (
+    RoomFit,
+    RoomRun,
+    estimate_room,
+    gain_of_one_more,
+    posterior,
+)
 from thermoforce_mpc.identification.network.room import Law, Prior, RoomNetwork
 
 METERED = RoomNetwork((1,), (50.0,))
@@ -111,6 +117,25 @@ def test_nothing_read_leaves_the_priors():
     expected[METERED.place["heat_0"]] -= np.log1p(METERED.value(expected, "heat_structure_0"))
     np.testing.assert_allclose(fit.theta, expected, atol=0.05)
     np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance))[:10], METERED.sd[:10], rtol=0.05)
+
+
+def test_one_more_parameter_moves_to_the_least_of_the_parabola_through_its_neighbours():
+    run = simulated(METERED, theta_of(METERED, reading=0.1), (thermostat,), 1.0, 0)
+    start, h = np.zeros(METERED.mean.size), 1e-3
+
+    def value(at: float) -> float:
+        return posterior(METERED, METERED.mean + METERED.sd * np.append(start[:-1], at), [run])[0]
+
+    slope, curvature = (value(h) - value(-h)) / (2.0 * h), (value(h) - 2.0 * value(0.0) + value(-h)) / h**2
+    gained, at = gain_of_one_more(METERED, [run], start, np.zeros((start.size - 1,) * 2))
+    assert at == pytest.approx(-slope / curvature, rel=0.01)
+    assert gained == pytest.approx(0.5 * slope**2 / curvature, rel=0.02)
+
+
+def test_a_fit_as_if_nothing_acted_is_where_its_value_is():
+    run = simulated(METERED, METERED.mean, (thermostat,), 0.5, 0)
+    idle = RoomFit(METERED, METERED.mean, posterior(METERED, METERED.mean, [run])[0], [run]).without(0)
+    assert posterior(idle.room, idle.theta, idle.runs)[0] == pytest.approx(idle.value)
 
 
 @pytest.mark.slow

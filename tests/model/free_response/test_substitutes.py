@@ -70,6 +70,17 @@ def test_what_is_no_forecast_is_replaced_by_the_weather_model_with_the_reason(ch
     assert says in answer.doubt
 
 
+@pytest.mark.parametrize(("silent", "absurd"), [(0, True), (6, False)])
+def test_after_hours_of_silence_a_zone_may_have_moved_as_far_as_the_record_did_in_so_long(silent, absurd):
+    """It fell by 2 K an hour: 21 K within the next hour are too much, within seven hours they are not."""
+    _, record, boundary = house(20)
+    free = 60.0 - 2.0 * np.arange(21.0)
+    free[free.size - silent :] = np.nan
+    last_C = 60.0 - 2.0 * (20 - silent)
+    forecast = FreeForecast(np.array([0.1, 0.5, 0.9]), np.full((3, N), last_C - 21.0), "falls")
+    assert bool(absurdity(forecast, free, record, boundary)) is absurd
+
+
 def test_a_healthy_forecast_passes_unchanged():
     free, record, boundary = house()
     answer = WithSubstitutes(Method()).forecast(free, record, boundary)

@@ -9,7 +9,14 @@ import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, HourEffects, HourSeen, running
+from thermoforce_mpc.model.machine.blocked_hours import (
+    BlockedHours,
+    HourEffects,
+    HourSeen,
+    called_for,
+    each_direction,
+    running,
+)
 
 
 def told(asked, got, T_C, first_hour=0, known=None, step_s=1800.0, sign=1) -> BlockedHours:
@@ -134,6 +141,8 @@ def test_plans_count_on_what_comes_and_try_an_hour_again_after_a_week():
     assert dips.min() == dips[27]
     assert found.laws[6].dip_K <= dips[27] < 0.7 * found.laws[6].dip_K
     assert dips[-1] > 0.3 * dips[27], "it is forgotten"
+    soon = 7 * DAY_S + 6 * 3600.0 + 900.0 * np.arange(4)
+    assert (found.share(soon, 900.0) == found.laws[6].share).all(), "not before"
     later = 9 * DAY_S + 6 * 3600.0 + 900.0 * np.arange(4)
     assert (found.share(later, 900.0) == 1.0).all()
 
@@ -173,3 +182,25 @@ def test_what_cannot_be_judged_tells_nothing_of_its_hour():
         assert known.after(told) == known
         with pytest.raises(DataError, match="hour_effects"):
             HourEffects(seen=(told,))
+
+
+def test_set_points_call_where_both_readings_of_a_step_say_so():
+    """At 21 and 25 °C: cold at both ends, at one, nearly; warm at both ends, at one; a level that was set."""
+    T_C = np.array([19.0, 20.0, 20.9, 20.0, 26.0, 25.8, 25.2])
+    heating, cooling = np.full(6, 21.0), np.full(6, 25.0)
+    assert called_for(np.zeros(6), heating, cooling, T_C).tolist() == [1.0, 0.0, 0.0, 0.0, -1.0, 0.0]
+    assert called_for(np.full(6, 0.4), np.where(np.arange(6) < 3, np.nan, heating), cooling, T_C).tolist() == [
+        *[0.4] * 3, 0.0, -1.0, 0.0,
+    ]  # fmt: skip
+
+
+def test_heating_and_cooling_of_signed_levels_are_seen_apart():
+    asked = np.array([0.5, -0.25, 0.0])
+    record = Record(HOUR_S * np.arange(4.0), *np.full((3, 4), 20.0), u=asked, power_W=asked, heat_W=asked)
+    heating, cooling = each_direction(asked, record, 1, signed=True)
+    assert [(way[0].tolist(), way[1].u[0].tolist(), way[2]) for way in (heating, cooling)] == [
+        ([0.5, 0.0, 0.0], [0.5, 0.0, 0.0], 1),
+        ([0.0, 0.25, 0.0], [0.0, 0.25, 0.0], -1),
+    ]
+    ((same, _, sign),) = each_direction(asked, record, -1, signed=False)
+    assert (same.tolist(), sign) == (asked.tolist(), -1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S
-from thermoforce_mpc.model.machine.other_load import other_load
+from thermoforce_mpc.model.machine.other_load import OtherLoad, other_load
 
 STEP_S, N = 900.0, 4 * 96
 TIME_S = 30 * DAY_S + STEP_S * np.arange(N)
@@ -83,3 +83,22 @@ def test_what_an_emitter_still_gives_off_is_not_taken_for_another_load():
         for k in range(1, N):
             heat[k] = kept * heat[k - 1] + (1.0 - kept) * FULL_W * u[0, k]
         assert other_load(u, TIME_S, T, heat) is None, f"a time constant of {lag_h} h"
+
+
+def test_a_load_is_that_of_its_hour_and_of_the_weather_within_its_range():
+    found = OtherLoad(tuple(100.0 + hour for hour in range(24)), -10.0, 5.0, (0.0, 15.0), 1.0)
+    time_s, T_out_C = 6 * HOUR_S + np.zeros(4), np.array([5.0, 2.0, -30.0, 40.0])
+    np.testing.assert_allclose(found(time_s, T_out_C), [106.0, 136.0, 156.0, 6.0])
+    assert not OtherLoad((0.0,) * 24, -10.0, 5.0, (0.0, 15.0), 1.0)(time_s, np.full(4, 8.0)).any(), "never below 0"
+
+
+def test_a_load_that_the_meter_does_not_hold_while_the_machine_is_on_is_none():
+    """Off at 8 and 23 only, when hot water took much and little: between them the meter holds half of such a load."""
+    hour = TIME_S % DAY_S // HOUR_S
+    off = (hour == 8) | (hour == 23)
+    hot_water = np.where(hour == 8, 830.0, 20.0)
+    T = weather(np.random.default_rng(5))
+    assert other_load((~off)[None].astype(float), TIME_S, T, np.where(off, hot_water, 400.0)) is None
+    found = other_load((~off)[None].astype(float), TIME_S, T, np.where(off, hot_water, 4000.0))
+    assert found is not None
+    assert found.mean_W == pytest.approx(425.0, rel=0.2)

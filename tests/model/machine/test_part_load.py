@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.power import LevelCost, PowerModel, PowerShape, cheapest, level_costs
+from thermoforce_mpc.model.machine.load import MachineLoad, Quality, usable_steps
+from thermoforce_mpc.model.machine.power import (
+    LevelCost,
+    PartLoad,
+    PowerModel,
+    PowerShape,
+    at_its_limit,
+    cheapest,
+    level_costs,
+)
 
 LEVELS = np.array([0.2, 0.4, 0.7])
 
@@ -64,3 +74,33 @@ def test_a_machines_power_has_the_shape_and_stays_at_full_level_in_all_weather(T
     assert shaped.load.curve_W == pytest.approx(0.4 * lowest_W)
     fixed_W, per_u_W = shaped.load.parts(T_out_C)
     assert float(fixed_W / per_u_W) == pytest.approx(0.1 / 0.5)
+
+
+@pytest.mark.parametrize(
+    ("powers", "limit"),
+    [((), False), ((0.4, 0.7), False), ((0.4, 0.97), True), ((0.75, 0.8), True), ((0.4, 0.75), False)],
+)
+def test_a_machine_whose_power_hardly_rises_above_a_middle_level_is_at_its_limit(powers, limit):
+    """Powers at levels 0.25 and 0.6 over that of full level; a straight line has 0.4 and 0.68."""
+    costs = [LevelCost(u, power / u / 1.1, 0.01, 1.1, 0.01) for u, power in zip((0.25, 0.6), powers, strict=False)]
+    assert at_its_limit(costs) is limit
+
+
+def test_power_per_heat_at_a_level_is_that_of_the_parts_that_do_not_go_with_it():
+    machine = PartLoad(power_fixed=0.3, heat_fixed=0.1)
+    assert machine.at(1.0) == 1.0
+    assert machine.at_half == pytest.approx((0.3 + 0.7 * 0.5) / (0.1 + 0.9 * 0.5))
+    assert machine.at(0.2) == pytest.approx((0.3 + 0.7 * 0.2) / (0.1 + 0.9 * 0.2))
+
+
+def test_slopes_of_a_load_that_bends_reach_from_level_0_to_full_level():
+    bent = MachineLoad((100.0, 0.0, 500.0, 10.0), (0.0, 10.0), lowest_level=0.5, curve_W=50.0)
+    assert bent.slope_bounds() == (600.0, 800.0)  # 100 / 0.5 + 500 + 10 T below; 500 + 10 T + 2 · 50 at full level
+    assert replace(bent, coefficients=(0.0, 0.0, 500.0, 10.0)).slope_bounds() == (500.0, 700.0)
+
+
+def test_the_quality_of_a_fit_counts_errors_while_running_and_their_share_of_the_variance():
+    u, load_W = np.tile([0.0, 1.0], 10), np.tile([0.0, 1000.0], 10)
+    found = Quality.of(load_W + 50.0 * u, usable_steps(u, np.zeros(20), load_W, "power"))
+    assert (found.rmse_W, found.n_samples, found.n_running) == (50.0, 20, 10)
+    assert found.r2 == pytest.approx(1.0 - 0.5 * 50.0**2 / 500.0**2)

@@ -51,6 +51,13 @@ def test_zone_is_the_sum_of_its_pairs() -> None:
     assert not modes[:2, 2].any()
 
 
+def test_one_step_is_the_first_of_many() -> None:
+    rng = np.random.default_rng(2)
+    operator = three_rooms(rng)
+    F0, drive = rng.normal(size=operator.shape), rng.uniform(0.0, 1.0, (3, N))
+    np.testing.assert_allclose(operator.advance(F0, drive[:, 0]), operator.driven(F0, drive)[:, :, 0], atol=1e-12)
+
+
 def test_pairs_may_differ_in_order() -> None:
     rng = np.random.default_rng(6)
     fast, slow = random_operator(rng, order=1), random_operator(rng, order=3)

@@ -19,7 +19,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.exported import rollout_function, step_function
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import forced_rollout
-from thermoforce_mpc.model.operator.casadi_export import modulation_function
+from thermoforce_mpc.model.operator.casadi_export import heat_input_expression, modulation_function
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, feature_matrix, linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -212,6 +212,17 @@ def test_slope_bounds_contain_the_slopes():
     assert slopes.max() <= high + 1e-9
     assert slopes.min() == pytest.approx(low)
     assert slopes.max() == pytest.approx(high)
+
+
+def test_heat_that_was_not_metered_changes_with_the_weather_in_every_form():
+    heat = HeatInput(reference_C=4.0, per_K=-0.03, T_out_range_C=(-5.0, 15.0))
+    u, T_C = ca.SX.sym("u"), ca.SX.sym("T")
+    exported = ca.Function("v", [u, T_C], [heat_input_expression(heat, u, T_C)])
+    for level, at_C, factor in ((1.0, 4.0, 1.0), (0.5, 9.0, 0.85), (0.5, -20.0, 1.27), (1.0, 30.0, 0.67)):
+        assert float(exported(level, at_C)) == pytest.approx(level * factor)
+        assert float(heat(np.asarray(level), np.asarray(at_C))) == pytest.approx(level * factor)
+    assert heat.slope_bounds() == pytest.approx((0.67, 1.27))
+    assert IDENTITY.slope_bounds() == (1.0, 1.0)
 
 
 def test_actuator_maps_that_are_not_monotone_are_refused():

@@ -7,7 +7,7 @@ import pytest
 from documented_points import DOCUMENTED
 
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.plants.boptest.points import check_points
+from thermoforce_mpc.plants.points import check_points
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.settings import named_configs
 

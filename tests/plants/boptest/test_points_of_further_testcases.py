@@ -10,7 +10,7 @@ from places import SHARED
 
 from boptest_client import Point
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.plants.boptest.points import check_points
+from thermoforce_mpc.plants.points import check_points
 from thermoforce_mpc.plants.testcases import load_testcase
 
 FOLDER = SHARED / "boptest_more"

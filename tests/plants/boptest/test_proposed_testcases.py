@@ -10,8 +10,8 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant
-from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.boptest.proposal import ServicePoints, proposed_testcase
+from thermoforce_mpc.plants.points import check_points
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.settings import parse_value
 from thermoforce_mpc.scenario.testcase import TestCase

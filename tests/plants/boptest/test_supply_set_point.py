@@ -12,7 +12,7 @@ from places import SHARED
 
 from thermoforce_mpc.data import DAY_S, Block, Measurement
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.plants.records import inputs, recorded_levels
+from thermoforce_mpc.plants.points import inputs, recorded_levels
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.building import Supply
 from thermoforce_mpc.scenario.settings import find_config, merge, read_yaml, validate

@@ -9,8 +9,8 @@ from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.plants.people import HOUSEHOLDS, OFFICE_HOURS, at_home
 from thermoforce_mpc.plants.rooms import draw_rooms, house_of_rooms
+from thermoforce_mpc.plants.rooms.house import HOUSE, OFFICE
 from thermoforce_mpc.plants.rooms.plant import bounds_C, gains_W, native_setpoints_C, people
-from thermoforce_mpc.plants.rooms.use import HOUSE, OFFICE
 from thermoforce_mpc.plants.testcases import load_testcase
 
 OFFICES = [draw_rooms(n, seed, OFFICE) for n in (1, 3, 5, 12, 30) for seed in range(8)]

@@ -11,8 +11,7 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.drawn_houses import FACADES, HEIGHT_M
 from thermoforce_mpc.plants.rooms import draw_rooms, house_of_rooms
 from thermoforce_mpc.plants.rooms.draw import emulator_fixed_share
-from thermoforce_mpc.plants.rooms.house import facade_lengths
-from thermoforce_mpc.plants.rooms.use import HOUSE
+from thermoforce_mpc.plants.rooms.house import HOUSE, facade_lengths
 
 SEED = 7
 HOUSES = [draw_rooms(n, seed) for n in (1, 2, 3, 5, 9, 14, 30) for seed in range(SEED, SEED + 4)]

@@ -11,8 +11,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.plants.drawn_houses import STEP_S
 from thermoforce_mpc.plants.random_houses.draw import heat_pump_cop
 from thermoforce_mpc.plants.rooms import DrawnHouse, HouseOfRooms, draw_rooms, physics
-from thermoforce_mpc.plants.rooms.house import curve_supply_C
-from thermoforce_mpc.plants.rooms.use import HOUSE, OFFICE
+from thermoforce_mpc.plants.rooms.house import HOUSE, OFFICE, curve_supply_C
 
 SEED = 7
 ROWS = 35041

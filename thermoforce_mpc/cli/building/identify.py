@@ -16,6 +16,7 @@ from rich.table import Table
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange, base_options, probed_option, scenario_from, window_options
 from thermoforce_mpc.errors import ArtifactError, DataError
+from thermoforce_mpc.files import check_writable
 from thermoforce_mpc.report.whole_tables import plain_table
 
 if TYPE_CHECKING:
@@ -77,6 +78,7 @@ def identify(**options: Any) -> None:
     out: Path = options["out"]
     if out.exists() and not options["overwrite"]:
         raise ArtifactError(f"--out {out}: exists already; choose another folder or give --overwrite")
+    check_writable(out)
     if options["files"] or options["map_file"]:
         _from_measurements(options)
         return

@@ -73,7 +73,7 @@ def fetch_command(out: Path | None, url: str | None) -> None:
     Example:
       tf-mpc run --testcase bestest_hydronic_heat_pump --weather "$(tf-mpc weather fetch)"
     """
-    from thermoforce_mpc.boundary.weather.fetch import URL, fetch_brussels
+    from thermoforce_mpc.boundary.weather.readers import URL, fetch_brussels
     from thermoforce_mpc.dependencies import cache_folder
 
     path = fetch_brussels(out or cache_folder(), url or URL)

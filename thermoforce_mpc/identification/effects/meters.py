@@ -11,15 +11,13 @@ from thermoforce_mpc.data import Array, Layout, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.model.machine.heat_capacity import HeatFit, fit_heat, kinds_for
-from thermoforce_mpc.model.machine.load import LEAST_RUNNING, LEVEL_EDGE, running_share
+from thermoforce_mpc.model.machine.load import LEAST_RUNNING, LEVEL_EDGE, NEARLY_FULL, running_share
 from thermoforce_mpc.model.machine.other_load import OtherLoad, other_load, own_W
 from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
 # Least share of steps with measured heat or power.
 _MEASURED = 0.5
-# Level from which full actuation counts as excited.
-_NEARLY_FULL = 0.9
 # Loads to try below which a shared machine cycles, as shares of its capacity; 1: its power is proportional to the load.
 _CYCLES_BELOW = (0.02, *np.linspace(0.1, 0.6, 11).round(2).tolist(), 1.0)
 
@@ -108,7 +106,7 @@ def identified_heat_input(
 def _unseen(histories: Sequence[Record], fit: HeatFit) -> list[str]:
     """Return a warning if the records contain no level of 0.9 or more, else []."""
     highest = max(float(np.max(h.u[0])) for h in histories)
-    if highest >= _NEARLY_FULL:
+    if highest >= NEARLY_FULL:
         return []
     return [
         f"heat at full level is extrapolated from levels up to {highest:.2g} and the prior of a {fit.kind}: "

@@ -18,7 +18,7 @@ from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.data.series import interpolated
 from thermoforce_mpc.identification.effects.level_laws import LevelLaw
 from thermoforce_mpc.identification.network.circuits import Circuit
-from thermoforce_mpc.identification.network.estimate import RoomFit, RoomRun, estimate_room
+from thermoforce_mpc.identification.network.estimate import DIFFERENCE, RoomFit, RoomRun, estimate_room
 from thermoforce_mpc.identification.network.room import BETWEEN, EMITTER, Law, RoomNetwork, neighbours_of
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -29,12 +29,11 @@ RESPONSE_H = np.array(
 """Times after a step to full level at which responses are compared, h."""
 # Relative standard deviation of any effect by what a few nodes are not (surfaces, layers, a lag of the sensor, water),
 # and of what comes over these hours besides, through layers of structure and envelope that are one node each: of 40
-# generated houses after 7 and 10 days of probing, the error beyond what their parameters explain.
+# generated houses after 7 and 10 days of probing, the error beyond what their parameters explain. A third more changes
+# bands by 13 and 2 %, cost by 0.15 % at most (`benchmarks.constants`, 2026-11-28).
 _STRUCTURE_SD, _LAYERS_H = 0.045, 12.0
 # A part of a run with fewer readings says nothing.
 _LEAST_READINGS = 8
-# Step of central differences, of a parameter and at least.
-_DIFFERENCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -280,6 +279,6 @@ def _jacobian(function: Callable[[Array], Array], at: Array, count: int) -> Arra
     columns = []
     for i in range(count):
         step = np.zeros(at.size)
-        step[i] = _DIFFERENCE * max(1.0, abs(float(at[i])))
+        step[i] = DIFFERENCE * max(1.0, abs(float(at[i])))
         columns.append((function(at + step) - function(at - step)) / (2.0 * step[i]))
     return np.stack(columns, axis=-1)

@@ -19,7 +19,8 @@ _SHORTEST_H, _LONGEST_H, _APART = 0.05, 1000.0, 1.5
 # Range of the logarithm of how far ln τ is above its least, and most steps of the search.
 _RANGE, _MOST_STEPS = (-4.0, 2.2), 200
 # Least size of responses, K, and share of its largest value from which an error counts by the response then: a plan
-# sees what comes within two days.
+# sees what comes within two days. A third more changes what the card says by 2 %, cost by 0.1 %
+# (`benchmarks.constants`, 2026-11-28).
 _LEAST_K, _RELATIVE_FROM = 1e-3, 0.15
 # Time constants of the starts of the search, h, by order.
 _STARTS_H: dict[int, tuple[tuple[float, ...], ...]] = {

@@ -90,7 +90,8 @@ BETWEEN = {"door": (ROOM, DOORS), "wall": (STRUCTURE, WALLS)}
 """What joins two rooms: between which of their nodes, and the prior of all of a room."""
 SUN_ON_SENSOR = "sun_on_sensor"
 """Parameter: how much too high a sensor reads in full sun on its facade, K."""
-# Temperature of the ground and of unheated rooms that were not measured, °C.
+# Temperature of the ground and of unheated rooms that were not measured, °C: between that of the ground and the rooms'.
+# 16 changes what the card says by 1 % (`benchmarks.constants`, 2026-11-28).
 _NEIGHBOURS_C = 12.0
 
 OUTDOOR, SUN, _ONE = (INPUTS.index(name) for name in ("outdoor", "solar", "constant"))

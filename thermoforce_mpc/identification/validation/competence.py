@@ -32,6 +32,7 @@ from thermoforce_mpc.identification.validation.errors_ahead import (
     standard_errors_saved,
 )
 from thermoforce_mpc.model.card import JUDGED_H, MOST_ERROR_K, MOST_RELATIVE_SD, Competence, HorizonScore
+from thermoforce_mpc.model.machine.load import NEARLY_FULL
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # Most extra hours that are advised; beyond, more of the same data is not the answer.
@@ -49,8 +50,6 @@ _NEIGHBOURS = (
     "taken for the weather or for this actuator"
 )
 _AREA = "check the floor area and the unit of the heat meter (W, not kW or Wh), and that the meter has no other load"
-# Level from which full actuation counts as seen.
-_NEARLY_FULL = 0.9
 # Correlation of the errors with the sun from which it is named as their cause.
 _SUN_CORRELATION = 0.5
 
@@ -160,7 +159,7 @@ def _dark(records: Sequence[Record]) -> bool:
 def _levels(records: Sequence[Record]) -> str:
     """Advice on levels."""
     highest = max(float(np.max(r.u[0])) for r in records)
-    if highest < _NEARLY_FULL:
+    if highest < NEARLY_FULL:
         return f"the highest level was {highest:.2g}: probe full level too"
     return "hold full level and off for 4 hours or longer at times, as far as comfort allows: the slow part shows then"
 

@@ -29,6 +29,7 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
 from thermoforce_mpc.identification.estimation.regression import RegressionData, in_steps
 from thermoforce_mpc.identification.estimation.rest import Rest, rest_of
+from thermoforce_mpc.model.free_response.checks import NORMAL_90
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.blocked_hours import HourSeen
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -40,9 +41,9 @@ BLOCK_H, LEAST_BLOCKS = 4.0, 4
 _NOTHING = 1e-9
 # Offset that keeps block numbers of different regressions apart.
 PER_REGRESSION = 10**6
-# Half-width of an 80 % band over a standard deviation, and that over the median of what is normal without its sign;
-# least promise an hour ahead, K: the resolution of sensors.
-_NORMAL_90, _MAD_SD, _LEAST_PROMISE_K = 1.2816, 1.4826, 0.1
+# A standard deviation over the median of what is normal without its sign; least promise an hour ahead, K: the
+# resolution of sensors.
+_MAD_SD, _LEAST_PROMISE_K = 1.4826, 0.1
 # Quantiles by one-sided probability: polynomials in b, the reach of the autocovariances as a share of the blocks.
 _FIXED_B: dict[float, tuple[float, float, float, float]] = {
     0.90: (1.2816, 1.3040, 0.5135, -0.3386),
@@ -217,8 +218,8 @@ def hours_seen(fold: Fold, operator: OperatorParameters, gain_sd: float) -> list
         errors = _Innovations.of(fold.rests[i], e.target - effects[i]).ahead(starts, targets)
         impulse = operator.impulse(steps)[::-1]
         of_hour = np.array([float(impulse @ e.drive[row : row + steps]) for row in e.rows[starts]])
-        usual = _NORMAL_90 * _MAD_SD * float(np.median(np.abs(errors)))
-        promise = np.hypot(max(usual, _LEAST_PROMISE_K), _NORMAL_90 * gain_sd * of_hour)
+        usual = NORMAL_90 * _MAD_SD * float(np.median(np.abs(errors)))
+        promise = np.hypot(max(usual, _LEAST_PROMISE_K), NORMAL_90 * gain_sd * of_hour)
         found += [HourSeen(*map(float, row)) for row in zip(time_s[targets], errors, of_hour, promise, strict=True)]
     return found
 

@@ -14,7 +14,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.data.series import first_order
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
@@ -80,11 +80,6 @@ class RcParameters:
     def order(self) -> int:
         """Number of modes q."""
         return int(self.poles.size)
-
-    @property
-    def time_constants_h(self) -> Array:
-        """−step / ln(a_i), shape (q,), h."""
-        return np.asarray(-self.step_s / HOUR_S / np.log(self.poles))
 
     def resampled(self, step_s: float) -> RcParameters:
         """Return the model at another step; exact if the weather is constant over the longer of the two steps."""

@@ -26,6 +26,9 @@ from thermoforce_mpc.errors import DataError
 
 # A level in (LEVEL_EDGE, 1 − LEVEL_EDGE) is intermediate; outside it is off or full.
 LEVEL_EDGE = 0.02
+# Level from which full level counts as seen: the rest is extrapolated by a tenth. On two buildings 0.87 does the same
+# (`python -m benchmarks.constants`, 2026-11-28).
+NEARLY_FULL = 0.9
 # Lower bound of the end values, W, above zero so that rounding cannot make a load negative.
 LEAST_W = 1e-3
 # Least number of intermediate samples to separate the fixed and the proportional part.

@@ -42,8 +42,15 @@ from thermoforce_mpc.data import (
 )
 from thermoforce_mpc.errors import ConfigError, InputError, NoForecast, NoSuchTest, PlantError
 from thermoforce_mpc.files import known_marks, note_marks
-from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.records import acting_means, boundary, inputs, mean_levels, measurement, past_record
+from thermoforce_mpc.plants.points import (
+    acting_means,
+    boundary,
+    check_points,
+    inputs,
+    mean_levels,
+    measurement,
+    past_record,
+)
 from thermoforce_mpc.plants.shell import (
     Releasing,
     check_levels,

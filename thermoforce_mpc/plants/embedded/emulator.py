@@ -30,7 +30,6 @@ from thermoforce_mpc.data import (
 )
 from thermoforce_mpc.data.compiled import sources_hash
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.embedded import exposure
 from thermoforce_mpc.plants.embedded.cases import CASES, ELECTRICITY, HEAT_PUMP, EmulatedCase
 from thermoforce_mpc.plants.embedded.envelope import AS_SCHEDULED, COOKING, PEOPLE, WINDOWS
@@ -39,9 +38,10 @@ from thermoforce_mpc.plants.embedded.kernel import STEP_S, integrals
 from thermoforce_mpc.plants.embedded.schedule import OccupancySchedule
 from thermoforce_mpc.plants.kpis import PEAKS, EnergySupply, Violation, building_kpis, excess, peak_power
 from thermoforce_mpc.plants.people import live
-from thermoforce_mpc.plants.records import (
+from thermoforce_mpc.plants.points import (
     acting_means,
     boundary,
+    check_points,
     inputs,
     interval_means,
     mean_levels,

@@ -25,7 +25,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.energyplus.engine import WEATHER_SENSORS, Reading, Wiring, weather_reading
 from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, EnginePlant, SimulatedBuilding
 from thermoforce_mpc.plants.kpis import EnergySupply
-from thermoforce_mpc.plants.records import interval_means
+from thermoforce_mpc.plants.points import interval_means
 from thermoforce_mpc.scenario.testcase import EnergyPlusZone, TestCase
 
 EpJson = dict[str, dict[str, dict[str, Any]]]

@@ -18,11 +18,18 @@ from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.boundary.periods import centred_window
 from thermoforce_mpc.data import ZERO_C_K, Array, Block, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.fmu.archive import FmuArchive, read_archive, unpack
 from thermoforce_mpc.plants.fmu.process import FmuRun
 from thermoforce_mpc.plants.kpis import PEAKS, EnergySupply, Violation, building_kpis, excess
-from thermoforce_mpc.plants.records import acting_means, boundary, inputs, mean_levels, measurement, past_record
+from thermoforce_mpc.plants.points import (
+    acting_means,
+    boundary,
+    check_points,
+    inputs,
+    mean_levels,
+    measurement,
+    past_record,
+)
 from thermoforce_mpc.plants.shell import RoomSetpointShell, Samples, WithProcess, day_period
 from thermoforce_mpc.plants.worker_process import PATIENCE_S
 from thermoforce_mpc.scenario.testcase import ForecastPoints, Price, TestCase

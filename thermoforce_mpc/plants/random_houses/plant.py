@@ -24,9 +24,9 @@ from thermoforce_mpc.plants.drawn_houses import (
     year,
 )
 from thermoforce_mpc.plants.people import PERSON_W, at_home, live, set_back, varying
+from thermoforce_mpc.plants.points import acting_means, interval_means, measurement, past_record
 from thermoforce_mpc.plants.random_houses import physics
 from thermoforce_mpc.plants.random_houses.draw import House, draw_house
-from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record
 from thermoforce_mpc.scenario.testcase import Actuator, MeasuredPoints, TestCase
 
 # Native set-point above the lower bound while at home, K; set-back below it, K, and preheating, h, by emitter.

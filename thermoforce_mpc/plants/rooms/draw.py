@@ -1,4 +1,4 @@
-"""Seeded draw of a building of rooms. Sources: docs/how-it-works/random-buildings.md, and in `use`."""
+"""Seeded draw of a building of rooms. Sources: docs/how-it-works/random-buildings.md, and in `house`."""
 
 from __future__ import annotations
 
@@ -14,17 +14,20 @@ from thermoforce_mpc.plants.random_houses.draw import ground_C
 from thermoforce_mpc.plants.rooms.house import (
     DESIGN_OUT_C,
     DESIGN_ROOM_C,
+    HOUSE,
     Contact,
     Curve,
     Door,
     DrawnHouse,
     HeatPump,
+    Kind,
     Room,
+    RoomEmitter,
+    Use,
     contacts,
     facade_lengths,
     lay_out,
 )
-from thermoforce_mpc.plants.rooms.use import HOUSE, Kind, RoomEmitter, Use
 
 MOST_ROOMS = 30
 

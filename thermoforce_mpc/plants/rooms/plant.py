@@ -25,13 +25,12 @@ from thermoforce_mpc.plants.drawn_houses import (
     year,
 )
 from thermoforce_mpc.plants.people import PERSON_W, at_home, hour_of_day, live, set_back, varying
+from thermoforce_mpc.plants.points import means_between
 from thermoforce_mpc.plants.random_houses.plant import PREHEAT_H, SET_BACK_K
-from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics
 from thermoforce_mpc.plants.rooms.device import N_STATES, NORMAL, TANK, TANK_J_K, Device
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
-from thermoforce_mpc.plants.rooms.house import DrawnHouse, Room
-from thermoforce_mpc.plants.rooms.use import USES, Kind
+from thermoforce_mpc.plants.rooms.house import USES, DrawnHouse, Kind, Room
 from thermoforce_mpc.plants.shell import check_levels
 from thermoforce_mpc.scenario.building import Machine, Zone, ZoneActuator
 from thermoforce_mpc.scenario.testcase import MeasuredWeather, TestCase
