@@ -122,7 +122,8 @@ def _change(constant: Constant) -> None:
 
 def _forget() -> None:
     """Drop what the rooms keep of former calls; what reads a network's weights does not depend on their constants."""
-    for kept in [one for one in gc.get_objects() if type(one) is functools._lru_cache_wrapper]:
+    kept_by = type(functools.lru_cache(_kind))
+    for kept in [one for one in gc.get_objects() if type(one) is kept_by]:
         if (
             kept.__module__.startswith(tuple(room.replace("/", ".") for room in ROOMS))
             and "backbones" not in kept.__module__
