@@ -215,7 +215,7 @@ def test_what_is_only_heard_is_waited_for_also_where_it_was_heard_before(tmp_pat
             return rows.iloc[: -20 if self.looks < 3 else None]
 
     monkeypatch.setattr("thermoforce_mpc.connections.registry.build_connection", Heard)
-    monkeypatch.setattr("thermoforce_mpc.cli.live.commission._LOOK_S", 0.01)
+    monkeypatch.setattr("thermoforce_mpc.cli.live.commission.LOOK_S", 0.01)
     written(tmp_path, table())
     result, said = told(tmp_path, "--dry-run")
     assert "Waits up to 60 s for outdoor" in result.output

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 
 # Time between two looks whether all points came, s, where a connection only hears what is sent.
-_LOOK_S = 1.0
+LOOK_S = 1.0
 # Usual distances of a point's readings from which on the next one is waited for.
 _LATE = 3.0
 
@@ -270,7 +270,7 @@ def _read(building: LiveBuilding, rules: MeasurementMap, wait_s: float, say: Cal
         if not said:
             said = True
             say(f"Waits up to {wait_s:.0f} s for {', '.join(missing)}")
-        time.sleep(_LOOK_S)
+        time.sleep(LOOK_S)
 
 
 def _show(found: PointsFound, say: Callable[[str], None]) -> None:
