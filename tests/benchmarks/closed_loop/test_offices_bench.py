@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 
@@ -82,8 +83,8 @@ def test_rows_say_what_was_compared():
 def test_offices_are_those_of_the_seed_on_both_weeks(monkeypatch):
     told: list[str] = []
 
-    def here(function, cases, engine, on_done) -> list[OfficeOutcome]:
-        found = [outcome(case=case) for case in cases]
+    def here(function, cases, engine, on_done, keep) -> list[dict]:
+        found = [json.loads(json.dumps(asdict(outcome(case=case)))) for case in cases]
         for number, one in enumerate(found, start=1):
             on_done(number, one)
         return found
