@@ -63,6 +63,22 @@ class Command(StrictModel):
         return float("inf")
 
 
+class SwitchCommand(Command):
+    """A command that is on (1) or off (0)."""
+
+    def values(self, low: float, high: float) -> Array:
+        """See `Command.values`."""
+        return np.array([0.0, 1.0])
+
+    def allows(self, value: float) -> bool:
+        """See `Command.allows`."""
+        return value in (0.0, 1.0)
+
+    def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
+        """See `Command.limits`."""
+        return np.zeros(lower_C.shape), np.ones(upper_C.shape)
+
+
 class StepwiseCommand(Command):
     """A command that is a number in steps of its resolution."""
 

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from thermoforce_mpc.commands.command import SAME, Command
+from thermoforce_mpc.commands.command import SAME, Command, SwitchCommand
 from thermoforce_mpc.data import Array
 
 _SG_STATES = {1: "blocked", 2: "normal", 3: "recommended", 4: "ordered"}
@@ -58,24 +58,12 @@ class SGReady(Command):
         return f"SG-Ready {round(value)} ({_SG_STATES.get(round(value), 'unknown')})"
 
 
-class Enable(Command):
+class Enable(SwitchCommand):
     """A contact that lets a machine run (1) or not (0)."""
 
     name_in_words: ClassVar[str] = "an enable contact"
 
     kind: Literal["enable"]
-
-    def values(self, low: float, high: float) -> Array:
-        """See `Command.values`."""
-        return np.array([0.0, 1.0])
-
-    def allows(self, value: float) -> bool:
-        """See `Command.allows`."""
-        return value in (0.0, 1.0)
-
-    def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
-        """See `Command.limits`."""
-        return np.zeros(lower_C.shape), np.ones(upper_C.shape)
 
     def in_words(self, value: float) -> str:
         """See `Command.in_words`."""

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Discriminator, Field, Tag
 
-from thermoforce_mpc.commands.command import Command, StepwiseCommand
+from thermoforce_mpc.commands.command import Command, StepwiseCommand, SwitchCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, HotWaterPlan, Plan
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.series import stretches
@@ -87,24 +87,12 @@ class TankTarget(StepwiseCommand):
         return f"tank target {value:.10g} °C"
 
 
-class TankCharge(Command):
+class TankCharge(SwitchCommand):
     """A switch that charges a tank of hot water up to the device's own target (1), or leaves it to the device (0)."""
 
     name_in_words: ClassVar[str] = "a switch that charges the tank"
 
     kind: Literal["tank_charge"]
-
-    def values(self, low: float, high: float) -> Array:
-        """See `Command.values`."""
-        return np.array([0.0, 1.0])
-
-    def allows(self, value: float) -> bool:
-        """See `Command.allows`."""
-        return value in (0.0, 1.0)
-
-    def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
-        """See `Command.limits`."""
-        return np.zeros(lower_C.shape), np.ones(upper_C.shape)
 
     def in_words(self, value: float) -> str:
         """See `Command.in_words`."""
