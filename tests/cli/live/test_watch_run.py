@@ -20,7 +20,7 @@ from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.live.watch import shown
-from thermoforce_mpc.data import DAY_S, HOUR_S, Period
+from thermoforce_mpc.data import DAY_S, HOUR_S, Period, PlanStatus
 from thermoforce_mpc.errors import InputError, PlantError
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.run_book import RunBook
@@ -284,6 +284,11 @@ def test_the_page_draws_what_the_view_tells(tmp_path):
             page.wait_for_selector("svg path")
             assert "thermoforce_mpc" in page.inner_text("#head")
             assert f"{live.now().zones[0].T_C:.2f} °C" in page.inner_text("#tiles")
+            assert page.inner_text("#reasons").startswith("A plan was found"), "the controller's own words are folded away"
+            page.click("#decided")
+            assert live.now().why in page.inner_text("#reasons").replace("\n", " ")
+            told = page.evaluate("Object.keys(DECIDED)")
+            assert set(told) == {status.value for status in PlanStatus}, "every status is said in plain words"
             assert page.locator("svg").count() == 3, "two zones and the levels"
             drawn = page.locator("svg path[stroke]").evaluate_all("all => all.map(one => one.getAttribute('d').length)")
             assert len(drawn) == 8, "two courses of each zone, two of each actuator"
