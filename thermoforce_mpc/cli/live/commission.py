@@ -33,7 +33,9 @@ _LATE = 3.0
 @click.option("--map", "map_file", type=PATH, help="Map of the points.  [default: map.yaml beside CONFIG.yaml]")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="connection.KEY.")
 @click.option("--yes", is_flag=True, help="Try every command without asking.")
-@click.option("--dry-run", is_flag=True, help="Read and check; say what would be tried, set and keep nothing.")
+@click.option(
+    "--dry-run", is_flag=True, help="Read and check; say what would be tried. Sets nothing, keeps what MQTT tells."
+)
 @click.option("--again", is_flag=True, help="Try commands again that were tried.")
 @click.option(
     "--hold", "hold_min", type=FiniteRange(1.0, 720.0), metavar="MIN",
