@@ -284,7 +284,7 @@ def test_the_page_draws_what_the_view_tells(tmp_path):
             page.wait_for_selector("svg path")
             assert "thermoforce_mpc" in page.inner_text("#head")
             assert f"{live.now().zones[0].T_C:.2f} °C" in page.inner_text("#tiles")
-            assert page.inner_text("#reasons").startswith("A plan was found"), "the controller's own words are folded away"
+            assert page.inner_text("#reasons").startswith("A plan was found"), "its own words are folded away"
             page.click("#decided")
             assert live.now().why in page.inner_text("#reasons").replace("\n", " ")
             told = page.evaluate("Object.keys(DECIDED)")
