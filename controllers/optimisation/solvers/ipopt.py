@@ -45,7 +45,7 @@ class IpoptSolver(StatementSolver):
 
     def __init__(self, operator: BuildingOperator, shape: ProblemShape, config: IpoptConfig) -> None:
         super().__init__(operator, shape)
-        self._options = {
+        self._options: dict[str, Any] = {
             "print_level": 0,
             "sb": "yes",
             "max_iter": config.max_iterations,
@@ -57,10 +57,11 @@ class IpoptSolver(StatementSolver):
             # Below the tolerance; less makes the system singular, and the last steps restore what that costs.
             "mu_min": 0.1 * config.tolerance,
             "min_refinement_steps": 0,
-            # For its scaling MUMPS orders by pairs of pivots: a factorisation of five rooms takes 2.4 times as long, at
-            # the same iterations (`python -m benchmarks.speed`, row five, 2026-11-28).
-            "mumps_scaling": 0,
         }
+        if not shape.terms:
+            # For its scaling MUMPS orders by pairs of pivots: a factorisation of five rooms takes 2.4 times as long, at
+            # the same iterations (`python -m benchmarks.speed`, row five, 2026-11-28). Rows of a user may need it.
+            self._options["mumps_scaling"] = 0
         self.model.ipopt(self._options)  # built once
 
     @property

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange, billed_objective, map_option, own_prices_option
-from thermoforce_mpc.commands.tank import TANK_NAME
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 
 if TYPE_CHECKING:
@@ -276,6 +275,8 @@ class _Run:
         mpc = ThermoForceMPC(thermal, self.options, commands=commands, hot_water=tank)
         by_name = {name: learned.command for name, learned in commands.items()}
         if tank is not None and tank.command is not None:
+            from thermoforce_mpc.commands.tank import TANK_NAME
+
             by_name[TANK_NAME] = tank.command
         key = controller_key(thermal, mpc.config, by_name)
         names = ", ".join(thermal.names.actuators)

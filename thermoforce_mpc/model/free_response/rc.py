@@ -10,15 +10,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.data.series import first_order
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
-from thermoforce_mpc.model.operator.casadi_export import Buffered
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.model.operator.casadi_export import Buffered
 
 INPUTS: tuple[str, ...] = (
     "outdoor",
@@ -185,6 +187,10 @@ def _filter(q: int, n: int) -> Buffered:
 
     By CasADi, which a controller holds: numba would take 90 MB of a process that compiles nothing else.
     """
+    import casadi as ca
+
+    from thermoforce_mpc.model.operator.casadi_export import Buffered
+
     mean, covariance, known, reading = ca.SX.sym("mean", q), ca.SX.sym("P", q, q), ca.SX.sym("known"), ca.SX.sym("y")
     drive, poles, process, noise = ca.SX.sym("d", q), ca.SX.sym("a", q), ca.SX.sym("Q", q, q), ca.SX.sym("R")
     with_sum = ca.sum2(covariance)  # covariance of each mode with the temperature
