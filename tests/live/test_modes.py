@@ -59,6 +59,22 @@ def test_what_is_not_to_act_sets_nothing_and_takes_no_lock(tmp_path):
     assert view.past[-1].u[0] == pytest.approx(np.mean(measured[60:120]), abs=0.02)
 
 
+def test_a_table_that_keeps_its_last_days_is_not_written_anew_in_each_step(tmp_path):
+    """Means of a table that begins later differ in their last digits."""
+
+    class LastDays(SimulatedBuilding):
+        def measurements(self):
+            told = super().measurements().iloc[-2 * 1440 :]
+            return told.assign(u=0.3 + 0.2 * np.sin(told["time"].dt.minute))
+
+    controlled(tmp_path, LastDays(), 6)
+    entries = [json.loads(line) for line in (tmp_path / "journal.jsonl").read_text().splitlines()]
+    tails = [len(json.dumps(entry)) for entry in entries if entry["kind"] == "tail"]
+    (whole,) = [len(json.dumps(entry)) for entry in entries if entry["kind"] == "past"]
+    assert len(tails) >= 4
+    assert max(tails) < 0.5 * whole
+
+
 def test_what_a_shadow_learns_of_readings_stays(tmp_path):
     house = SimulatedBuilding()
     controlled(tmp_path, house, 3)
