@@ -227,8 +227,8 @@ class ThermoForceMPC(ActuatedController):
         return self._planners.base.evaluator
 
     def courses(self, operator: BuildingOperator, problem: MPCProblem, boundary: Boundary, T_zone_C: Array) -> Courses:
-        """Rules in the instance of a plan, see `Courses.of_plan`."""
-        return Courses.of_plan(problem, operator, self._layout, self._fallbacks, boundary, T_zone_C)
+        """Rules in the instance of a plan, see `Courses`."""
+        return Courses(problem, operator, self._layout, self._fallbacks, boundary, T_zone_C)
 
     def instance(
         self, context: PredictionContext, history: Record, margins: Margins | None = None, peak_W: float = 0.0
@@ -442,7 +442,7 @@ class ThermoForceMPC(ActuatedController):
         best: tuple[float, Solved, TankWay] | None = None
         tried, least = set[tuple[float | None, ...]](), math.inf
         for share in PRICE_SHARES:
-            way = ways.cheapest(share * price)[0]
+            way = ways.cheapest(share * price)
             least = min(least, way.cost + whole)
             if way.plan.command in tried:
                 continue

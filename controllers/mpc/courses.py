@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from controllers.optimisation.problem import EquipmentLayout, MPCProblem
+from controllers.optimisation.problem import MPCProblem
 from controllers.safety.fallback_policy import FallbackPolicy
 from thermoforce_mpc.data import Array, Boundary, Layout
 from thermoforce_mpc.data.dataframes import compose
@@ -25,52 +25,26 @@ Law = Callable[[int, int, Array, Array, Array], float]
 
 
 class Courses:
-    """Rolls out rules over N steps; `rules` (A,): the on/off rule of each actuator.
-
-    `boundary`: of the steps; `T_now_C` (Z,): temperatures now, °C.
-    """
+    """Rolls out rules over the N steps of `boundary`; `rules` (A,): the on/off rule of each actuator."""
 
     def __init__(
         self,
-        operator: BuildingOperator,
-        layout: Layout,
-        machinery: EquipmentLayout,
-        rules: Sequence[FallbackPolicy],
-        boundary: Boundary,
-        T_now_C: Array,
-        forced_K: Array,
-        features: Array,
-        T_free_C: Array,
-    ) -> None:
-        """In free response `T_free_C` (Z, N), with `features` (Z, N, 4) and `forced_K` (Z, A, r): forced state now."""
-        self._operator, self._layout, self._machinery = operator, layout, machinery
-        self._rules, self._boundary, self._T_now_C = tuple(rules), boundary, T_now_C
-        self._forced_K, self._features, self._T_free_C = forced_K, features, T_free_C
-        whole = np.ones((1, T_free_C.shape[1]))
-        self._u_min, self._u_max = machinery.u_min[:, None] * whole, machinery.u_max[:, None] * whole
-        self._capacity: Array | None = None
-        self._comes = whole
-
-    @classmethod
-    def of_plan(
-        cls,
         problem: MPCProblem,
         operator: BuildingOperator,
         layout: Layout,
         rules: Sequence[FallbackPolicy],
         boundary: Boundary,
         T_zone_C: Array,
-    ) -> Courses:
+    ) -> None:
         """In the instance of a plan, from the temperatures (Z,), °C, that were read; NaN: what the model has."""
+        self._operator, self._layout, self._machinery = operator, layout, problem.machinery
+        self._rules, self._boundary = tuple(rules), boundary
+        self._forced_K, self._features, self._T_free_C = problem.forced_state_K, problem.features, problem.T_free_C
         known_C = problem.features[:, 0, ZONE] + problem.forced_state_K.sum(axis=(1, 2))
-        T_now_C = np.where(np.isfinite(T_zone_C), T_zone_C, known_C)
-        state, machinery = problem.forced_state_K, problem.machinery
-        found = cls(operator, layout, machinery, rules, boundary, T_now_C, state, problem.features, problem.T_free_C)
-        found._u_min, found._u_max = problem.level_bounds
-        found._capacity = problem.capacity
-        if problem.available is not None:
-            found._comes = problem.available
-        return found
+        self._T_now_C = np.where(np.isfinite(T_zone_C), T_zone_C, known_C)
+        self._u_min, self._u_max = problem.level_bounds
+        self._capacity = problem.capacity
+        self._comes = np.ones((1, problem.n_steps)) if problem.available is None else problem.available
 
     def limited(self, u: Array, first: int = 0) -> Array:
         """Levels (A, n) within limits, of which no more act together than may, and no machine beyond its capacity.
@@ -98,12 +72,6 @@ class Courses:
             forced = self._after(forced, u[:, k : k + 1], k)
             T_C = compose(self._T_free_C[:, k], forced.sum(axis=(1, 2)))
         return u
-
-    def forced(self, u: Array) -> Array:
-        """Forced state at the end of each step under levels (A, N), (Z, A, N, r), K."""
-        if self._operator.of_actuator(0).feedback_active:
-            return self._operator.rollout(self._forced_K, u, self._features)
-        return self._operator.driven(self._forced_K, self._operator.drive(u, self._features) * self._comes)
 
     def _after(self, forced: Array, u: Array, k: int) -> Array:
         """Forced state (..., Z, A, r), K, after step `k` with levels (..., A, 1), of which what comes acts."""

@@ -131,8 +131,8 @@ class TankWays:
     told: tuple[float, float] | None
     begins_s: Array
 
-    def cheapest(self, price: Array) -> list[TankWay]:
-        """Ways in the order of what they cost with the machine's time at `price` (N,); one leaves it to the device."""
+    def cheapest(self, price: Array) -> TankWay:
+        """The way that costs least with the machine's time at `price` (N,); one leaves the tank to the device."""
         known, command = self.known, self.known.tank.command
         own = known.judged(self._usual_C[None], np.zeros((1, self.hour.size), dtype=bool), self._nothing, price)
         found = self._charged(price)
@@ -140,8 +140,8 @@ class TankWays:
         is_held = False
         if self.told is not None and command is not None:
             is_held = bool(self.begins_s[0] - self.told[1] < 60.0 * command.hold_min)
-        best = sorted(found if is_held and found else [own, *found], key=lambda one: float(one.score[0]))
-        return [known.told(one, own) for one in best]
+        best = min(found if is_held and found else [own, *found], key=lambda one: float(one.score[0]))
+        return known.told(best, own)
 
     @property
     def _usual_C(self) -> Array:

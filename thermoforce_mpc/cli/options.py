@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
+    from thermoforce_mpc.commands.tank import LearnedTank
     from thermoforce_mpc.execution import DaskEngine, LocalEngine
     from thermoforce_mpc.measurements.map.mapping import MeasurementMap
     from thermoforce_mpc.scenario.scenario import Scenario
@@ -344,3 +345,17 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
 
         allow_token(scenario.plant.url)
     return scenario
+
+
+def said_tank(learn: Callable[[], LearnedTank | None], say: Callable[[str], None]) -> LearnedTank | None:
+    """The tank of hot water that `learn` finds, which is said; None without one, or where nothing tells what it is."""
+    from thermoforce_mpc.errors import DataError
+
+    try:
+        tank = learn()
+    except DataError as error:
+        say(f"Hot water is left to the device, and plans do not count on its charges: {error}")
+        return None
+    if tank is not None:
+        say(f"Hot water: {tank.in_words}")
+    return tank

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.commands.command import SAME, Command
+from thermoforce_mpc.commands.command import CERTAIN, SAME, Command
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Plan
 from thermoforce_mpc.errors import DataError
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # loaded only where tables are read
     import pandas as pd
 
 # Least record of a command, and least difference that it must have made to the level, with 95 % certainty.
-_LEAST_H, _LEAST_EFFECT, _CERTAIN = 72.0, 0.02, 1.645
+_LEAST_H, _LEAST_EFFECT = 72.0, 0.02
 # What of the last level may be left; the least of those is taken that are nearly as good as the best.
 _CARRIES, _AS_GOOD = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0), 1.05
 # What a level leaves of itself at least, where all that a command moves counts: with 1 of c, all for ever.
@@ -443,7 +443,7 @@ def _untold(
         return float(np.mean(moved)) / max(1.0 - one.carry, _LEAST_LEFT)
 
     found, error = effect(loop), float(np.std([effect(one) for one in drawn]))
-    if found - _CERTAIN * error < _LEAST_EFFECT or r2 < _LEAST_R2:
+    if found - CERTAIN * error < _LEAST_EFFECT or r2 < _LEAST_R2:
         return (
             f"{where}: the record does not tell what it does: from {low:.3g} to {high:.3g} the level changes by "
             f"{found:.2f} ± {error:.2f}, and it explains {100 * max(r2, 0.0):.0f} % of the level's scatter. Try "

@@ -23,9 +23,10 @@ from thermoforce_mpc.cli.options import (
     out_option,
     own_prices_option,
     plot_option,
+    said_tank,
 )
 from thermoforce_mpc.commands.loop import command_rows
-from thermoforce_mpc.commands.tank import LearnedTank, tank_in_words, tank_rows
+from thermoforce_mpc.commands.tank import tank_in_words, tank_rows
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan, PlannedSaving
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError
@@ -36,8 +37,6 @@ from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from thermoforce_mpc.measurements.load import Measurements
 
 
 # Least and usual length of a plan, h, and how much of the measurements it looks back at, days.
@@ -96,7 +95,7 @@ def plan(
     from controllers.mpc.config import MPCConfig
     from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.measurements.forecast import read_forecast
-    from thermoforce_mpc.measurements.load import learned_commands, read_measurements
+    from thermoforce_mpc.measurements.load import learned_commands, learned_tank, read_measurements
     from thermoforce_mpc.model.thermal_model import load_model
 
     step_s = _seconds(step)
@@ -124,7 +123,7 @@ def plan(
         if commands_file.suffix not in (".csv", ".json"):
             raise ConfigError(f"--commands {commands_file}: a .csv or .json file")
     commands = learned_commands(measured)
-    tank = _tank(measured, display)
+    tank = said_tank(lambda: learned_tank(measured), display.say)
     try:
         controller = ThermoForceMPC(thermal, config, commands=commands, hot_water=tank)
     except ControllerConfigError as error:
@@ -166,20 +165,6 @@ def plan(
         write_table(out, table, display.console, "Plan", **beside)
     if plot is not None:
         write_picture(plot, drawn_plan(plan, table, ahead.head(plan.u.shape[1])), display.console)
-
-
-def _tank(measured: Measurements, display: RunDisplay) -> LearnedTank | None:
-    """What the record tells of the tank of hot water, which is said; None where there is none, or it tells nothing."""
-    from thermoforce_mpc.measurements.load import learned_tank
-
-    try:
-        tank = learned_tank(measured)
-    except DataError as error:
-        display.say(f"Hot water is left to the device, and plans do not count on its charges: {error}")
-        return None
-    if tank is not None:
-        display.say(f"Hot water: {tank.in_words}")
-    return tank
 
 
 def _seconds(step: str) -> float:

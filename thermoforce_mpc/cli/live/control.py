@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import PATH, FiniteRange, billed_objective, map_option, own_prices_option
-from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
+from thermoforce_mpc.cli.options import PATH, FiniteRange, billed_objective, map_option, own_prices_option, said_tank
+from thermoforce_mpc.errors import ConfigError, ThermoForceError
 
 if TYPE_CHECKING:
     from controllers.mpc.config import MPCConfig
     from thermoforce_mpc.commands.command import Command
     from thermoforce_mpc.commands.loop import LearnedCommand
-    from thermoforce_mpc.commands.tank import LearnedTank
     from thermoforce_mpc.data import CommandValue
     from thermoforce_mpc.live import Decision, LiveBuilding, People
     from thermoforce_mpc.live.probing import ProbingPlan
@@ -246,32 +245,18 @@ class _Run:
         )
         return None if found is None else found.save(folder)
 
-    def _learned_tank(self, step_s: float) -> LearnedTank | None:
-        """The tank of the map, which is said; None without one, or where the measurements do not tell what it is."""
-        from thermoforce_mpc.live import LiveBuilding
-
-        if self.rules.hot_water is None:
-            return None
-        try:
-            tank = LiveBuilding(self.building, self.rules, step_s).tank()
-        except DataError as error:
-            self.say(f"Hot water is left to the device, and plans do not count on its charges: {error}")
-            return None
-        if tank is not None:
-            self.say(f"Hot water: {tank.in_words}")
-        return tank
-
     def control(self, model: Path, thermal: ThermalModel, mode: str, dry: bool) -> None:
         """Control with the model `thermal` of the folder `model`, or say what it would do."""
         from controllers.mpc.controller import ThermoForceMPC
         from controllers.state_classes import controller_key
-        from thermoforce_mpc.live import KeptState, People, control
+        from thermoforce_mpc.live import KeptState, LiveBuilding, People, control
         from thermoforce_mpc.live.shadow import ShadowBook
         from thermoforce_mpc.live.shared import ACTING, shared_with
 
         acts = mode in ACTING
         commands = commands_of(self.building, self.rules, self.options.step_s or thermal.operator.step_s)
-        tank = self._learned_tank(self.options.step_s or thermal.operator.step_s)
+        building = LiveBuilding(self.building, self.rules, self.options.step_s or thermal.operator.step_s)
+        tank = None if self.rules.hot_water is None else said_tank(building.tank, self.say)
         mpc = ThermoForceMPC(thermal, self.options, commands=commands, hot_water=tank)
         by_name = {name: learned.command for name, learned in commands.items()}
         if tank is not None and tank.command is not None:
