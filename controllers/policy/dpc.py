@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -56,8 +56,9 @@ class DPCConfig(MPCConfig):
     """Options of differentiable predictive control: those of the MPC but for its solver, and the policy's."""
 
     policy: PolicyConfig = PolicyConfig()
+    solver: Literal["auto"] = Field("auto", description="none but the policy: leave it out")
 
-    @field_validator("solver")
+    @field_validator("solver", mode="before")
     @classmethod
     def _no_solver(cls, solver: str) -> str:
         if solver != "auto":

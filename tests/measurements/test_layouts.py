@@ -721,6 +721,14 @@ def test_a_word_in_one_cell_of_a_long_table_does_not_hide_the_signal(tmp_path):
             "sensor.heat_pump,device_consumption,kWh" + ",0.5" * 24 + "\n",
             "its times stand side by side",
         ),
+        (
+            "h.csv",
+            "oat Date,oat,rm1 Date,rm1\n" + "".join(
+                f"01/12/26 {k // 60:02d}:{k % 60:02d},{k},01/12/26 {(k + 3) // 60:02d}:{(k + 3) % 60:02d},20.5\n"
+                for k in range(0, 900, 15)
+            ),
+            "2 trends side by side",
+        ),
     ],
 )  # fmt: skip
 def test_what_is_no_table_is_told_with_what_to_do(tmp_path, name, text, said):
@@ -741,6 +749,23 @@ def test_times_side_by_side_are_turned_round_as_is_said(tmp_path, monkeypatch):
     turned = pd.read_csv("turned.csv")
     assert list(turned.columns) == ["time", "sensor.hp"]
     assert list(turned["time"]) == times
+
+
+@pytest.mark.parametrize(
+    "stamp",
+    ["{t.day} mars {t.year} kl. {t:%H:%M}", "March {t.day}, {t.year} at {t:%I:%M %p}",
+     "{t.day}. maj {t.year} kl. {t:%H.%M}",
+     "{t:%Y-%m-%dT%H:%M:%S}+01:00[Europe/Berlin]"],
+)  # fmt: skip
+def test_words_and_zones_in_stamps_are_read(tmp_path, stamp):
+    at = pd.date_range("2026-05-05" if "maj" in stamp else "2026-03-05", periods=96, freq="15min")
+    df = pd.DataFrame({"T room (°C)": HOUSE["living"].to_numpy()[:96], "T out (°C)": HOUSE["out"].to_numpy()[:96]})
+    df.insert(0, "Time", [stamp.format(t=t) for t in at])
+    df.to_csv(tmp_path / "h.csv", index=False)
+    (tmp_path / "map.yaml").write_text(starting_map(tmp_path / "h.csv"))
+    record = tf.read_measurements(tmp_path / "h.csv", tmp_path / "map.yaml").record
+    assert record.stamps()[4].tz_localize(None) == at[4]
+    assert record.n_steps == 95
 
 
 def test_a_format_that_is_still_to_be_filled_in_is_said():

@@ -20,7 +20,7 @@ from thermoforce_mpc.measurements.tables.raw_table import ISO, OFFSET, RawTable,
 
 # Months by how their names begin, in English, German, French, Dutch, Italian and Spanish, without accents.
 _MONTHS = (
-    "jan|gen|ene", "feb|fev", "mar|maa|mrt|mae", "apr|avr|abr", "may|mai|mei|mag", "jun|juin|giu", "jul|juil|lug",
+    "jan|gen|ene", "feb|fev", "mar|maa|mrt|mae", "apr|avr|abr", "may|mai|mei|mag|maj", "jun|juin|giu", "jul|juil|lug",
     "aug|aou|ago", "sep|set", "oct|okt|ott", "nov", "dec|dez|dic",
 )  # fmt: skip
 _ENGLISH = (
@@ -36,6 +36,8 @@ _DAY_OF_WEEK = (
     r"lunes|martes|mi[eé]rcoles|jueves|viernes|s[aá]bado|domingo|"
     r"luned[iì]|marted[iì]|mercoled[iì]|gioved[iì]|venerd[iì]|sabato|domenica)[.,]{0,2}\s+(?=\d)"
 )
+# Words between a date and a time of day.
+_BEFORE_CLOCK = re.compile(r"(?i),?\s(?:kl\.?|um|at|à|om|alle|a las|klo)\s+(?=\d)")
 # Hours ahead of UTC of what clocks are called.
 _CLOCKS = {
     "UTC": 0, "GMT": 0, "WET": 0, "WEST": 1, "BST": 1, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2, "EET": 2, "EEST": 3,
@@ -200,6 +202,10 @@ def plain(text: pd.Series, form: str | None = None) -> pd.Series:
     if re.search(r":\d\d\D*(?:-|–|—|/| to | bis | tot | à | t/m )\D*\d", first):
         text = _beginnings(text)
         first = str(text.iloc[0])
+    if first.rstrip().endswith("]"):  # Java writes the zone's name behind the offset
+        text = text.str.replace(r"(?<=\d|Z)\[[\w/+-]+\]\s*$", "", regex=True)
+    if _BEFORE_CLOCK.search(first):
+        text = text.str.replace(_BEFORE_CLOCK, " ", regex=True)
     if re.search(r"(?i)[ap]\.\s?m\b", first):
         text = text.str.replace(r"(?i)\b([ap])\.\s?m\.?", r"\1M", regex=True)
     if not form or not re.search("%[aA]", form):

@@ -244,6 +244,7 @@ def recognised(paths: Sequence[Path]) -> Recognised:
     head = heads[0]
     for path, one in zip(paths, heads, strict=True):
         _check_layout(path, one)
+        _check_one_clock(path, one)
     column, clock, notes["time"] = _clock(head, paths[0])
     same = all(not column or set(column) <= set(map(str, one.columns)) for one in heads)
     first = len(column) == 1 and all(str(one.columns[0]) == column[0] for one in heads)
@@ -272,6 +273,18 @@ def _check_layout(path: Path, head: pd.DataFrame) -> None:
             "signal, as Home Assistant's energy dashboard writes it. Turn it round: python -c \"import pandas; "
             f"t = pandas.read_csv('{path.name}'); t = t.set_index(t.columns[0]).iloc[:, {first - 1}:].T; "
             "t.to_csv('turned.csv', index_label='time')\""
+        )
+
+
+def _check_one_clock(path: Path, head: pd.DataFrame) -> None:
+    """Refuse trends side by side, each with stamps of its own, as building automation exports them."""
+    names = [str(name) for name in head.columns]
+    at = [k for k, name in enumerate(names) if _dated(head[name])]
+    pairs = len(at) > 1 and at == list(range(0, 2 * len(at), 2)) and len(names) == 2 * len(at)
+    if pairs and any(not head[names[k]].equals(head[names[0]].rename(names[k])) for k in at[1:]):
+        raise DataError(
+            f"{path}: holds {len(at)} trends side by side, each with times of its own ({names[0]}, {names[2]}, …): "
+            "save each pair of columns as a file, named as what it holds; files of one signal each are read together"
         )
 
 
