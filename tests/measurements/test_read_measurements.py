@@ -560,3 +560,25 @@ def test_parquet_without_pyarrow_says_what_to_install(tmp_path, monkeypatch):
         DataError, match=r"house\.parquet: Parquet needs pyarrow.*pip install 'thermoforce-mpc.parquet.'"
     ):
         read_tables([tmp_path / "house.parquet"], ["T"], lambda _: Written(), [])
+
+
+def test_a_coarse_counter_that_is_read_often_is_even_between_its_steps():
+    """A heat meter of whole kWh, read every 10 min, of a machine of 1.5 to 4.5 kW: as differences, 0 or 6 kW."""
+    at = pd.date_range("2026-01-12", periods=3 * 144 + 1, freq="10min")
+    power_W = 3000.0 + 1500.0 * np.sin(np.arange(at.size) / 20.0)
+    counted = 812.3 + np.concatenate([[0.0], np.cumsum(power_W[:-1])]) / 6000.0
+    df = pd.DataFrame(
+        {"T": 21.0 + np.sin(np.arange(at.size) / 9.0), "out": 3.0 + np.cos(np.arange(at.size) / 30.0)}, index=at
+    )
+    rules = {
+        "time": {"zone": "Europe/Berlin"}, "outdoor": "out", "step": "1h", "zones": {"r": {"temperature": "T"}},
+        "machines": {"m": {"power": {"column": "meter", "unit": "kWh counter"}}},
+    }  # fmt: skip
+    fine = tf.read_measurements(df.assign(meter=counted), rules)
+    coarse = tf.read_measurements(df.assign(meter=np.floor(counted)), rules)
+    truth, read = fine.record.power_W[0], coarse.record.power_W[0]
+    assert np.sqrt(np.nanmean((read - truth) ** 2)) < 250.0  # of differences 350
+    assert np.nanmax(read) < 5200.0
+    assert np.nansum(read) == pytest.approx(np.nansum(truth), abs=1000.0)
+    assert any("in steps of 1 is read" in note for note in coarse.understood.assumed)
+    assert not any("in steps of" in note for note in fine.understood.assumed)

@@ -391,7 +391,14 @@ def _from_table(
         rows_every_s,
         step_s,
         (*reader.summaries, *of_tank),
-        (*table.notes, *of_clock(zone, rows_every_s, step_s), *of_sun, *of_levels, *of_changes(reader.on_change)),
+        (
+            *table.notes,
+            *of_clock(zone, rows_every_s, step_s),
+            *of_sun,
+            *of_levels,
+            *of_changes(reader.on_change),
+            *dict.fromkeys(reader.coarse),
+        ),
         missing(rules, record, conditions),
     )
     return Measurements(record, layout, conditions, understood, rules, commands=commands, windows=windows, tank=tank)
