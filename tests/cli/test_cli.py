@@ -11,6 +11,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import click
 import pandas as pd
 import pytest
 import yaml
@@ -129,6 +130,35 @@ def test_every_command_has_help(name):
     done = CliRunner().invoke(cli, [name, "--help"])
     assert done.exit_code == 0
     assert len(done.output.splitlines()) > 5
+
+
+def test_no_option_takes_what_is_no_number_or_an_endless_one():
+    """Each option with a fraction; those of a scenario are refused by its model, by the name of the option."""
+    of_scenario = {"--days", "--probe-days"}
+    taken = []
+    commands = {"cli": cli}
+    while commands:
+        name, command = commands.popitem()
+        if isinstance(command, click.Group):
+            at = click.Context(command)
+            inside = ((one, command.get_command(at, one)) for one in command.list_commands(at))
+            commands |= {f"{name} {one}": found for one, found in inside if found is not None}
+        for option in command.params:
+            if isinstance(option.type, click.types.FloatParamType) and option.opts[0] not in of_scenario:
+                for value in ("nan", "inf", "-inf"):
+                    try:
+                        option.type.convert(value, option, None)
+                        taken.append(f"{name} {option.opts[0]} {value}")
+                    except click.BadParameter:
+                        pass
+    assert not taken
+
+
+def test_a_stretch_longer_than_a_year_is_refused_by_its_option():
+    words = ["counterfactual", "--model", ".", "--data", "a.csv", "--map", "m.yaml", "--start", "2026-01-01"]
+    done = CliRunner().invoke(cli, [*words, "--level", "1", "--hours", "1e300"])
+    assert done.exit_code == 2
+    assert "'--hours'" in done.output
 
 
 @pytest.mark.slow

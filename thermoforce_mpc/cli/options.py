@@ -214,7 +214,7 @@ measured_options = added(
 def course_options(level: str) -> Callable[[Function], Function]:
     """Add the levels to ask about, `--level` (`level`: its help) or `--schedule`, and where the course goes to."""
     return added(
-        click.option("--level", type=float, help=level),
+        click.option("--level", type=FiniteRange(-1.0, 1.0), help=level),
         click.option("--schedule", type=PATH, help="CSV with columns time and u (or one per actuator)."),
         out_option("the course"),
         plot_option(),

@@ -124,7 +124,7 @@ class PredictionContext:
             raise DataError(f"u has shape {u.shape}, expected (..., {actuators}, {self.n_steps})")
         u_min = self.operator.u_min[:, None]
         if not ((u >= u_min - ROUNDING) & (u <= 1 + ROUNDING)).all():
-            raise DataError(f"u must be finite and inside [{u_min.min():g}, 1]")
+            raise DataError(f"levels (u) must be finite and inside [{u_min.min():g}, 1]")
         u = np.clip(u, u_min, 1.0)
         forced = self.operator.rollout(self.forced_K, u, self.features).sum(axis=(-3, -1))
         return Prediction(

@@ -27,6 +27,8 @@ _ROWS, _BACK_DAYS = 25, 28.0
 # The band promises 80 %: less than this held over a day or longer is said as a warning, where errors matter, K. Hours
 # after hours are alike, so that a shorter time says little.
 _HELD, _JUDGED_H, _MATTERS_K = 0.5, 24.0, 0.25
+# Longest stretch that is asked about, h: a year.
+_MOST_H = 8784.0
 # An energy is told as a figure where its 90 % band is no wider than this share of it.
 _TOLD = 0.4
 
@@ -173,7 +175,7 @@ def _drawn(prediction: Prediction, truth: Array) -> Figure:
 @model_option
 @measured_options
 @click.option("--start", required=True, metavar="TIME", help="First step of the stretch, such as '2026-01-20 00:00'.")
-@click.option("--hours", type=FiniteRange(1.0), default=24.0, help="Length of the stretch.")
+@click.option("--hours", type=FiniteRange(1.0, _MOST_H), default=24.0, help="Length of the stretch.")
 @course_options("One level in [0, 1] for all of it.")
 def other_levels(
     model: Path,
