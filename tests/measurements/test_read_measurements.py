@@ -582,3 +582,30 @@ def test_a_coarse_counter_that_is_read_often_is_even_between_its_steps():
     assert np.nansum(read) == pytest.approx(np.nansum(truth), abs=1000.0)
     assert any("in steps of 1 is read" in note for note in coarse.understood.assumed)
     assert not any("in steps of" in note for note in fine.understood.assumed)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"outdoor": {"column": "out", "factor": 0}}, "factor: 0 makes every reading 0"),
+        ({"outdoor": {"column": "out", "range": [5, 1]}}, "range: the least, 5, is not below the largest, 1"),
+        ({"machines": {"m": {"power": "P", "price": 1e300}}}, r"machines.m.price.*no price of a kWh"),
+    ],
+)
+def test_numbers_of_a_map_that_mean_nothing_are_refused_by_their_key(keys, said):
+    df = pd.DataFrame(
+        {"T": [21.0] * 9, "out": 3.0, "P": 5.0}, index=pd.date_range("2026-01-12", periods=9, freq="15min")
+    )
+    with pytest.raises(ConfigError, match=said):
+        tf.read_measurements(df, {"outdoor": "out", "zones": {"r": {"temperature": "T"}}} | keys)
+
+
+def test_a_power_that_no_building_has_is_flagged():
+    at = pd.date_range("2026-01-12", periods=96, freq="15min")
+    df = pd.DataFrame({"T": 21.0 + np.sin(np.arange(96.0)), "out": 3.0 + np.cos(np.arange(96.0)), "P": 500.0}, index=at)
+    df.iloc[8, 2] = -1e12
+    rules = {"outdoor": "out", "zones": {"r": {"temperature": "T"}}, "machines": {"m": {"power": "P"}}}
+    found = tf.read_measurements(df, rules)
+    assert [
+        flag.rule for signal in found.understood.signals if signal.key.endswith("power") for flag in signal.flags
+    ] == ["range"]

@@ -142,6 +142,8 @@ RULES = {
 }  # fmt: skip
 """By the name of the signal in a `Record`. Ranges of power and heat are those of the machine (`model/screening.py`)."""
 
+# Power that a meter of a building can tell, W: what a map may say of one.
+POWER_W = (-1e9, 1e9)
 # Longest excursion that is a spike, s; whoever moved a sensor and left it there meant it.
 EXCURSION_S = 6 * HOUR_S
 # Largest zero offset of a pyranometer, W/m² (ISO 9060:2018, class C), and what is no reading but the dark itself.

@@ -58,7 +58,8 @@ def with_map(rule: SignalRule, signal: Signal) -> SignalRule:
 # Of signals that a record has, by its names, and of others that a table may have. A level of a table may be off by its
 # calibration.
 ZONE, OUTDOOR, WATER = (limits.RULES[name] for name in ("T_zone_C", "T_out_C", "T_return_C"))
-SOLAR, POWER = (limits.RULES[name] for name in ("solar_W_m2", "power_W"))
+SOLAR = limits.RULES["solar_W_m2"]
+POWER = replace(limits.RULES["power_W"], range=limits.POWER_W)
 LEVEL = replace(limits.RULES["u"], range=(-LEVEL_SLACK, 1.0 + LEVEL_SLACK))
 SIGNED_LEVEL = replace(LEVEL, range=(-1.0 - LEVEL_SLACK, 1.0 + LEVEL_SLACK))
 HUMIDITY = replace(LEVEL, range=(0.0, 1.0 + LEVEL_SLACK))

@@ -97,9 +97,13 @@ class Signal(StrictModel):
     )
 
     @model_validator(mode="after")
-    def _has_a_column(self) -> Signal:
+    def _can_be_read(self) -> Signal:
         if not self.columns:
             raise ValueError("column: name one at least")
+        if self.factor == 0.0:
+            raise ValueError("factor: 0 makes every reading 0")
+        if self.range is not None and self.range[0] >= self.range[1]:
+            raise ValueError(f"range: the least, {self.range[0]:g}, is not below the largest, {self.range[1]:g}")
         return self
 
     @property
@@ -152,6 +156,10 @@ def _number_or_column(value: Any) -> Any:
     return value if isinstance(value, int | float) else _text_as_column(value)
 
 
+# A kWh costs some thousands in the currencies of least worth.
+_MOST_PRICE = 1e5
+
+
 def _in_celsius(bound: float | Temperature) -> float | Temperature:
     if not isinstance(bound, Temperature) and not ZONE_C[0] <= bound <= ZONE_C[1]:
         least, most = ZONE_C
@@ -167,7 +175,19 @@ Bound = Annotated[
     BeforeValidator(_number_or_column, json_schema_input_type=float | str | Temperature),
     AfterValidator(_in_celsius),
 ]
-OfPrice = Annotated[float | Price, BeforeValidator(_number_or_column, json_schema_input_type=float | str | Price)]
+
+
+def _possible_price(price: float | Price) -> float | Price:
+    if not isinstance(price, Price) and abs(price) > _MOST_PRICE:
+        raise ValueError(f"{price:g} is no price of a kWh, at most {_MOST_PRICE:g} in any currency")
+    return price
+
+
+OfPrice = Annotated[
+    float | Price,
+    BeforeValidator(_number_or_column, json_schema_input_type=float | str | Price),
+    AfterValidator(_possible_price),
+]
 
 
 class Sun(StrictModel):
