@@ -30,7 +30,7 @@ is the share of a shared machine's capacity that is left unused: at its limit wh
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -118,17 +118,9 @@ _MOST_K = 0.3
 
 def is_fast(operator: OperatorParameters) -> bool:
     """Whether an hour at full level moves the zone by more than 0.6 K."""
-    return _hour_K(operator) > _FAST_K
-
-
-def _hour_K(operator: OperatorParameters) -> float:
-    """Effect of an hour at full level, K (of one step, if that is longer)."""
     steps = max(1, round(HOUR_S / operator.step_s))
-    return _first_K(operator, steps) * min(1.0, HOUR_S / operator.step_s)
-
-
-def _first_K(operator: OperatorParameters, steps: int) -> float:
-    return float(_rise_K(operator, steps)[-1])
+    of_longer_step = min(1.0, HOUR_S / operator.step_s)
+    return float(_rise_K(operator, steps)[-1]) * of_longer_step > _FAST_K
 
 
 def _rise_K(operator: OperatorParameters, steps: int) -> Array:
@@ -156,7 +148,7 @@ def _swing_K(operator: OperatorParameters, actuation: Actuation) -> float:
         return 0.0
     c, step_s = actuation.config, operator.step_s
     cycle_s = max(2 * c.block_s, c.min_on_s / _SHARE, c.min_off_s / (1.0 - _SHARE))
-    return 0.5 * _first_K(operator, 1) * actuation.block_level * _SHARE * (1.0 - _SHARE) * cycle_s / step_s
+    return 0.5 * float(_rise_K(operator, 1)[0]) * actuation.block_level * _SHARE * (1.0 - _SHARE) * cycle_s / step_s
 
 
 @dataclass(frozen=True)
@@ -536,7 +528,7 @@ class MarginRules:
         c, rows, soon = self._config, [], steps_soon(self._step_s)
         for z in range(len(operator.zones)):
             own = self._layout.actuators_of(z)
-            signs = {self._layout.signs[a] for a in own}
+            signs, acting = {self._layout.signs[a] for a in own}, {a: operator.of_actuator(a) for a in own}
             # The bound that actuation protects has the chance level of its own; both, where heat and cold are at hand.
             other = float(np.clip(heat_share[z], *_OTHER_LEVELS)) if c.backs_off else c.backoff_level
             low = c.backoff_level if 1 in signs or not own else other
@@ -545,13 +537,13 @@ class MarginRules:
                 np.minimum(backoff_K(free, self._step_s, level, self._allowed_K, below=is_lower)[z], c.backoff_max_K)
                 for level, is_lower in ((low, True), (high, False))
             )
-            for a in own:
+            for a, by in acting.items():
                 if self._layout.signs[a] > 0:
-                    below = with_recourse_K(below, operator.of_actuator(a))
+                    below = with_recourse_K(below, by)
                 else:
-                    above = with_recourse_K(above, operator.of_actuator(a))
+                    above = with_recourse_K(above, by)
             lower_C, upper_C = boundary.lower_C[z, 1:], boundary.upper_C[z, 1:]
-            if any(is_fast(operator.of_actuator(a)) for a in own):
+            if any(map(is_fast, acting.values())):
                 # A bound holds until the next instant: such a zone would leave it in the last step before it ends.
                 lower_C = np.maximum(boundary.lower_C[z, :-1], lower_C)
                 upper_C = np.minimum(boundary.upper_C[z, :-1], upper_C)
@@ -562,7 +554,7 @@ class MarginRules:
             half = 0.5 * (upper_C - lower_C)
             by_loops = any(self._actuators.each[a].by_rooms for a in own)
             learned_K = learned.inside_K(z, lower_C, upper_C, by_loops=by_loops)
-            reserves_K = np.array([self._reserve_K(operator, z, sign) for sign in (1, -1)])
+            reserves_K = np.array([self._reserve_K(acting, sign) for sign in (1, -1)])
             inside_K = c.comfort_margin_K + np.stack([below, above]) + reserves_K[:, None] + learned_K
             now_C = np.array([boundary.lower_C[z, 0], boundary.upper_C[z, 0]])
             outside_K = np.array([boundary.lower_C[z, 1:] - T_C[z], T_C[z] - boundary.upper_C[z, 1:]])
@@ -710,11 +702,11 @@ class MarginRules:
             if self._actuators.each[fed[0]].modulates and operator.of_actuator(fed[0]).heat_input.law is None:
                 yield m, fed[0]
 
-    def _reserve_K(self, operator: BuildingOperator, z: int, sign: int) -> float:
-        """Reserve inside the bound that the actuators of one sign protect in zone `z`, K."""
+    def _reserve_K(self, acting: Mapping[int, OperatorParameters], sign: int) -> float:
+        """Reserve inside the bound that the actuators of one sign among those `acting` in a zone protect, K."""
         reserves = [
-            reserve_K(operator.of_actuator(a), self._actuators.each[a], self._cards[a])
-            for a in self._layout.actuators_of(z)
+            reserve_K(by, self._actuators.each[a], self._cards[a])
+            for a, by in acting.items()
             if self._layout.signs[a] == sign and self._config.corrections and not self._actuators.each[a].by_rooms
         ]
         return max(reserves, default=0.0)
