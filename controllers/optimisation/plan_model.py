@@ -136,7 +136,7 @@ class Evaluator:
         return f"{self._checks.required[number]} is broken by {by:.4g}"
 
 
-# Level from which a solve without a guess starts, as a share of the highest.
+# Level from which a solve without a guess starts, as a share of the highest. Of iterations only; by judgement.
 _START = 0.3
 
 
