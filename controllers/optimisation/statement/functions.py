@@ -140,7 +140,7 @@ class Functions:
         key = json.dumps([options, hidden], sort_keys=True)
         if key not in self.solvers:
             programme, derivatives = self._programme(hidden if self.n_gain else 0)
-            given = {"print_time": False, "ipopt": options, **_NO_SENSITIVITIES, **derivatives}
+            given: dict[str, Any] = {"print_time": False, "ipopt": options, **_NO_SENSITIVITIES, **derivatives}
             # Into arrays of its own: numbers that become CasADi's and back take 0.4 ms of a solve of 6.
             self.solvers[key] = Buffered(ca.nlpsol("plan", "ipopt", programme, given))
         return self.solvers[key]
