@@ -388,6 +388,8 @@ _HEAT = re.compile(
 _IDS = frozenset(("id", "idx", "row", "uuid", "epoch", "unix"))
 _SHORT = ("znt", "spt", "rmt", "sat", "rat", "mat", "dat", "oat", "lwt", "ewt", "degc", "degf")
 _LEAST, _PERCENT = 8, 100.5
+# Contacts of windows, in the languages above; a contact is 0 or 1.
+_WINDOW = re.compile(r"window|fenster|fenetre|raam|finestra|ventana|fonster|vindu|ikkuna")
 # Rooms that are inside whatever else their names hold, such as "indoor ambient", unless these say outdoors.
 _INDOORS = frozenset(("indoor", "inside", "innen", "binnen", "interieur", "inomhus", "innendors", "indendors", "sisa"))
 _OUTDOORS = frozenset(("outdoor", "outdoors", "outside", "aussen", "exterieur", "buiten", "ute", "utomhus", "ulko"))
@@ -515,6 +517,8 @@ def _fahrenheit(looks: Mapping[str, _Look]) -> bool:
 
 def _guess(look: _Look, fahrenheit: bool) -> Guess:
     """What a signal is: of no use, of the weather or a tariff, what people set, what acts, or a temperature."""
+    if look.binary and not look.text and any(_WINDOW.search(word) for word in words_of(look.name)):
+        return Guess(look.name, "window", "0-1")
     if _of_no_use(look):
         return Guess(look.name, "")
     for asked in (_of_weather_and_price, _of_setpoints, _of_what_acts):

@@ -13,6 +13,7 @@ import yaml
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses, tags, unit_of, words_of
+from thermoforce_mpc.measurements.map.mapping import converted
 from thermoforce_mpc.measurements.tables.clock import all_year, instants
 from thermoforce_mpc.measurements.tables.files import all_readings, found_files, head_of, named_after, stamps_of
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
@@ -29,6 +30,9 @@ from thermoforce_mpc.measurements.tables.recognition import Recognised, recognis
 # Rows of a file that are looked at where its columns are signals, and readings of a signal where rows are readings.
 _ROWS, _READINGS = 20_000, 5_000
 _CHECK = "CHECK: "
+# Comfort bounds of a room of which nothing is known, °C: the least of EN 16798-1's category II for dwellings in winter,
+# and 4 K above it.
+_COMFORT_C = (20.0, 24.0)
 _HEAT_PAID = "heat, as no electric power is metered: so district heat is billed; of a boiler or heat pump set factor"
 # Words amid numbers that a map says to be empty cells, at most; and what may be a number that is written otherwise.
 _MOST_MISSING, _NUMBER = 6, re.compile(r"\d[.,' ]?\d|^\W*\d\W*$")
@@ -277,12 +281,25 @@ class _Text:
             self.zones[name] = guess
         for k, (name, guess) in enumerate(self.zones.items()):
             lines += [f"  {_value(name)}:", f"    temperature: {self._signal(guess)}{_comment(guess.doubt)}"]
-            for key, number in (("lower", 20), ("upper", 24)):
-                bound = [g for g in self.of(key) if g.sure and (len(self.zones) == 1 or g.place & guess.place)]
-                told = self._signal(bound[0]) if bound else str(number)
-                lines.append(f"    {key}: {told}{'' if k else '  # comfort bound, °C or a column'}")
+            lines += self._comfort(name, guess, "" if k else "  # comfort bound, °C or a column")
+            if (contact := self._only_one("window", name)) is not None:
+                lines.append(f"    window: {self._signal(contact)}  # open: nothing is learned, and heat pauses")
         if not self.zones:
             lines += ["  room:", f"    temperature: FILL IN  # {_CHECK}no column looks like the temperature of a room"]
+        return lines
+
+    def _comfort(self, name: str, zone: Guess, note: str) -> list[str]:
+        """Both bounds of a zone: columns that say so, else numbers below and above what people usually set there."""
+        low, high = _COMFORT_C
+        if (asked := self._only_one("setpoint", name)) is not None:
+            usual = _median_over_time(self.column[asked.name], asked.unit)
+            low = np.floor(2.0 * usual) / 2.0 - 0.5
+            high, note = max(high, low + 3.0), f"  # {_CHECK}from what is usually set"
+        lines = []
+        for key, number in (("lower", low), ("upper", high)):
+            bound = [g for g in self.of(key) if g.sure and (len(self.zones) == 1 or g.place & zone.place)]
+            told = self._signal(bound[0]) if bound else f"{number:g}"
+            lines.append(f"    {key}: {told}{note if not bound or 'usually' not in note else ''}")
         return lines
 
     def _acting(self) -> list[str]:
@@ -304,6 +321,9 @@ class _Text:
                 else:
                     key = "heat" if guess.role == "heat" else "level"
                     lines.append(f"    {key}: {self._signal(guess)}{_comment(guess.doubt)}")
+                asked = self._only_one("setpoint", zone) if self._mode(guess) == "heating" else None
+                if asked is not None and asked.unit in ("", "°C"):
+                    lines.append(self._command(asked))
         else:
             lines.append("# actuators: {heater: {level: {column: ..., unit: '%'}}}  # nothing looks like what acts")
         price = self.of("price")
@@ -326,6 +346,24 @@ class _Text:
                 lines.append("    #   the column of the level, with factor: the W of a reading of 1")
             lines.append(f"    price: {cost}  # per kWh, a number or a column")
         return lines
+
+    def _only_one(self, role: str, zone: str) -> Guess | None:
+        """The one sure guess of a role at a zone; None without one, or of several."""
+        alone = len(self.zones) == 1
+
+        def of_it(guess: Guess) -> bool:
+            return self._match(guess, zone) or (alone and not (guess.place and self.zones[zone].place))
+
+        ours = [g for g in self.of(role) if g.sure and of_it(g)]
+        return ours[0] if len(ours) == 1 else None
+
+    def _command(self, asked: Guess) -> str:
+        """The line of what people set; commented where the record has it at one value, which teaches nothing."""
+        line = f"command: {{kind: setpoint, column: {_quoted(asked.name)}}}"
+        self.used.add(asked.name)
+        if self._still(asked):
+            return f"    # {line}  # set it to other values at times: from one nothing is learned"
+        return f"    {line}  # what people set; without it plans are levels"
 
     def _heat_paid_for(self, acting: Mapping[str, tuple[str, Guess | None, Guess | None]]) -> Guess | None:
         """The heat meter that tells what is paid for where no power is metered; None without one, or of several."""
@@ -425,6 +463,16 @@ class _Text:
         t = tags(guess.name)
         warms = bool(re.search(r"(?i)heat|htg|heiz|hw|warm|chauff|radiat|boiler|burner|verwarm", guess.name))
         return "cooling" if "cooling" in t and not warms else "heating"
+
+
+def _median_over_time(column: Column, unit: str) -> float:
+    """Median of a set-point over time, °C, each reading for as long as it holds: it is often stored when it changes."""
+    known = np.isfinite(column.values)
+    celsius, time_s = converted(column.values[known], unit or "°C"), column.time_s[known]
+    lasts_s = np.diff(time_s, append=time_s[-1:] + 1.0)
+    order = np.argsort(celsius, kind="stable")
+    until = np.cumsum(lasts_s[order])
+    return float(celsius[order][np.searchsorted(until, 0.5 * until[-1])])
 
 
 def _comment(doubt: str) -> str:
