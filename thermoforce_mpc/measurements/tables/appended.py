@@ -38,6 +38,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     of_one_signal,
     raw_table,
     tables_of,
+    with_numbers,
 )
 
 # A stamp so far from its place in the file is none, s; after the clock it is none where few rows have such.
@@ -129,7 +130,7 @@ def _read(
     left = _Left(str(path))
     lines, rows = _rows(content, form, header + 1 + form.skip_after, separator, cells, left)
     frame = pd.DataFrame(rows, columns=names, dtype=str)[keys]
-    frame = frame.mask(frame.isin({*_EMPTY, *form.missing}))
+    frame = with_numbers(frame.mask(frame.isin({*_EMPTY, *form.missing})), form.words, form.decimal)
     for key in dict.fromkeys(values.values()):
         ours = _of_wanted(frame, points, wanted) if points else np.ones(len(frame), dtype=bool)
         frame[key] = _numbers(frame[key], key, form.decimal, lines, left, ours)
