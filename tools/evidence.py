@@ -115,7 +115,7 @@ def take(file: Path, result: Mapping[str, Any], minutes: float | None = None) ->
 def _wide(rows: Sequence[Mapping[str, Any]], of: str, over: str) -> list[Mapping[str, Any]]:
     """One row for each value of the key `of`, with the figures of each value of `over` named after it."""
     wide: dict[Any, dict[str, Any]] = {}
-    for row in rows:
+    for row in (row for row in rows if of in row and over in row):
         one = wide.setdefault(row[of], {of: row[of]})
         one |= {f"{key} {row[over]}": value for key, value in row.items()}
     return list(wide.values())
@@ -124,7 +124,7 @@ def _wide(rows: Sequence[Mapping[str, Any]], of: str, over: str) -> list[Mapping
 def _plain(command: object) -> str:
     """A command in words, without where it wrote its JSON."""
     words = command if isinstance(command, str) else shlex.join(map(str, command if isinstance(command, list) else []))
-    return re.sub(r" --json \S+", "", words)
+    return re.sub(r" --(json|out|jobs) \S+", "", words)
 
 
 def _git(*words: str) -> str:
@@ -149,22 +149,34 @@ def _run_stale(revision: str, pages: Path) -> int:
         took = "not timed" if table["minutes"] is None else f"{table['minutes']:.0f} min"
         by_hand = "" if _answer(table) else "; by hand"
         print(f"{file.stem}: {table['command']} ({took}{by_hand})", flush=True)
-    code = int(any(not _answer(table) for table in stale.values()))
-    for file, table in stale.items():
-        if not (answer := _answer(table)):
-            continue
-        option, name = answer
-        began = time.monotonic()
-        with tempfile.TemporaryDirectory() as folder:
-            place = folder if option == "--out" else str(Path(folder) / name)
-            ran = subprocess.run([*shlex.split(table["command"]), option, place], cwd=ROOT, check=False)
-            if (result := Path(folder) / name).exists():
-                found = json.loads(result.read_text(encoding="utf-8"))
-                take(file, found | {"command": table["command"]}, (time.monotonic() - began) / 60.0)
-            else:
-                print(f"{file.stem}: failed with exit code {ran.returncode}")
-                code = 1
-    return code
+    failed = any(not _answer(table) for table in stale.values())
+    # One command may give the rows of several tables.
+    for command in dict.fromkeys(table["command"] for table in stale.values() if _answer(table)):
+        failed |= not _renew(command, [file for file, table in stale.items() if table["command"] == command])
+    return int(failed)
+
+
+def _renew(command: str, files: Sequence[Path]) -> bool:
+    """Whether a command ran and all tables that name it could take its rows."""
+    answer = _answer({"command": command})
+    assert answer, "only commands that answer in JSON are run"
+    option, name = answer
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        place = folder if option == "--out" else str(Path(folder) / name)
+        ran = subprocess.run([*shlex.split(command), option, place], cwd=ROOT, check=False)
+        if not (result := Path(folder) / name).exists():
+            print(f"{command}: failed with exit code {ran.returncode}")
+            return False
+        found = json.loads(result.read_text(encoding="utf-8")) | {"command": command}
+    taken = True
+    for file in files:
+        try:
+            take(file, found, (time.monotonic() - began) / 60.0)
+        except SystemExit as error:
+            print(error)
+            taken = False
+    return taken
 
 
 def _answer(table: Mapping[str, Any]) -> tuple[str, str] | None:

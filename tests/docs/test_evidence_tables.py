@@ -101,6 +101,10 @@ def test_what_is_stale_is_listed_with_its_time_then_run(pages, capfd, monkeypatc
     (tables / "by_hand.json").write_text(json.dumps(by_hand))
     summed_up = by_hand | {"command": "tf-mpc bench y --seed SEED", "summary": True}
     (tables / "summed_up.json").write_text(json.dumps(summed_up))
+    of_the_same = json.loads((tables / "houses.json").read_text()) | {"columns": {"discomfort": "tdis"}}
+    (tables / "of_the_same.json").write_text(json.dumps(of_the_same))
+    not_in_it = of_the_same | {"columns": {"wear": "starts"}}
+    (tables / "not_in_it.json").write_text(json.dumps(not_in_it))
     program = tmp_path / "bin" / "tf-mpc"
     program.parent.mkdir()
     answer = json.dumps({"command": "?", "rows": [{"house": 7, "cost": 0.125, "tdis": 1.5}]})
@@ -114,3 +118,7 @@ def test_what_is_stale_is_listed_with_its_time_then_run(pages, capfd, monkeypatc
     assert said.index("houses: tf-mpc bench x (2 min)") < said.index("ran")
     assert "|7|0.125 / 1.50|" in (pages / "page.md").read_text()
     assert json.loads((tables / "houses.json").read_text())["command"] == "tf-mpc bench x"
+    assert said.count("ran") == 1, "one run gives the rows of two tables"
+    assert json.loads((tables / "of_the_same.json").read_text())["rows"] == [{"tdis": 1.5}]
+    assert "not_in_it.json: no row of the result has starts" in said
+    assert json.loads((tables / "not_in_it.json").read_text()) == not_in_it

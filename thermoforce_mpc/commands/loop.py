@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.commands.command import CERTAIN, SAME, Command
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Plan, PlannedSaving, Record
+from thermoforce_mpc.commands.command import SAME, Command
+from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Plan, PlannedSaving, Record
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables are read
@@ -446,7 +446,7 @@ def _untold(
         return float(np.mean(moved)) / max(1.0 - one.carry, _LEAST_LEFT)
 
     found, error = effect(loop), float(np.std([effect(one) for one in drawn]))
-    if found - CERTAIN * error < _LEAST_EFFECT or r2 < _LEAST_R2:
+    if found - NORMAL_95 * error < _LEAST_EFFECT or r2 < _LEAST_R2:
         return (
             f"{where}: the record does not tell what it does: from {low:.3g} to {high:.3g} the level changes by "
             f"{found:.2f} ± {error:.2f}, and it explains {100 * max(r2, 0.0):.0f} % of the level's scatter. Try "

@@ -227,7 +227,7 @@ def learn_meter(command: Command, seen: MeterRecord) -> MeterEffect | None:
         error_W = _of_a_step(error)
     p = len(columns)
     scatter = _by_days(error, hours[known], np.flatnonzero(known), seen.step_s)
-    root = np.linalg.cholesky(inverse[:p, :p] + 1e-12 * np.eye(p))
+    root = np.asarray(np.linalg.cholesky(inverse[:p, :p] + 1e-12 * np.eye(p)), dtype=np.float64)
     return MeterEffect(states, usual, unit, off_W, found[:p], root, level_W, found[p : p + 24], scatter)
 
 
@@ -293,7 +293,7 @@ def _of_a_step(error: Array) -> float:
     return sd * float(np.sqrt((1.0 + correlation) / (1.0 - correlation)))
 
 
-def _by_days(error: Array, hour: Array, step: Array, step_s: float) -> Array:
+def _by_days(error: Array, hour: NDArray[np.intp], step: NDArray[np.intp], step_s: float) -> Array:
     """Errors (n,) of steps as means of the hours of whole days (days, 24), without the mean of each day."""
     per_day = max(1, round(DAY_S / step_s))
     day = (step - int(hour[0] * HOUR_S / step_s)) // per_day
