@@ -18,6 +18,7 @@ from controllers.mpc.commanding import (
     MOST_SOLVES,
     NOT_BETTER,
     BuildingCommands,
+    meters_of,
     with_command_states,
     with_commands,
 )
@@ -140,7 +141,7 @@ class ThermoForceMPC(ActuatedController):
         actuations = [choice.actuation for choice in choices]
         super().__init__(name, model.operator.step_s, n_steps, layout, actuations, c.fallback, by_number)
         cards = [zone.card for zone in zone_models]
-        self._commands = BuildingCommands(layout, by_number, cards)
+        self._commands = BuildingCommands(layout, by_number, cards, meters_of(model, by_number))
         if hot_water is not None:
             check_names("hot_water.machine", [hot_water.machine], "machine", layout.names.machines)
         self.hot_water = hot_water

@@ -461,7 +461,9 @@ def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
             signals = T_zone_C, record.T_out_C, record.u[a], record.time_s
             habits_s = clock_s(record.time_s, record.origin)
             learned = learn_command(command, was, *signals, where, clock_s=habits_s, may_be_untold=True)
-            out[name] = replace(learned, origin=record.origin, machine=machine if shared else "")
+            out[name] = replace(learned, origin=record.origin)
+            if shared:
+                out[name] = replace(out[name], machine=machine, record=record, set_to=was.mean)
     check_told(out.values())
     return out
 
