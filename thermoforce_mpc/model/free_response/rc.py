@@ -41,6 +41,9 @@ _SQUARE_W_M2 = 300.0
 _ROUNDING = 1e-6
 
 
+# Filters are kept for numbers of steps that this divides: a day of quarters of an hour.
+_KEPT_STEPS = 96
+
 # Least pole, that of a mode which is over within a step.
 _FASTEST = 1e-12
 
@@ -168,15 +171,20 @@ def _filtered(params: RcParameters, drive: Array, free_C: Array) -> tuple[Array,
     """Mean (q,) and covariance (q, q) of the modes at the last of `free_C` (n + 1,), by each that is known."""
     q, n = params.order, len(drive)
     mean = params.beginning(drive) if n else np.zeros(q)
-    # The last step goes nowhere: it stays where its reading has brought the modes.
+    # The last step goes nowhere: it stays where its reading has brought the modes. So do steps before the first,
+    # without readings, up to a length that a filter is kept for: building one takes longer than all of its steps.
+    before = -(n + 1) % _KEPT_STEPS
     reading = np.array([params.sensor_sd_K**2])
-    stays = [np.ones(q), np.zeros(q * q), reading]
-    moves = [params.poles, params.process_K2.ravel(), reading]
+    stays = np.concatenate([np.ones(q), np.zeros(q * q), reading])
+    moves = np.concatenate([params.poles, params.process_K2.ravel(), reading])
     known = np.isfinite(free_C)
-    given = np.column_stack([known, np.where(known, free_C, 0.0), np.vstack([drive.reshape(n, q), np.zeros(q)])])
-    of_step = np.repeat([np.concatenate(moves), np.concatenate(stays)], [n, 1], axis=0)
+    given = np.zeros((before + n + 1, 2 + q))
+    given[before:, 0], given[before:, 1] = known, np.where(known, free_C, 0.0)
+    given[before:-1, 2:] = drive.reshape(n, q)
+    of_step = np.repeat([stays, moves, stays], [before, n, 1], axis=0)
     begin = np.concatenate([mean, params.start_K2.ravel()])
-    last = _filter(q, n + 1)(begin, np.hstack([given, of_step]).ravel())[0].reshape(n + 1, -1)[-1]
+    after = _filter(q, before + n + 1)(begin, np.hstack([given, of_step]).ravel())[0]
+    last = after.reshape(before + n + 1, -1)[-1]
     return last[:q].copy(), last[q:].reshape(q, q).copy()
 
 
