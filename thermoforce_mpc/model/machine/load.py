@@ -31,7 +31,8 @@ LEVEL_EDGE = 0.02
 NEARLY_FULL = 0.9
 # Lower bound of the end values, W, above zero so that rounding cannot make a load negative.
 LEAST_W = 1e-3
-# Least number of intermediate samples to separate the fixed and the proportional part.
+# Least number of intermediate samples to separate the fixed and the proportional part. By judgement, as the numbers of
+# steps below.
 _MIN_LEVELS = 3
 _MIN_STEPS, LEAST_RUNNING = 10, 5
 # Standard deviation of a step's error as a share of full load (dynamics inside the step, model error).
@@ -202,7 +203,7 @@ class EndValues:
         )
 
 
-# Largest correlation of the errors of two steps that is believed.
+# Largest correlation of the errors of two steps that is believed. By judgement: 8 h at 15 min.
 _MOST_CORRELATED = 0.97
 
 
