@@ -26,7 +26,8 @@ MIN_DAYS = 0.9
 # Most rows of one run in its regression (all steps are simulated); more only make it slower. Rows an hour apart of a
 # month; where they were farther apart than 1.5 h no error an hour ahead was known (2026-11-23).
 MOST_ROWS = 700
-# A prediction begins its lead time before its target, or up to so many times that where the sensor was silent.
+# A prediction begins its lead time before its target, or up to so many times that where the sensor was silent. By
+# judgement.
 LEAD_REACH = 1.5
 # Largest share of a signal's readings outside physical limits: more indicates a wrong unit, not a sensor fault. By
 # judgement.

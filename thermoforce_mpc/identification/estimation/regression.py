@@ -29,7 +29,7 @@ EFFECT_H = 8
 DISTURBANCE_H = (1.0, 6.0, 48.0)
 """Time constants of what disturbs a room besides weather and actuators, h."""
 
-# Largest standard deviation of a logarithm that counts.
+# Largest standard deviation of a logarithm that counts. By judgement: beyond, the sign is all that is known.
 _MOST_OF_LOGARITHM = 1.5
 
 

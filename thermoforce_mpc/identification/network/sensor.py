@@ -28,6 +28,7 @@ from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, faca
 _AZIMUTHS_DEG, _WINDOWS_DEG = (90.0, 135.0, 180.0, 225.0, 270.0), (90.0, 180.0, 270.0)
 _LAGS_S, _LATITUDE_DEG = (120.0, 900.0), 50.0
 # The most that a sensor shows in full sun, K, and the variance that a search of it begins with, of that of the prior.
+# By judgement: more is no sensor in a room.
 _MOST_K, _SPREAD = 8.0, 0.05
 # The least gain that is more than what searches leave, nats.
 _LEAST_GAIN = 1e-3

@@ -30,7 +30,7 @@ _TIMES_RECORD, _BEYOND_RECORD_K = 1.5, 1.0
 # Largest difference from the linear weather model of a forecast whose change is not ordinary, K. Errors of healthy
 # forecasters two days ahead stay below 4 K on the records of docs/evidence/free-responses.md.
 _FROM_WEATHER_MODEL_K = 5.0
-# The same where the record is too short for that model: from the last temperature, K.
+# The same where the record is too short for that model: from the last temperature, K. By judgement, as the two below.
 _FROM_LAST_K = 20.0
 # Widest half of a forecast's interval, as a multiple of the change that is allowed.
 _WIDEST = 3.0

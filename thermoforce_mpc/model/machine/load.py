@@ -35,9 +35,10 @@ LEAST_W = 1e-3
 # steps below.
 _MIN_LEVELS = 3
 _MIN_STEPS, LEAST_RUNNING = 10, 5
-# Standard deviation of a step's error as a share of full load (dynamics inside the step, model error).
+# Standard deviation of a step's error as a share of full load (dynamics inside the step, model error). By judgement.
 RESIDUAL_SCALE = 0.02
-# Extrapolation of the affine law beyond the outdoor temperatures of the data, K; beyond, its value is held.
+# Extrapolation of the affine law beyond the outdoor temperatures of the data, K; beyond, its value is held. By
+# judgement: probing of mild days is used on cold ones.
 TRUST_K = 15.0
 
 

@@ -49,7 +49,8 @@ from thermoforce_mpc.model.machine.other_load import OtherLoad
 # Times that are tried, s. A floor takes longer than the last but one: there no step of a plan warms its own water.
 WATER_S = (0.25 * HOUR_S, 0.5 * HOUR_S, HOUR_S, 2.0 * HOUR_S, 6.0 * HOUR_S)
 LONGEST_S = 2.0 * HOUR_S
-# Share of the error of a power without it that may be left: else something else than the water makes most of it.
+# Share of the error of a power without it that may be left: else something else than the water makes most of it. By
+# judgement, as the next.
 MOST_LEFT = 0.6
 # Error over that with the measured return water up to which it stands for that: a plan sees the level, not the water.
 AS_GOOD = 1.5
@@ -61,7 +62,7 @@ _LEAST_STEPS = 20
 _PRIOR_PER_K, _PRIOR_SD_PER_K = 0.01, 0.01
 # By judgement: twice what the law above gives.
 _BOUNDS_PER_K = (-0.02, 0.05)
-# Extrapolation beyond the return temperatures of the data, K.
+# Extrapolation beyond the return temperatures of the data, K. By judgement.
 _TRUST_K = 5.0
 
 
