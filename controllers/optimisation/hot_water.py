@@ -295,5 +295,6 @@ class _Known:
                 cost_alone=float(alone.cost[0]),
                 below_Kh=float(way.below_Kh[0]),
                 below_alone_Kh=float(alone.below_Kh[0]),
+                T_now_C=self.T_C,
             ),
         )

@@ -304,9 +304,10 @@ def tank_rows(plan: Plan, command: Command | None) -> list[dict[str, Any]]:
 
 def tank_in_words(told: HotWaterPlan) -> str:
     """What a plan makes of the tank, in a sentence."""
+    now = "" if np.isnan(told.T_now_C) else f"{told.T_now_C:.1f} °C now, "
     return (
-        f"Hot water: cost {told.cost:.2f} instead of {told.cost_alone:.2f} with the tank left to the device, on one of "
-        f"ten days {told.below_Kh:.1f} instead of {told.below_alone_Kh:.1f} K·h below what is wanted"
+        f"Hot water: {now}cost {told.cost:.2f} instead of {told.cost_alone:.2f} with the tank left to the device, on "
+        f"one of ten days {told.below_Kh:.1f} instead of {told.below_alone_Kh:.1f} K·h below what is wanted"
     )
 
 

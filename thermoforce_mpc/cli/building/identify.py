@@ -118,9 +118,17 @@ def _from_measurements(options: dict[str, Any]) -> None:
 
     display, config = RunDisplay(), _options(options)
     days = options["data_days"]
+    said: list[str] = []
+
+    def say(line: str) -> None:
+        said.append(line)
+        display.say(line)
+
     try:
-        model, record = model_of_measurements(files, map_file, days=days, config=config, say=display.say)
+        model, record = model_of_measurements(files, map_file, days=days, config=config, say=say)
     except DataError as error:
+        if not said:  # the tables were not read: no probing mends that
+            raise
         raise DataError(f"{error}\n{_PROBE}") from error
     if not may_act(model):
         display.say(_PROBE)
