@@ -313,10 +313,12 @@ def level_shift(long: Judged, short: Judged) -> float:
 
 
 # Differences between requested and measured level count from here: rounding and rate limits of an actuator are below.
+# By judgement (2026-11-22).
 _SAME = 0.1
 # Full-load hours of difference that make a fault, and their least share of what was requested or measured, in one of
 # the windows, h. The long one is for levels that are low and wrong for long: native control that holds a zone on a mild
-# day runs at a level of 0.1 to 0.2, less than an hour at full level in 6 h, where the plan wanted nothing.
+# day runs at a level of 0.1 to 0.2, less than an hour at full level in 6 h, where the plan wanted nothing. Set with
+# `bench faults` (2026-11-22).
 _DIFFERENT_H, _DIFFERENT_SHARE = 1.0, 0.25
 _WINDOWS_H = (6.0, 24.0)
 # Hours of requested levels that are compared.

@@ -47,7 +47,8 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR, ZONE
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# A plan that asks for more than this beyond what commands bring is made anew, at most so often in all.
+# A plan that asks for more than this beyond what commands bring is made anew, at most so often in all. By judgement:
+# laws of a command are not known better.
 _BEYOND, MOST_SOLVES = 0.05, 3
 NOT_BETTER = "commands that were found are not better than leaving the building alone: its own control acts"
 """What a plan says that is not carried out."""

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 
-# Means over so many hours are compared; of a day there must be as many, and so many days at least.
+# Means over so many hours are compared; of a day there must be as many, and so many days at least. By judgement: loops
+# answer within three hours, and a week has each day.
 _PART_H, _LEAST_DAYS = 3.0, 6
 _DRAWS, _SEED = 100, 64
 UNKNOWN = 1.0
 """Standard error, as a share, of a change of which the record says nothing."""
-# Error of a change, as a share, from which its law may be as wrong as the demand of the rooms says.
+# Error of a change, as a share, from which its law may be as wrong as the demand of the rooms says. By judgement.
 _AS_WRONG = 0.3
 
 
