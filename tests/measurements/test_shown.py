@@ -115,7 +115,7 @@ def test_what_a_mode_says_is_for_hot_water_is_not_of_the_rooms(tmp_path):
     assert np.nanmax(live.power_W) == 1000.0
     df.loc[5, "heat pump mode"] = "Defrost"
     df.to_csv(tmp_path / "home.csv", index=False)
-    with pytest.raises(DataError, match="'heat pump mode' holds .*Defrost"):
+    with pytest.raises(DataError, match=r"'heat pump mode' holds .*Defrost"):
         tf.read_measurements(tmp_path / "home.csv", tmp_path / "map.yaml")
 
 
