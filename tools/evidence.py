@@ -124,7 +124,7 @@ def _wide(rows: Sequence[Mapping[str, Any]], of: str, over: str) -> list[Mapping
 def _plain(command: object) -> str:
     """A command in words, without where it wrote its JSON."""
     words = command if isinstance(command, str) else shlex.join(map(str, command if isinstance(command, list) else []))
-    return re.sub(r" --json \S+", "", words)
+    return re.sub(r" --(json|out|jobs) \S+", "", words)
 
 
 def _git(*words: str) -> str:

@@ -43,7 +43,8 @@ _ROUNDS, _CLOSE, _TABLE = 20, 5e-4, 65
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
 # Lead time whose error counts of rooms that are not known, h.
 _ERROR_H = JUDGED_H[-1]
-# What a change of a command must save, as a share of what the building costs when it is left alone.
+# What a change of a command must save, as a share of what the building costs when it is left alone. By judgement: a
+# change an hour all day costs as much as 5 %.
 _PER_CHANGE = 0.002
 # What the scatter of a level costs, as a share of that level's cost: a search takes what is judged too well (see
 # `bench commands`, seed 100, 2026-11-28: without it power was 5 % more than the first steps of plans said).

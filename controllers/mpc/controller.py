@@ -79,7 +79,8 @@ from thermoforce_mpc.protocols import FreeResponse
 # The rule acts where it costs less by this share of what the plan costs, and by more than so many K·h: what solvers and
 # moves leave is well below (bestest_air, mix_day, 2026-11-28: the plan's cost was lower by 7 or more in all 96 hours).
 _CLEARLY, _LEAST_KH = 0.05, 0.1
-# Solvers that did not return and were replaced, before no more are started; besides a forecaster of each zone.
+# Solvers that did not return and were replaced, before no more are started; besides a forecaster of each zone. By
+# judgement: each holds a thread.
 _SOLVERS_ABANDONED = 3
 
 

@@ -231,6 +231,22 @@ def test_names_with_spaces_are_found_and_said_as_a_shell_takes_them(tmp_path):
     assert f"--out '{folder}'" in said["stages"][3]["command"]
 
 
+def test_the_one_model_that_is_here_is_looked_at_without_a_word(tmp_path, monkeypatch):
+    """The tutorial calls it my_export: the next commands named another one, which was not there."""
+    from simple_house import simple_model
+
+    written(tmp_path, table())
+    monkeypatch.chdir(tmp_path)
+    for models, named in (([], "my_house"), (["my_export"], "my_export"), (["other"], "my_house")):
+        for name in models:
+            simple_model().save(tmp_path / name)
+        said = tmp_path / "said.json"
+        CliRunner().invoke(cli, ["commission", "connection.yaml", "--dry-run", "--json", str(said)])
+        model, shadow = json.loads(said.read_text())["stages"][3:5]
+        assert named in model["words"], models
+        assert f"--model {named} " in shadow["command"]
+
+
 def test_days_of_a_shadow_count_for_their_own_model(tmp_path):
     from simple_house import simple_model
 

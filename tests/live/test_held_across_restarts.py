@@ -92,8 +92,8 @@ class AlwaysSets:
         return Plan((block,), PlanStatus.RULE, "as ever", names=observation.history.names)
 
 
-def test_what_is_said_is_what_is_set_where_a_command_must_be_held(tmp_path):
-    """Before, terminal, page and journal told of the state that was planned, for as long as another one was held."""
+def test_a_command_is_held_for_the_rest_of_its_time_and_no_longer_and_that_is_what_is_said(tmp_path):
+    """Killed 3 min after it was set and started again at once: it stays for 7 min, and not for the whole step."""
     home, said = HomeByCurve(days=1, contacts=True), []
     for value, kill_at_h in ((3.0, 0.05), (1.0, None)):
         with killed(home, kill_at_h):
@@ -101,7 +101,10 @@ def test_what_is_said_is_what_is_set_where_a_command_must_be_held(tmp_path):
                 LiveBuilding(home, RULES, 3600.0), AlwaysSets(value), clock=home, steps=1, delay_s=0.0,
                 kept=KeptState(tmp_path / "s.npz", "k"), told=said.append,
             )  # fmt: skip
-    assert [decision.blocks[0].told for decision in said] == [(3.0, 3.0), (3.0, 3.0)]
-    assert [row["contact"] for row in home.rows if row["time"] > START] == [3.0] * 12, "so it was set"
+    assert [(block.told, block.duration_s) for block in said[1].blocks] == [((3.0, 3.0), 600.0), ((1.0, 1.0), 3000.0)]
+    rows = [row for row in home.rows if row["time"] >= START]
+    held = {contact: [row["time"] for row in same] for contact, same in groupby(rows, key=lambda row: row["contact"])}
+    assert list(held) == [3.0, 1.0]
+    assert held[1.0][0] == START + pd.Timedelta("10min")
     (note,) = [one for one in said[1].notes if "was set at" in one]
     assert "3 (recommended) was set at 00:00 and stays for 10 min (hold_min)" in note

@@ -87,8 +87,8 @@ def test_what_is_read_meanwhile_counts_as_not_measured_and_nothing_is_needed():
     at_s = cut.time_s[-1] + STEP_S * np.arange(5)
     one, none = np.ones(5), np.zeros(5)
     ahead = as_if_empty(Boundary(at_s, none, none, none, 20.0 * one, 23.0 * one, one, none), windows)
-    assert ahead.lower_C[0].tolist() == [16.0, 20.0, 20.0, 20.0, 20.0]
-    assert ahead.upper_C[0].tolist() == [28.0, 23.0, 23.0, 23.0, 23.0]
+    assert ahead.lower_C[0].tolist() == [16.0] * 5, "with bounds of later a plan would heat for them now"
+    assert ahead.upper_C[0].tolist() == [28.0] * 5
 
 
 def test_a_contact_says_it_and_nobody_guesses_there():
@@ -106,11 +106,13 @@ def test_a_contact_says_it_and_nobody_guesses_there():
 
 
 class WithContact(SimulatedBuilding):
-    """Its window is open from 2:20 to 3:30."""
+    """Its window is open from 2:20 to 3:30, or so many hours later."""
+
+    later_h = 0.0
 
     def measurements(self):
         table = super().measurements()
-        hours = (table["time"] - START) / pd.Timedelta("1h")
+        hours = (table["time"] - START) / pd.Timedelta("1h") - self.later_h
         table["contact"] = np.where((hours >= 2.3) & (hours < 3.5), "open", "closed")
         table.loc[hours >= 2.3, "T"] -= 0.8 * (hours[hours >= 2.3] < 3.5)
         return table
@@ -128,16 +130,19 @@ def test_what_a_controller_reads_and_is_asked_for_while_it_is_open():
         assert np.isnan(T_C[-1]) == is_open
         assert np.isfinite(T_C[:-1]).all()
         lower_C = building.forecast(6 * 3600.0, 3600.0).lower_C[0]
-        assert lower_C[0] == (16.0 if is_open else 20.0)
-        assert (lower_C[1:] == 20.0).all()
+        assert (lower_C == (16.0 if is_open else 20.0)).all()
         assert any("zone: a window is open; nothing is needed" in note for note in building.left_out) == is_open
 
 
 @pytest.mark.slow
-def test_a_controller_says_it_and_goes_on():
+def test_a_controller_says_it_heats_nothing_meanwhile_not_even_for_later_and_goes_on():
+    """Before, it heated half of the hour in which the window was open, for the bounds of the hours after it."""
     house, decisions = WithContact(), []
+    house.later_h = 4.0  # when the house has cooled to its lower bound
     building = LiveBuilding(house, WINDOWED, 3600.0)
-    control(building, mpc(), clock=house, steps=6, delay_s=0.0, told=decisions.append)
+    control(building, mpc(), clock=house, steps=9, delay_s=0.0, told=decisions.append)
     said = [any("a window is open; nothing is needed" in note for note in decision.notes) for decision in decisions]
-    assert said == [False, False, False, True, False, False]
-    assert [str(decision.plan.status) for decision in decisions] == ["solved"] * 3 + ["bridged"] + ["solved"] * 2
+    assert said == [False] * 7 + [True, False]
+    assert [str(decision.plan.status) for decision in decisions] == ["solved"] * 7 + ["bridged", "solved"]
+    heats = [any(block.u[0] for block in decision.blocks) for decision in decisions]
+    assert heats[5:] == [True, True, False, True]

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from waiting import wait_for
@@ -47,6 +48,12 @@ def raise_in_an_attempt(dog):
 
 def level(folder):
     return json.loads((folder / "levels.json").read_text())["levels"]["pump"]
+
+
+def memory_MB(pid):
+    """The most that a process has taken until now."""
+    (line,) = [one for one in Path(f"/proc/{pid}/status").read_text().splitlines() if one.startswith("VmHWM")]
+    return int(line.split()[1]) / 1000.0
 
 
 @pytest.fixture
@@ -90,6 +97,8 @@ def test_a_building_that_cannot_be_reached_at_first_is_asked_again_after_the_con
     (tmp_path / "levels.json").rmdir()
     wait_for("the building is given back", (tmp_path / "levels.json").exists)
     assert level(tmp_path) is None
+    wait_for("the log", lambda: "gave back pump, at attempt " in (tmp_path / "dog").read_text())
+    assert (tmp_path / "dog").read_text().count("could not be given back") == 1, "it is said once"
 
 
 @pytest.mark.slow
@@ -161,6 +170,8 @@ def test_what_is_released_is_not_given_back_again_and_a_watchdog_that_died_is_st
     dog = Watchdog("files", {"levels": str(levels)}, levels, 0.0, tmp_path / "dog")
     dog.set(["pump"], 0.2)
     dog.released()
+    wait_for("it waits", lambda: memory_MB(dog.pid) > 15.0)
+    assert memory_MB(dog.pid) < 60.0, "it does for months: no pandas, no connection"
     dog.close()
     assert level(tmp_path) == 0.3
     dog = Watchdog("files", {"levels": str(levels)}, levels, 0.0, tmp_path / "dog")

@@ -66,7 +66,8 @@ def test_a_starting_map_reads_what_excel_writes(tmp_path, encoding):
     )
     df.to_csv(tmp_path / "bms.csv", sep=";", decimal=",", index=False, encoding=encoding)
     text = starting_map(tmp_path / "bms.csv")
-    assert "# not used: Raum 1.01 Soll [°C], Vorlauf [°C]" in text
+    assert "# command: {kind: setpoint, column: 'Raum 1.01 Soll [°C]'}  # set it to other values at times" in text
+    assert "# not used: Vorlauf [°C]" in text
     (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
     found = tf.read_measurements(tmp_path / "bms.csv", tmp_path / "map.yaml")
     assert found.record.names.zones == ("raum_1_01",)
@@ -74,6 +75,21 @@ def test_a_starting_map_reads_what_excel_writes(tmp_path, encoding):
     np.testing.assert_allclose(found.record.T_zone_C[0], df["Raum 1.01 Ist [°C]"])
     np.testing.assert_allclose(found.record.u[0], (row // 8 % 3)[:-1] / 2)
     np.testing.assert_allclose(found.record.power_W, 500.0)
+
+
+def test_a_set_point_and_a_window_are_those_of_their_room(tmp_path):
+    """A set-point that stays longest counts, as what is set at night does not; another room's window is not used."""
+    at = pd.date_range("2025-01-10", periods=672, freq="15min", tz="Europe/Berlin")
+    row = np.arange(672)
+    df = pd.DataFrame({"time": at.strftime("%Y-%m-%d %H:%M"), "living temperature": 20 + row % 7 / 4})
+    df["living valve"], df["outdoor temperature"], df["power W"] = 50.0 * (row // 8 % 3), row % 50 / 5, 400.0 + row % 7
+    df["living setpoint"] = np.where(at.hour < 6, 17.0, 21.5)
+    df["kitchen window"], df["living window"] = (row % 50 < 2).astype(int), (row % 70 < 2).astype(int)
+    df.to_csv(tmp_path / "home.csv", index=False)
+    text = starting_map(tmp_path / "home.csv")
+    zone = yaml.safe_load(text)["zones"]["living"]
+    assert (zone["lower"], zone["upper"], zone["window"]) == (21, 24, {"column": "living window"})
+    assert "# not used: kitchen window" in text
 
 
 def test_rooms_that_are_called_as_a_watt_are_rooms(tmp_path):
@@ -127,7 +143,7 @@ def test_a_starting_map_says_how_it_read_the_stamps(tmp_path, first, expected):
 
 LANGUAGES = {
     "Italian": "Data;Ora;Temperatura soggiorno;Temperatura esterna;Radiazione solare;Valvola soggiorno;"
-    "Potenza pompa di calore (kW);Temp. impostata soggiorno;Temperatura mandata;Umidità soggiorno;Finestra cucina",
+    "Potenza pompa di calore (kW);Temp. impostata soggiorno;Temperatura mandata;Umidità soggiorno;Finestra soggiorno",
     "Spanish": "Fecha;Hora;Temp ambiente salón;Temp exterior;Radiación;Válvula salón (%);"
     "Potencia bomba de calor (kW);Consigna salón;Temp. impulsión;Humedad salón;Ventana salón",
     "French": "Date;Heure;Température salon;Température extérieure;Rayonnement;Vanne salon;"
@@ -137,22 +153,25 @@ LANGUAGES = {
 
 @pytest.mark.parametrize("names", LANGUAGES.values(), ids=LANGUAGES)
 def test_names_in_languages_of_europe(tmp_path, names):
-    """The sheet has the same columns in each: day, hour, room, outdoors, sun, valve, power; four that no map uses."""
-    day, hour, room, outdoor, sun, valve, power, *unused = names.split(";")
+    """The sheet has the same columns in each: when, room, weather, what acts, is set, two of no use, window."""
+    day, hour, room, outdoor, sun, valve, power, asked, *unused, window = names.split(";")
     at, k = pd.date_range("2025-01-20", periods=384, freq="15min"), np.arange(384)
     of_day = np.sin(2 * np.pi * (k - 36) / 96)
     df = pd.DataFrame({day: at.strftime("%d/%m/%Y"), hour: at.strftime("%H:%M")})
     df[room], df[outdoor], df[sun] = 21 + of_day + k % 7 / 10, 3 + 5 * of_day, np.maximum(0, 300 * of_day)
     df[valve], df[power] = k % 11 * 10, 0.3 * (k % 11)
-    for name, values in zip(unused, (20.0 + k // 48 % 2, 30 + k % 11, 50 + of_day * 9, k // 40 % 2), strict=True):
-        df[name] = values
+    df[asked], df[unused[0]], df[unused[1]] = 20.0 + k // 64 % 2, 30 + k % 11, 50 + of_day * 9
+    df[window] = k // 40 % 2
     df.to_csv(tmp_path / "house.csv", index=False, sep=";", decimal=",")
     text = starting_map(tmp_path / "house.csv")
     rules = yaml.safe_load(text)
     assert rules["time"]["column"] == [day, hour]
     assert (rules["outdoor"]["column"], rules["sun"]["column"]) == (outdoor, sun)
     assert [zone["temperature"]["column"] for zone in rules["zones"].values()] == [room]
-    assert [one["level"] for one in rules["actuators"].values()] == [{"column": valve, "unit": "%"}]
+    (zone,), (actuator,) = rules["zones"].values(), rules["actuators"].values()
+    assert actuator["level"] == {"column": valve, "unit": "%"}
+    assert actuator["command"] == {"kind": "setpoint", "column": asked}
+    assert (zone["lower"], zone["upper"], zone["window"]) == (19.5, 24, {"column": window})
     assert rules["machines"]["machine"]["power"] == {"column": power, "unit": "kW"}
     assert f"# not used: {', '.join(unused)}" in text
 

@@ -8,14 +8,16 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 
 from thermoforce_mpc.dependencies import cache_folder
 from thermoforce_mpc.errors import ConfigError, StorageError
 from thermoforce_mpc.files import read_bounded
-from thermoforce_mpc.protocols import Connection
+
+if TYPE_CHECKING:  # it loads numpy, and the watchdog none
+    from thermoforce_mpc.protocols import Connection
 
 _MOST_BYTES = 10_000
 Sets = Path | str | tuple[str, ...]

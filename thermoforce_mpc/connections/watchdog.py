@@ -5,6 +5,8 @@ stopped or killed, or sets nothing any more; the watchdog then writes that every
 that was taken. It ends with the controller, or once that was done after it died; where another controller took over in
 between (the lock of `sole_control` tells), it leaves the building to that one; and what a device holds that neither was
 set nor was about to be, somebody set by hand.
+
+It waits for months, so that it loads no connection: what gives back is a process too, for as long as that takes.
 """
 
 from __future__ import annotations
@@ -20,21 +22,25 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import closing, nullcontext, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from thermoforce_mpc.connections.registry import build_connection
 from thermoforce_mpc.connections.sole import SetByAnother, Sets, last_to_set, sole_control
 from thermoforce_mpc.errors import ConfigError
 
 _LOG = logging.getLogger(__name__)
 Ours = Mapping[str, tuple[float, float | None]]
 """Commands by name: the value that is set, and how far a device may be from it that holds it; None: of a level."""
-# How often the deadline is looked at, and a building asked again that does not take its levels back, s.
-_LOOK_S, _AGAIN_S = 0.5, 5.0
+# How often the deadline is looked at, s, and how soon a building is asked again that does not take its levels back:
+# twice as long after each attempt, so that a broker that is gone for good is asked every five minutes, for ever.
+_LOOK_S, _AGAIN_S, _SELDOM_S = 0.5, 5.0, 300.0
+# The longest attempt, s: a connection has its own limits, of some ten seconds each for what it reads and sets.
+_ATTEMPT_S = 120.0
 # How long the end of the process is waited for, s.
 _END_S = 5.0
 # Attempts that are remembered of each command, at a step of a minute those of half a day.
 _MOST_OURS = 720
+# What is run, and the word for the process that makes one attempt.
+_MODULE, _GIVE_BACK = "thermoforce_mpc.connections.watchdog", "give-back"
 # Kept, so that Python does not warn of processes that are meant to outlive this one.
 _OUTLIVE_US: list[subprocess.Popen[str]] = []
 
@@ -100,7 +106,7 @@ class Watchdog:
     def _start(self) -> None:
         with open(os.devnull if self._log is None else self._log, "a", encoding="utf-8") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "thermoforce_mpc.connections.watchdog"],
+                [sys.executable, "-P", "-m", _MODULE],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=log,
@@ -130,13 +136,20 @@ def _now_s() -> float:
     return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
+class _Attempt(NamedTuple):
+    """Whether there is nothing more to be done, and what came of it in words."""
+
+    is_done: bool
+    said: str
+
+
 def watch(told: int) -> None:
     """Read from the descriptor `told` what is watched, and then what is set, a line of JSON each, until it ends."""
     head: dict[str, Any] = {}
     names: list[str] = []
     ours: dict[str, list[tuple[float, float | None]]] = {}
     deadline_s: float | None = None
-    alive, rest = True, b""
+    alive, rest, failed = True, b"", 0
     with selectors.DefaultSelector() as waiting:
         waiting.register(told, selectors.EVENT_READ)
         while alive or deadline_s is not None:
@@ -153,7 +166,7 @@ def watch(told: int) -> None:
                     if not head:
                         head = beat
                         continue
-                    names = beat["names"] or names
+                    names, failed = beat["names"] or names, 0
                     for name, one in beat.get("ours", {}).items():  # what failed may have been set: any of these
                         ours[name] = [*(ours.get(name, []) if "attempt" in beat else []), tuple(one)][-_MOST_OURS:]
                     if "attempt" in beat:
@@ -161,8 +174,32 @@ def watch(told: int) -> None:
                     else:
                         deadline_s = None if beat["seconds"] is None else _now_s() + beat["seconds"] + head["grace_s"]
             if deadline_s is not None and _now_s() >= deadline_s:
-                done = _given_back(head, names, ours, alive)
-                deadline_s = None if done else _now_s() + _AGAIN_S
+                attempt = _tried({"head": head, "names": names, "ours": ours, "alive": alive})
+                deadline_s, failed = _after(attempt, failed)
+
+
+def _after(attempt: _Attempt, failed: int) -> tuple[float | None, int]:
+    """When the next attempt is made, None: never, and how many failed on end; says of those the first one alone."""
+    if attempt.is_done:
+        _say(attempt.said + (f", at attempt {failed + 1}" if failed else ""))
+        return None, 0
+    if failed == 0:
+        _say(f"{attempt.said}: tried again until it is taken, every {_SELDOM_S / 60.0:g} min at last")
+    return _now_s() + min(_AGAIN_S * 2.0 ** min(failed, 30), _SELDOM_S), failed + 1
+
+
+def _tried(what: Mapping[str, Any]) -> _Attempt:
+    """Give everything back in a process of its own, which ends with the attempt."""
+    words = [sys.executable, "-P", "-m", _MODULE, _GIVE_BACK]
+    try:
+        done = subprocess.run(
+            words, input=json.dumps(what), stdout=subprocess.PIPE, text=True, timeout=_ATTEMPT_S, check=True
+        )
+        is_done, said = json.loads(done.stdout.splitlines()[-1])  # a connection may print, too
+        return _Attempt(bool(is_done), str(said))
+    except (OSError, ValueError, IndexError, subprocess.SubprocessError) as error:
+        why = f"no answer in {_ATTEMPT_S:g} s" if isinstance(error, subprocess.TimeoutExpired) else error
+        return _Attempt(False, f"{', '.join(what['names'])} could not be given back ({why})")
 
 
 def _what(head: Mapping[str, Any]) -> Sets:
@@ -183,28 +220,28 @@ def _is_ours(head: Mapping[str, Any]) -> bool:
 
 def _given_back(
     head: Mapping[str, Any], names: Sequence[str], ours: Mapping[str, Sequence[tuple[float, float | None]]], alive: bool
-) -> bool:
-    """Give everything back; whether that is done, or another controller's. `alive`: our controller holds the lock."""
+) -> _Attempt:
+    """Give everything back: done where it was taken, or is another controller's; `alive`: ours has the lock."""
     try:
         # While the building cannot be reached it stays our controller's, and is asked again.
         with nullcontext() if alive else sole_control(_what(head), head["controller"]):
             left = _give_back(head, names, ours)
     except SetByAnother as error:
-        _say(f"not given back: {error}")
-        return True
+        return _Attempt(True, f"not given back: {error}")
     except Exception as error:  # somebody's connection may raise anything
-        _say(f"{', '.join(names)} could not be given back ({type(error).__name__}: {error}): tried again")
-        return False
+        return _Attempt(False, f"{', '.join(names)} could not be given back ({type(error).__name__}: {error})")
     back = ", ".join(name for name in names if name not in left) or "nothing"
     kept = f"; set by hand and left alone: {', '.join(left)}" if left else ""
-    _say(f"no action came in time{'' if alive else ', and the controller has died'}: gave back {back}{kept}")
-    return True
+    died = "" if alive else ", and the controller has died"
+    return _Attempt(True, f"no action came in time{died}: gave back {back}{kept}")
 
 
 def _give_back(
     head: Mapping[str, Any], names: Sequence[str], ours: Mapping[str, Sequence[tuple[float, float | None]]]
 ) -> list[str]:
     """Give back `names` but for those whose device says that somebody set it by hand, which are returned."""
+    from thermoforce_mpc.connections.registry import build_connection  # loads pandas and pydantic
+
     with closing(build_connection(head["connection"], head["options"])) as connection:
         held: Mapping[str, float] = {}
         if (says := getattr(connection, "present", None)) is not None:
@@ -230,9 +267,12 @@ def _by_hand(value: float, ours: Sequence[tuple[float, float | None]]) -> bool:
 
 def _say(text: str) -> None:
     at = time.strftime("%Y-%m-%dT%H:%M:%S%z")
-    print(json.dumps({"at": at, "level": "warning", "from": __name__, "message": text}), file=sys.stderr, flush=True)
+    print(json.dumps({"at": at, "level": "warning", "from": _MODULE, "message": text}), file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":
     with suppress(KeyboardInterrupt):
-        watch(sys.stdin.fileno())
+        if sys.argv[1:] == [_GIVE_BACK]:
+            print(json.dumps(_given_back(**json.loads(sys.stdin.read()))))
+        else:
+            watch(sys.stdin.fileno())

@@ -333,13 +333,18 @@ class _Building:
             self._record(Block.native(len(self._building.names), self._step.total_seconds()), begin)
             state = not_followed(decided.before, decided.after)
             self._keep(self._at, decided.before, state)
-        for block in blocks:
+        left = list(blocks)
+        while left:
+            block = left.pop(0)
             until = min(begin + pd.Timedelta(seconds=block.duration_s), end)
             # No longer than a step, where the clock was set back; a machine that slept may wake after the block's end.
             self._clock.wait_until(min(begin, self._clock.now() + self._step))
             if until > (now := self._clock.now()):
                 hold_s = min((end - now).total_seconds(), self._step.total_seconds()) + beyond_s
-                block = self._as_may_be(block, now, (until - now).total_seconds())
+                block, later = self._as_may_be(block, now, (until - now).total_seconds())
+                if later is not None:
+                    left.insert(0, later)
+                    until -= pd.Timedelta(seconds=later.duration_s)
                 taken = self._write(block.told, hold_s, tank)
                 self._note_commands(block.told if taken else (None,) * len(block.told), now, hold_s)
                 start_s = self._building.time_s(begin)
@@ -362,12 +367,20 @@ class _Building:
         """What will be set where a command may not change yet, as `_as_may_be` says, and a note on each of these."""
         if not self._acts or self._building.paused:
             return decided
-        blocks, notes, begin = list[Block](), dict[str, None](), self._at + self._delay
-        for planned in decided.blocks:
-            now = max(begin, self._clock.now())
-            block = self._as_may_be(planned, now, planned.duration_s)
+        left, begin = list(decided.blocks), self._at + self._delay
+        blocks, notes = list[Block](), dict[str, None]()
+        while left:
+            planned = left.pop(0)
+            end = begin + pd.Timedelta(seconds=planned.duration_s)
+            begins, begin = max(begin, self._clock.now()), end
+            if begins >= end:  # past, and not set any more
+                blocks.append(planned)
+                continue
+            block, later = self._as_may_be(planned, begins, (end - begins).total_seconds())
+            if later is not None:
+                left.insert(0, later)
+                begin -= pd.Timedelta(seconds=later.duration_s)
             blocks.append(block)
-            begin += pd.Timedelta(seconds=planned.duration_s)
             for name, wanted, value in zip(self._building.names, planned.told, block.told, strict=True):
                 if value != wanted and (command := self._building.command_of(name)) is not None:
                     before = self._commands[name]
@@ -388,26 +401,32 @@ class _Building:
             return None
         return value
 
-    def _as_may_be(self, block: Block, now: pd.Timestamp, seconds: float) -> Block:
-        """What is to be set for `seconds` s, but for commands that a controller that was started again within a step
-        would change before they were held, or hold for too long: plans count from the begins of steps.
+    def _as_may_be(self, block: Block, now: pd.Timestamp, seconds: float) -> tuple[Block, Block | None]:
+        """What is to be set for `seconds` s from now on, and what is left of the block for later, if anything.
+
+        Commands that a controller that was started again within a step would change before they were held stay for the
+        rest of that time; those that would be held for too long are given back: plans count from the begins of steps.
         """
-        out = list(block.told)
+        out, lasts_s = list(block.told), seconds
         for a, (name, value) in enumerate(zip(self._building.names, block.told, strict=True)):
             command, before = self._building.command_of(name), self._commands.get(name)
             if command is None or before is None or not isinstance(value, float):
                 continue
             held_s = (now - pd.Timestamp(before.since)).total_seconds()
-            may_go_on = held_s + seconds <= command.longest_s(before.value) + _NEXT_DECISION_S
-            if value == before.value and not may_go_on:
+            longest_s, least_s = command.longest_s(before.value), 60.0 * command.hold_min
+            if value == before.value and held_s + seconds > longest_s + _NEXT_DECISION_S:
                 out[a] = None
-            elif value != before.value and held_s < 60.0 * command.hold_min - _NEXT_DECISION_S and may_go_on:
-                out[a] = before.value
+            elif value != before.value and held_s < (stays_s := min(least_s, longest_s)) - _NEXT_DECISION_S:
+                out[a], lasts_s = before.value, min(lasts_s, stays_s - held_s)
         if out == list(block.told):
-            return block
+            return block, None
         levels = tuple(None if now_told is None else u for u, now_told in zip(block.u, out, strict=True))
         by_command = [None if one is None else now_told for one, now_told in zip(block.command, out, strict=True)]
-        return Block(levels, block.duration_s, by_command)
+        if (later_s := seconds - lasts_s) <= _NEXT_DECISION_S:
+            return Block(levels, block.duration_s, by_command), None
+        # What is given back stays so for the whole block.
+        later = Block([None if one is None else u for one, u in zip(out, block.u, strict=True)], later_s, block.command)
+        return Block(levels, block.duration_s - later_s, by_command), later
 
     def _note_commands(self, told: Sequence[CommandValue | None], now: pd.Timestamp, hold_s: float) -> None:
         """Note what is set since when, for `hold_s` s; what is left to itself is not."""

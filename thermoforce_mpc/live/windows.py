@@ -1,8 +1,9 @@
 """An open window: its contact says so, or the room falls as steeply as it does not by itself.
 
-For half an hour the room needs neither heat nor cooling then: its bounds are those of an empty house, and its readings
-teach nothing (they count as not measured, and the model stands in). It is taken back sooner where the room comes back
-or the contact closes, and at the latest after two hours, from when on the cold room counts as it is.
+For half an hour the room needs neither heat nor cooling then, and its readings teach nothing (they count as not
+measured, and the model stands in). Its bounds are those of an empty house over the whole plan: with those of later in
+it, a plan heats ahead for them, out of the window. It is taken back sooner where the room comes back or the contact
+closes, and at the latest after two hours, from when on the cold room counts as it is.
 """
 
 from __future__ import annotations
@@ -94,12 +95,10 @@ def without(record: Record, windows: Mapping[int, OpenWindow]) -> Record:
 
 
 def as_if_empty(ahead: Boundary, windows: Mapping[int, OpenWindow]) -> Boundary:
-    """The boundary conditions with the bounds of an empty house where a window is open."""
-    lower_C, upper_C = np.array(ahead.lower_C), np.array(ahead.upper_C)
-    for z, window in windows.items():
-        open_s = ahead.time_s < window.until_s
-        lower_C[z, open_s] = np.minimum(lower_C[z, open_s], AWAY_C[0])
-        upper_C[z, open_s] = np.maximum(upper_C[z, open_s], AWAY_C[1])
+    """The boundary conditions with the bounds of an empty house in rooms with an open window."""
+    lower_C, upper_C, open_ones = np.array(ahead.lower_C), np.array(ahead.upper_C), list(windows)
+    lower_C[open_ones] = np.minimum(lower_C[open_ones], AWAY_C[0])
+    upper_C[open_ones] = np.maximum(upper_C[open_ones], AWAY_C[1])
     return replace(ahead, lower_C=lower_C, upper_C=upper_C) if windows else ahead
 
 

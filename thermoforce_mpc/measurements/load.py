@@ -259,7 +259,7 @@ def read_measurements(
     rules, left_out, notes = _rules(map), list[str](), list[str]()
     columns = [column for _, signal in rules.signals() for column in signal.columns]
     clock = rules.time if now is None else rules.time.lenient()
-    head = None
+    head, decimal = None, rules.csv.decimal
     if isinstance(files, pd.DataFrame):
         if now is None or rules.table != TableForm():
             tables = tables_of(files, clock.column, columns, rules.table, "table")
@@ -270,10 +270,12 @@ def read_measurements(
         patterns = [files] if isinstance(files, str | Path) else list(files)
         paths = found_files(patterns, most_bytes)
         if now is None:
-            tables = read_tables(paths, clock.column, columns, rules.csv, rules.table, notes)
-            head = head_of(paths[0], _ROWS, rules.csv) if rules.table == TableForm() else None
+            tables = read_tables(paths, columns, rules.written, notes)
+            first = rules.written(paths[0])
+            head = head_of(paths[0], _ROWS, first.csv) if first.table == TableForm() else None
+            decimal = first.csv.decimal
         else:
-            tables = read_appended(paths, columns, clock, rules.csv, rules.table, now + _LATEST, left_out)
+            tables = read_appended(paths, columns, rules.written, now + _LATEST, left_out)
     rows = timed(tables, clock, now)
     rows = replace(rows, notes=(*notes, *rows.notes))
     found = _from_table(tables, rows, rules, step_s, at, refuse=now is None)
@@ -282,7 +284,7 @@ def read_measurements(
     beside = dict(rows.beside)
     if head is not None and rules.table.point is None:
         named = head.columns.drop_duplicates(keep=False)
-        beside = {str(name): as_numbers(head[name], rules.csv.decimal).to_numpy() for name in named}
+        beside = {str(name): as_numbers(head[name], decimal).to_numpy() for name in named}
     understood = replace(found.understood, beside=rooms_beside(beside, rules))
     return replace(found, understood=understood, left_out=tuple(left_out))
 
@@ -331,8 +333,8 @@ def _from_table(
         grid_s = _grid_s(time_s, rows_every_s, step_s, _at_s(time_s, rows_every_s, step_s, at))
     if grid_s.size < _LEAST_STEPS + 1:
         raise DataError(
-            f"{tables[0].name}: {len(time_s)} rows from {table.index[0]} to {table.index[-1]} make fewer than "
-            f"{_LEAST_STEPS} steps of {step_s:g} s; give more rows, or a shorter step"
+            f"{tables[0].name}: {counted(len(time_s), 'row')} from {table.index[0]} to {table.index[-1]} make "
+            f"fewer than {_LEAST_STEPS} steps of {step_s:g} s; give more rows, or a shorter step"
         )
     reader = SignalReader(table, time_s, grid_s, step_s, rules, refuse=refuse)
     zones, actuators, machines = rules.zones.items(), rules.actuators.items(), rules.machines.items()

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 # Time between two looks whether all points came, s, where a connection only hears what is sent.
 LOOK_S = 1.0
+USUAL_MODEL = "my_house"
+"""The model's folder, as pages and `--help` have it."""
 # Usual distances of a point's readings from which on the next one is waited for.
 _LATE = 3.0
 
@@ -46,7 +48,9 @@ _LATE = 3.0
     help="How long points that are only heard (MQTT) are waited for.",
 )  # fmt: skip
 @click.option("--watchdog", "grace_s", type=FiniteRange(0.0, 3600.0), default=60.0, help="See `tf-mpc control`.")
-@click.option("--model", default="my_house", show_default=True, help="Where the model is, or will be.")
+@click.option(
+    "--model", help=f"Where the model is, or will be.  [default: the one model folder that is here, else {USUAL_MODEL}]"
+)
 @click.option("--control", "control_out", default="control", show_default=True, help="--out of `tf-mpc control`.")
 @click.option("--out", type=PATH, default=Path("commission"), help="Folder of what was found, log and report.")
 @click.option("--json", "json_file", type=PATH, help="Write what was found as JSON.")
@@ -60,7 +64,7 @@ def commission(
     hold_min: float | None,
     wait_s: float,
     grace_s: float,
-    model: str,
+    model: str | None,
     control_out: str,
     out: Path,
     json_file: Path | None,
@@ -126,7 +130,7 @@ def commission(
         plans = planned_trials(
             building, found.points, found.bounds_C, building.held(keys), None if hold_min is None else 60.0 * hold_min
         )
-        files = _files(config, map_file, out, model, control_out, name, settings, connection)
+        files = _files(config, map_file, out, model or _model_here(), control_out, name, settings, connection)
         refused = ""
         if found.problems:
             say("Nothing is tried before this is mended")
@@ -301,6 +305,14 @@ def _files(
         config, str(map_file), str(out), model, control_out, str(table.get(name, "house.csv")),
         has_history=hasattr(connection, "history"), records=hasattr(connection, "begin"),
     )  # fmt: skip
+
+
+def _model_here() -> str:
+    """The one folder here that holds a model; else what the pages call it."""
+    from thermoforce_mpc.model.saved import JSON_NAME
+
+    found = sorted(Path().glob(f"*/{JSON_NAME}"))
+    return str(found[0].parent) if len(found) == 1 else USUAL_MODEL
 
 
 def _step_s(rules: MeasurementMap) -> float:

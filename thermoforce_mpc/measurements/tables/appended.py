@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -28,7 +28,7 @@ from thermoforce_mpc.measurements.tables.files import (
     read_tables,
     reading,
 )
-from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
+from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, Written
 from thermoforce_mpc.measurements.tables.raw_table import (
     MISSING,
     RawTable,
@@ -74,9 +74,7 @@ class _Left:
 def read_appended(
     paths: Sequence[Path],
     wanted: Sequence[str],
-    clock: TimeStampRules,
-    form: CsvFormat,
-    table: TableForm,
+    written: Callable[[Path], Written],
     latest: pd.Timestamp,
     notes: list[str],
     absent: list[str] | None = None,
@@ -89,13 +87,15 @@ def read_appended(
     found: list[RawTable] = []
     known: dict[str, None] = {}
     for path in paths:
+        of = written(path)
+        clock = of.time.lenient()
         if not is_text(path):
-            found += read_tables([path], clock.column, wanted, form, table, notes)
+            found += [replace(one, clock=clock) for one in read_tables([path], wanted, written, notes)]
             known |= dict.fromkeys(name for one in found for name in one.names)
             continue
-        here = _read(path, wanted, clock, form, table, latest, notes, known)
+        here = _read(path, wanted, clock, of.csv, of.table, latest, notes, known)
         if here is not None:
-            found.append(here)
+            found.append(replace(here, clock=clock))
     for key in wanted:
         if absent is not None and key not in known:
             absent.append(key)

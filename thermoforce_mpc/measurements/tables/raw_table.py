@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.tables.forms import TableForm
+from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules
 from thermoforce_mpc.scenario.settings import suggestion
 
 # Words of a column that says on or off, in the languages of the maps.
@@ -57,6 +57,7 @@ class RawTable:
     lines of all rows (n,). Where each row is one reading, `points` names the signals and `codes` (n,) says whose a
     row's is; the one column is named ''. `beside`: first readings of other signals; `outages`: from when to when
     nothing at all was stored, where the stamps are instants; `wordy`: words that signals hold, with how many.
+    `clock`: how its stamps are read, where that is not as the map says of all.
     """
 
     name: str
@@ -68,6 +69,7 @@ class RawTable:
     beside: dict[str, Array] = field(default_factory=dict)
     outages: tuple[tuple[pd.Timestamp, pd.Timestamp], ...] = ()
     wordy: dict[str, dict[str, int]] = field(default_factory=dict)
+    clock: TimeStampRules | None = None
 
     def where(self, row: int) -> str:
         """Name of the file and place of a row in it."""
