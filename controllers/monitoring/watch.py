@@ -22,7 +22,8 @@ Two direct checks are faster: levels measured against levels requested, and heat
 A sensor that is moved makes one large error, however often it is looked at: tails that allow it once see nothing more
 in it. What is rare is what comes after. The free forecast takes an error for heat, which leaves a room again or goes on
 coming, and so the next errors say which; a reading that was shifted goes on as predicted from where it is, while
-everything that was predicted before stays wrong by the same amount (`level_shift`).
+everything that was predicted before stays wrong by the same amount (`level_shift`). No promise stands behind this; its
+false alarms are counted (`bench detectors`).
 
 What a watch tests of a model: the size of the effect of acting, levels against requests, meters against the machine.
 
