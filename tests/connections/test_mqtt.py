@@ -6,6 +6,7 @@ import json
 import socket
 import time
 
+import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
@@ -224,6 +225,13 @@ def test_a_record_reads_as_measurements(tmp_path):
     measured = read_measurements(file, rules, at=now, now=now)
     assert measured.record.n_steps == 10
     assert measured.record.u[0].tolist() == pytest.approx([0.4] * 10)
+    torn = measured.record
+    for whole in ("\n".join(["time,topic,value", *rows, ""]), "\r\n".join(["time,topic,value", *rows, ""])):
+        file.write_text(whole, newline="")
+        clean = read_measurements(file, rules, at=now, now=now)  # a log in which all is whole is read at once
+        assert not clean.left_out
+        for signal in ("time_s", "T_zone_C", "T_out_C", "u"):
+            np.testing.assert_array_equal(getattr(clean.record, signal), getattr(torn, signal))
 
 
 @needs_broker
