@@ -63,8 +63,10 @@ class QPData:
     @property
     def convex(self) -> bool:
         """Whether Q has no negative eigenvalue, to rounding."""
-        diagonal = self.quadratic.diagonal()
-        others = np.asarray(abs(self.quadratic).sum(axis=1)).ravel() - np.abs(diagonal)
+        rows, values, n = self.quadratic.indices, self.quadratic.data, self.linear.size
+        on = rows == _columns(self.quadratic)
+        diagonal = np.bincount(rows[on], values[on], minlength=n)
+        others = np.bincount(rows, np.abs(values), minlength=n) - np.abs(diagonal)
         slack = 1e-9 * float(np.abs(diagonal).max(initial=0.0))
         if (diagonal >= others - slack).all():
             return True

@@ -13,8 +13,7 @@ from simple_house import simple_model
 
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
-from thermoforce_mpc.cli.building.plan import saving_in_words
-from thermoforce_mpc.commands.loop import check_told, left_alone
+from thermoforce_mpc.commands.loop import check_told, left_alone, saving_in_words
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.live import LiveBuilding, control

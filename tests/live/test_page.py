@@ -29,8 +29,10 @@ from thermoforce_mpc.live.building import real_run
 from thermoforce_mpc.live.shared import shared_with
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.records.live_journal import LiveJournal
-from thermoforce_mpc.service.live_page import SUPERVISOR, PageAccess, live_app
+from thermoforce_mpc.report.live_view import LiveRun
+from thermoforce_mpc.service.live_page import SUPERVISOR, PageAccess, live_app, page_server
 from thermoforce_mpc.service.page_process import TOKEN, Page, PageSettings
+from thermoforce_mpc.service.server import effective_port
 
 SECRET = "kept-in-a-drawer-0123456789"
 ZONE = "Europe/Berlin"
@@ -400,3 +402,28 @@ def test_on_a_phone_it_shows_and_asks(folder, monkeypatch):
             page.click("text=2 h")
             page.wait_for_selector("text=boost 120: counts")
         (folder / "people.json").unlink()
+
+
+@pytest.mark.slow
+def test_it_shows_a_tank_of_hot_water(folder):
+    view = LiveRun(folder).now()
+    ends = [point.time_s for point in view.plan]
+    points = [{"time_s": at, "T_C": 45.0 + k, "low_C": 43.0, "lower_C": 42.0} for k, at in enumerate(ends)]
+    now = {"time_s": view.time_s, "T_C": 46.7, "low_C": None, "lower_C": None}
+    tank = {"T_C": 46.7, "told": 48.0, "said": "Hot water: 46.7 °C now", "past": [now], "plan": points}
+    server = page_server(lambda: view.to_json() | {"hot_water": tank}, 0)
+    threading.Thread(target=server.run, daemon=True).start()
+    with (
+        closing(server),
+        chromium() as browser,
+        looked_at(browser, f"http://127.0.0.1:{effective_port(server)}/") as page,
+    ):
+        page.wait_for_selector("text=hot water, °C")
+        assert "46.7 °C" in page.inner_text("#tiles")
+        assert "set to 48" in page.inner_text("#tiles")
+        assert page.inner_text("#tank") == "Hot water: 46.7 °C now"
+        drawn = page.locator("section:has(h2:text('hot water')) path").evaluate_all(
+            "all => all.map(one => one.getAttribute('d'))"
+        )
+        assert sum(d.count("L") for d in drawn) >= len(ends) - 1
+        assert not any("NaN" in d for d in drawn)

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 
 import pandas as pd
 import pytest
+from click.testing import CliRunner
 from home_by_setpoint import price
 from home_with_tank import MAP, TANK, HomeWithTank
 from simple_house import simple_model
 
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.cli.live.control import in_words
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.live import KeptState, LiveBuilding, control
+from thermoforce_mpc.live import KeptState, LiveBuilding, People, control
+from thermoforce_mpc.live.building import real_run
+from thermoforce_mpc.live.shared import shared_with
 from thermoforce_mpc.measurements.load import learned_tank, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.records.live_journal import LiveJournal
+from thermoforce_mpc.records.people import SHOWN
+from thermoforce_mpc.report.live_view import LiveRun
 
 _OFF = {"enabled": False}
 _OPTIONS = {"step_s": HOUR_S, "horizon_h": 24.0, "free_response": {"name": "persistence"}, "gate": _OFF, "watch": _OFF}
@@ -79,6 +88,38 @@ def test_a_tank_that_says_nothing_any_more_is_given_back():
     values = [levels["hot_water"] for _, levels in home.written]
     assert values[0] is not None
     assert values[-2] is None
+
+
+def test_explain_watch_and_page_tell_of_the_tank(tmp_path):
+    home = HomeWithTank()
+    tank, rules = learned_tank(read_measurements(home.measurements(), MAP, step_s=HOUR_S).served()), tmp_path / "m.yaml"
+    mpc = ThermoForceMPC(simple_model(), MPCConfig.model_validate(_OPTIONS), hot_water=tank)
+    mapped = MeasurementMap.model_validate(MAP)
+    simple_model().save(tmp_path / "given")
+    journal = LiveJournal(tmp_path, real_run(tmp_path, tmp_path / "given", rules, mapped, mpc.config, "x"))
+    told = []
+    shown = shared_with(
+        home, People(tmp_path / "people.json", None), told.append, in_words, tmp_path, tank=tank.command
+    )
+    building = LiveBuilding(home, mapped, HOUR_S)
+    control(building, mpc, clock=home, steps=3, delay_s=0.0, journal=journal, told=shown)
+    planned, came_C = told[-1].plan.hot_water, [one.plan.hot_water.T_now_C for one in told]
+
+    now = LiveRun(tmp_path).now()
+    assert [point.T_C for point in now.hot_water.past] == pytest.approx(came_C)
+    assert now.hot_water.told == planned.command[0]
+    assert [point.T_C for point in now.hot_water.plan] == pytest.approx(planned.T_C, abs=0.01)
+    assert f"{came_C[-1]:.1f} °C now" in now.hot_water.said
+    rows = json.loads((tmp_path / SHOWN).read_text())["plan"]["commands"]
+    assert {"hot_water"} == {row["actuator"] for row in rows}
+
+    said = CliRunner().invoke(cli, ["explain", str(tmp_path), "--json", str(tmp_path / "step.json")])
+    assert said.exit_code == 0, said.output
+    assert f"tank: set to {planned.command[0]:g}. Hot water: {came_C[-1]:.1f} °C now" in said.output
+    assert json.loads((tmp_path / "step.json").read_text())["hot_water"]["cost"] == pytest.approx(
+        planned.cost, abs=1e-4
+    )
+    assert "tank: set to" in CliRunner().invoke(cli, ["watch", str(tmp_path), "--once"]).output
 
 
 def test_what_is_set_at_the_tank_is_known_after_a_restart(tmp_path):

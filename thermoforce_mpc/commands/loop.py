@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.commands.command import CERTAIN, SAME, Command
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Plan
+from thermoforce_mpc.commands.command import SAME, Command
+from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Plan, PlannedSaving, Record
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables are read
@@ -123,7 +123,8 @@ class LearnedCommand:
     `last`: the command (NaN: not known) at `last_s`, s, held for `held_s`; `usual` (n,): what it is when left alone, at
     the times of a week, in equal parts, from `origin` on. Seconds count from there; None: from where a plan's do.
     `machine`: name of the machine of whose actuators all are set by this one command; '': the actuator's own.
-    `untold`: why the record does not tell what it does to this actuator, '' where it does.
+    `untold`: why the record does not tell what it does to this actuator, '' where it does. `record`, `set_to` (n,):
+    what it was learned from, where the command is a machine's, and what was set over its steps.
     """
 
     command: Command
@@ -135,6 +136,8 @@ class LearnedCommand:
     origin: pd.Timestamp | None = None
     machine: str = ""
     untold: str = ""
+    record: Record | None = None
+    set_to: Array | None = None
 
     @property
     def in_words(self) -> str:
@@ -443,7 +446,7 @@ def _untold(
         return float(np.mean(moved)) / max(1.0 - one.carry, _LEAST_LEFT)
 
     found, error = effect(loop), float(np.std([effect(one) for one in drawn]))
-    if found - CERTAIN * error < _LEAST_EFFECT or r2 < _LEAST_R2:
+    if found - NORMAL_95 * error < _LEAST_EFFECT or r2 < _LEAST_R2:
         return (
             f"{where}: the record does not tell what it does: from {low:.3g} to {high:.3g} the level changes by "
             f"{found:.2f} ± {error:.2f}, and it explains {100 * max(r2, 0.0):.0f} % of the level's scatter. Try "
@@ -487,3 +490,19 @@ def command_rows(plan: Plan, commands: Mapping[str, LearnedCommand]) -> list[dic
             row = {"actuator": name, "kind": command.kind, "from": begin.isoformat(), "until": end.isoformat()}
             rows.append(row | {"value": one.value, "unit": command.unit, "text": text})
     return rows
+
+
+def saving_in_words(saving: PlannedSaving) -> str:
+    """What a plan saves, in two sentences."""
+    s, band = saving, f"(90 % band {saving.low:.2f} to {saving.high:.2f})"
+    if s.low > 0.0:
+        what = f"Saves {s.saved:.2f} against leaving it alone {band}"
+    elif s.high < 0.0:
+        what = f"Costs {-s.saved:.2f} more than leaving it alone (90 % band {-s.high:.2f} to {-s.low:.2f} more)"
+    else:
+        what = f"Whether it saves against leaving it alone is not certain: {s.saved:.2f} {band}"
+    return (
+        f"{what}: cost {s.cost:.2f} instead of {s.cost_alone:.2f}, energy {s.energy_kWh:.1f} instead of "
+        f"{s.energy_alone_kWh:.1f} kWh, outside the bounds {s.outside_Kh:.1f} instead of {s.outside_alone_Kh:.1f} K·h, "
+        "and what is stored at the end. By the same model under the commands of the record's weeks."
+    )

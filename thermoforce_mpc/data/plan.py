@@ -74,7 +74,8 @@ class HotWaterPlan:
     its mean `T_C` and `low_C`, below which it is on one of ten days; the lowest that is wanted, `lower_C`; over each
     step the `share` that its machine charges it, and mean electric `power_W`. `cost` and `below_Kh` (below what is
     wanted, on one of ten days) over the horizon, with those of the tank left `alone`; `solves`: plans of the rooms that
-    were made for it; `gap`: what tank and rooms cost more than the cheapest tank and rooms with the whole machine.
+    were made for it; `gap`: what tank and rooms cost more than the cheapest tank and rooms with the whole machine;
+    `T_now_C`: the temperature that it begins with.
     """
 
     command: tuple[float | None, ...]
@@ -89,6 +90,7 @@ class HotWaterPlan:
     below_alone_Kh: float
     solves: int = 0
     gap: float = 0.0
+    T_now_C: float = float("nan")
 
 
 @dataclass(frozen=True, init=False)

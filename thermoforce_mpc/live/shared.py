@@ -12,7 +12,9 @@ from typing import Any
 
 import pandas as pd
 
+from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.commands.loop import LearnedCommand, command_rows
+from thermoforce_mpc.commands.tank import tank_rows
 from thermoforce_mpc.errors import StorageError
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.live.control import Decision
@@ -33,11 +35,12 @@ def shared_with(
     folder: Path,
     mode: str = "control",
     commands: Mapping[str, LearnedCommand] | None = None,
+    tank: Command | None = None,
 ) -> Callable[[Decision], None]:
     """`told`, then what was decided and asked to a `connection` with `tell`; what one with `listen` hears is asked.
 
     `in_words`: a decision in one line; `folder`: of the run; `mode`: one that sets nothing is not asked for another;
-    `commands`: of actuators that are set by one.
+    `commands`: of actuators that are set by one; `tank`: of the tank of hot water.
     """
     acts = mode in ACTING
     asks = ("lower", "upper", "away", "boost", *(["mode"] if acts else []))
@@ -87,7 +90,7 @@ def shared_with(
         said = {
             "status": plan.status.value, "why": decision.refused or plan.why, "level": set_now,
             "notes": list(decision.notes), "saving": saving_so_far(folder),
-            "plan": planned | {"commands": command_rows(plan, commands or {})},
+            "plan": planned | {"commands": [*command_rows(plan, commands or {}), *tank_rows(plan, tank)]},
         }  # fmt: skip
         keep(said)
         show(said)

@@ -21,14 +21,27 @@ import shlex
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from boptest_client import safe_text
-from thermoforce_mpc.data import ACTING, CONDITIONS, SIGNALS, Array, Block, Boundary, Measurement, Names, Plan, Record
+from thermoforce_mpc.data import (
+    ACTING,
+    CONDITIONS,
+    SIGNALS,
+    Array,
+    Block,
+    Boundary,
+    HotWaterPlan,
+    Measurement,
+    Names,
+    Plan,
+    PlannedSaving,
+    Record,
+)
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
 from thermoforce_mpc.files import open_plain, storage_errors, written
 
@@ -39,6 +52,8 @@ _MOST_VALUES = 20_000_000
 # Arrays of a plan that a journal keeps for people, and to what they are rounded: a resumed run plans again.
 _KELVIN = ("T_free_now_C", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "lower_C", "upper_C", "slack_K")
 _ROUNDED = {"u": 0.001, **dict.fromkeys(_KELVIN, 0.01), "power_W": 1.0}
+_OF_TANK = {**dict.fromkeys(("command", "T_C", "low_C", "lower_C"), 0.01), "share": 0.001, "power_W": 1.0}
+_OF_TANK_IN_ALL = ("cost", "cost_alone", "below_Kh", "below_alone_Kh", "solves", "gap", "T_now_C")
 _NOTHING = -(2**31)
 _READINGS = ("T_out_C", "solar_W_m2", "T_zone_C", *ACTING)
 
@@ -81,7 +96,7 @@ def kpis_json(kpis: Mapping[str, float]) -> Json:
 
 def kpis_of(content: Mapping[str, Any]) -> dict[str, float]:
     """The KPIs of `kpis_json`."""
-    return {name: math.nan if value is None else float(value) for name, value in content.items()}
+    return _numbers(content)
 
 
 def names_of(content: Mapping[str, Any]) -> Names:
@@ -192,14 +207,19 @@ def plan_json(plan: Plan, blocks: Sequence[Block], refused: str) -> Json:
     if plan.margins:
         content["margins"] = {name: np.round(values, 4).tolist() for name, values in plan.margins.items()}
     if plan.u.size:
-        content["plan"] = _planned_json(plan)
+        content["plan"] = _courses_json(plan, _ROUNDED)
+    if plan.saving is not None:
+        content["saving"] = {name: number(round(value, 4)) for name, value in asdict(plan.saving).items()}
+    if (tank := plan.hot_water) is not None:
+        in_all = {name: number(round(getattr(tank, name), 4)) for name in _OF_TANK_IN_ALL}
+        content["hot_water"] = in_all | {"courses": _courses_json(tank, _OF_TANK)}
     return content
 
 
-def _planned_json(plan: Plan) -> Json:
-    """The planned courses, rounded: changes from value to value of all of them, their four bytes apart, in zlib."""
-    courses = [np.asarray(getattr(plan, name)) for name in _ROUNDED]
-    values = np.concatenate([course.ravel() / unit for course, unit in zip(courses, _ROUNDED.values(), strict=True)])
+def _courses_json(of: object, units: Mapping[str, float]) -> Json:
+    """Courses by name, rounded to `units`: changes from value to value of all, their four bytes apart, in zlib."""
+    courses = [np.asarray(getattr(of, name), dtype=np.float64) for name in units]
+    values = np.concatenate([course.ravel() / unit for course, unit in zip(courses, units.values(), strict=True)])
     codes = np.where(np.abs(values) < -_NOTHING, np.rint(values), _NOTHING).astype(np.int32)
     change = np.diff(codes, prepend=np.int32(0))
     # Each row begins with its value itself.
@@ -214,17 +234,40 @@ def _planned_json(plan: Plan) -> Json:
 
 def planned_of(told: Mapping[str, Any]) -> dict[str, Array]:
     """The planned courses of a decision by name, NaN where there is no number; empty where nothing was planned."""
-    if "plan" not in told:
-        return {}
-    shapes = [[int(n) for n in shape] for shape in told["plan"]["shapes"]]
-    octets = np.frombuffer(_inflated(told["plan"]["zlib"], shapes, 4), np.uint8).reshape(4, -1)
+    return _courses_of(told["plan"], _ROUNDED) if "plan" in told else {}
+
+
+def saving_of(told: Mapping[str, Any]) -> PlannedSaving | None:
+    """What the commands of a decision save; None where none were planned."""
+    return PlannedSaving(**_numbers(told["saving"])) if "saving" in told else None
+
+
+def tank_of(told: Mapping[str, Any]) -> HotWaterPlan | None:
+    """What a decision planned for the tank of hot water; None without one."""
+    if "hot_water" not in told:
+        return None
+    courses: dict[str, Any] = _courses_of(told["hot_water"]["courses"], _OF_TANK)
+    command = tuple(None if math.isnan(value) else value for value in courses.pop("command").tolist())
+    in_all: dict[str, Any] = _numbers({name: told["hot_water"][name] for name in _OF_TANK_IN_ALL})
+    return HotWaterPlan(command, **courses, **in_all | {"solves": int(in_all["solves"])})
+
+
+def _numbers(content: Mapping[str, Any]) -> dict[str, float]:
+    """Numbers of `number`, by name."""
+    return {name: math.nan if value is None else float(value) for name, value in content.items()}
+
+
+def _courses_of(content: Mapping[str, Any], units: Mapping[str, float]) -> dict[str, Array]:
+    """The courses of `_courses_json`, NaN where there is no number."""
+    shapes = [[int(n) for n in shape] for shape in content["shapes"]]
+    octets = np.frombuffer(_inflated(content["zlib"], shapes, 4), np.uint8).reshape(4, -1)
     z = np.ascontiguousarray(octets.T).view("<u4").ravel().astype(np.uint32)
     change = (z >> 1).astype(np.int32) ^ -(z & 1).astype(np.int32)
     courses, at = {}, 0
-    for name, shape in zip(_ROUNDED, shapes, strict=True):
+    for name, shape in zip(units, shapes, strict=True):
         n = math.prod(shape)
         codes = np.cumsum(change[at : at + n].reshape(shape), axis=-1, dtype=np.int32)
-        courses[name] = np.where(codes == _NOTHING, np.nan, codes * _ROUNDED[name])
+        courses[name] = np.where(codes == _NOTHING, np.nan, codes * units[name])
         at += n
     return courses
 

@@ -50,6 +50,8 @@ from thermoforce_mpc.records.journal import (
     read_run,
     record_of,
     repeated_rows,
+    saving_of,
+    tank_of,
 )
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
@@ -116,6 +118,8 @@ class ToldStep:
             margins=margins_of(told),
             names=self.names,
             acting=tuple(PlanStatus(status) for status in told["acting"]),
+            saving=saving_of(told),
+            hot_water=tank_of(told),
         )
         courses: dict[str, Any] = planned_of(told)
         return replace(plan, **courses)

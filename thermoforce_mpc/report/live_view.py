@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from boptest_client import safe_text
+from thermoforce_mpc.commands.tank import tank_in_words
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Record
 from thermoforce_mpc.data.clock import words_of
 from thermoforce_mpc.data.dataframes import compose
@@ -27,6 +28,7 @@ from thermoforce_mpc.records.journal import (
     JournalTail,
     making_sense,
     planned_of,
+    tank_of,
 )
 from thermoforce_mpc.records.run_folder import is_complete, plain_json
 from thermoforce_mpc.records.told_steps import StepReader, ToldBuilding, ToldStep, told_building
@@ -64,6 +66,30 @@ class WatchPoint:
 
 
 @dataclass(frozen=True)
+class TankPoint:
+    """A tank of hot water at an instant: its temperature, °C, that it has on nine of ten days, and what is wanted."""
+
+    time_s: float
+    T_C: float
+    low_C: float
+    lower_C: float
+
+
+@dataclass(frozen=True)
+class TankNow:
+    """A tank of hot water: its temperature now, °C, and what is set at it (NaN: not known, left to its device).
+
+    `said`: what the plan makes of it; `past` and `plan` by step.
+    """
+
+    T_C: float
+    told: float
+    said: str
+    past: tuple[TankPoint, ...]
+    plan: tuple[TankPoint, ...]
+
+
+@dataclass(frozen=True)
 class RunView:
     """A run at an instant.
 
@@ -72,7 +98,7 @@ class RunView:
     of each actuator in the step under way, NaN under its own control; `cost` by metered power and prices in force
     (currency), `energy_kWh` and `discomfort_Kh` (mean over zones) since the begin of the loop, NaN where no power was
     metered yet, or prices or bounds are not known; `counts`: steps by status; `past` and `plan` by step, `until`: the
-    ends of the steps of the plan for people.
+    ends of the steps of the plan for people; `hot_water`: the tank that is planned, None without one.
     """
 
     run: str
@@ -101,6 +127,7 @@ class RunView:
     past: tuple[WatchPoint, ...]
     plan: tuple[WatchPoint, ...]
     until: tuple[str, ...]
+    hot_water: TankNow | None = None
 
     def to_json(self) -> dict[str, Any]:
         """All of it in JSON types; null where a number is not known."""
@@ -137,6 +164,7 @@ class LiveRun:
         self._metered = False
         self._counts: Counter[str] = Counter()
         self._past: deque[WatchPoint] = deque(maxlen=_MOST_POINTS)
+        self._tank: deque[TankPoint] = deque(maxlen=_MOST_POINTS)
         self._boundary: Boundary | None = None
 
     def now(self) -> RunView:
@@ -177,6 +205,8 @@ class LiveRun:
     def _add(self, step: ToldStep) -> None:
         """Count a step that has ended."""
         self._last = step
+        if (tank := tank_of(step.told)) is not None:
+            self._tank.append(TankPoint(step.time_s, tank.T_now_C, np.nan, np.nan))
         self._counts[str(step.told["status"])] += 1
         self._boundary = self._forecast(step)
         start_s, levels = step.time_s, []
@@ -267,6 +297,23 @@ class LiveRun:
             past=tuple(point for point in self._past if point.time_s > since_s),
             plan=plan,
             until=tuple(in_words(point.time_s) for point in plan),
+            hot_water=self._tank_now(decision, plan, since_s),
+        )
+
+    def _tank_now(self, decision: Mapping[str, Any], plan: Sequence[WatchPoint], since_s: float) -> TankNow | None:
+        """The tank as a decision planned it; `plan`: of the rooms, whose steps are its steps."""
+        if (tank := tank_of(decision)) is None:
+            return None
+        rows = zip((point.time_s for point in plan), tank.T_C, tank.low_C, tank.lower_C, strict=False)
+        now = float(decision["time_s"])
+        past = [point for point in self._tank if since_s < point.time_s < now]
+        value = None if decision["refused"] else tank.command[0]
+        return TankNow(
+            T_C=tank.T_now_C,
+            told=np.nan if value is None else value,
+            said=tank_in_words(tank),
+            past=(*past, TankPoint(now, tank.T_now_C, np.nan, np.nan)),
+            plan=tuple(TankPoint(*map(float, row)) for row in rows),
         )
 
     def _planned(self, decision: Mapping[str, Any]) -> tuple[WatchPoint, ...]:

@@ -25,9 +25,9 @@ from thermoforce_mpc.cli.options import (
     plot_option,
     said_tank,
 )
-from thermoforce_mpc.commands.loop import command_rows
+from thermoforce_mpc.commands.loop import command_rows, saving_in_words
 from thermoforce_mpc.commands.tank import tank_in_words, tank_rows
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan, PlannedSaving
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.map.mapping import MOST_STEP_S
@@ -232,22 +232,6 @@ def _show_commands(plan: Plan, rows: list[dict[str, Any]], display: RunDisplay) 
     print_whole(shown, display.console)
     if plan.saving is not None:
         display.say(saving_in_words(plan.saving))
-
-
-def saving_in_words(saving: PlannedSaving) -> str:
-    """What a plan saves, in two sentences."""
-    s, band = saving, f"(90 % band {saving.low:.2f} to {saving.high:.2f})"
-    if s.low > 0.0:
-        what = f"Saves {s.saved:.2f} against leaving it alone {band}"
-    elif s.high < 0.0:
-        what = f"Costs {-s.saved:.2f} more than leaving it alone (90 % band {-s.high:.2f} to {-s.low:.2f} more)"
-    else:
-        what = f"Whether it saves against leaving it alone is not certain: {s.saved:.2f} {band}"
-    return (
-        f"{what}: cost {s.cost:.2f} instead of {s.cost_alone:.2f}, energy {s.energy_kWh:.1f} instead of "
-        f"{s.energy_alone_kWh:.1f} kWh, outside the bounds {s.outside_Kh:.1f} instead of {s.outside_alone_Kh:.1f} K·h, "
-        "and what is stored at the end. By the same model under the commands of the record's weeks."
-    )
 
 
 def _write_commands(path: Path, plan: Plan, rows: list[dict[str, Any]], display: RunDisplay) -> None:

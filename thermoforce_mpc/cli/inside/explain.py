@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange
+from thermoforce_mpc.commands.loop import saving_in_words
+from thermoforce_mpc.commands.tank import tank_in_words
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.experiment.explaining import (
@@ -21,7 +24,7 @@ from thermoforce_mpc.experiment.explaining import (
     decision_at,
     hour_ends,
 )
-from thermoforce_mpc.records.run_folder import write_json
+from thermoforce_mpc.records.run_folder import plain_json, write_json
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 
 if TYPE_CHECKING:
@@ -132,9 +135,17 @@ def _lines(decision: ExplainedStep) -> list[str]:
         lines.append(f"solver: {record['solver_status']}, {record['iterations']} iterations")
     lines += [f"bound: {bound}" for bound in decision.bounds()]
     lines += [f"margin: {margin}" for margin in decision.margins_in_words()]
+    plan = decision.step.plan
+    if plan.saving is not None:
+        lines.append(f"saving: {saving_in_words(plan.saving)}")
+    if plan.hot_water is not None:
+        value = plan.hot_water.command[0]
+        set_to = "left to its device" if value is None else f"set to {value:g}"
+        lines.append(f"tank: {set_to}. {tank_in_words(plan.hot_water)}")
     blocks = []
     for block in record["blocks"]:
-        levels = ["own control" if u is None else f"{u:.2f}" for u in block["u"]]
+        told = block.get("command") or [None] * len(block["u"])
+        levels = [_set(u, command) for u, command in zip(block["u"], told, strict=True)]
         if len(levels) > 1:
             levels = [f"{name} {level}" for name, level in zip(names.actuators, levels, strict=True)]
         blocks.append(f"{', '.join(levels)} for {block['duration_s'] / 60:g} min")
@@ -151,7 +162,16 @@ def _lines(decision: ExplainedStep) -> list[str]:
     return lines
 
 
+def _set(u: float | None, command: float | list[float] | None) -> str:
+    """What an actuator was told: its level, or a command with the level that is expected of it."""
+    if command is None:
+        return "own control" if u is None else f"{u:.2f}"
+    values = " to ".join(f"{value:g}" for value in (command if isinstance(command, list) else [command]))
+    return values if u is None else f"set to {values} (level {u:.2f} expected)"
+
+
 def _table(decision: ExplainedStep, hours: float) -> Table:
+    tank = decision.step.plan.hot_water
     boundary, names, plan = decision.boundary, decision.step.names, decision.plan
     n = plan["u"].shape[-1]
     ends = hour_ends(n, boundary.step_s, hours)
@@ -163,6 +183,7 @@ def _table(decision: ExplainedStep, hours: float) -> Table:
     for zone in names.zones:
         of = "" if names.single else f"\n{zone}"
         columns += [f"T{of or chr(10) + '°C'}", f"80 %{of}", f"bounds{of}"]
+    columns += ["tank\n°C", "9 of 10\ndays", "set"] if tank is not None else []
     table = plain_table(columns, f"Plan{part}")
     T = decision.T_zone_C
     for end in ends:
@@ -179,12 +200,19 @@ def _table(decision: ExplainedStep, hours: float) -> Table:
             low, high = (compose(plan[name][at], forced_K[at]) for name in ("T_free_low_C", "T_free_high_C"))
             bounds = f"{boundary.lower_C[z, end]:g}–{boundary.upper_C[z, end]:g}"
             row += [f"{T[z, end - 1]:.2f}", f"{low:.1f}–{high:.1f}", bounds]
+        if tank is not None:
+            value = tank.command[end - every]
+            row += [f"{tank.T_C[end - 1]:.1f}", f"> {tank.low_C[end - 1]:.1f}", "" if value is None else f"{value:g}"]
         table.add_row(*row)
     return table
 
 
 def _json(decision: ExplainedStep) -> dict[str, Any]:
-    content = {key: value for key, value in decision.step.told.items() if key not in ("plan", "forecast", "asked")}
+    packed = ("plan", "forecast", "asked", "hot_water")
+    content = {key: value for key, value in decision.step.told.items() if key not in packed}
+    if (tank := decision.step.plan.hot_water) is not None:
+        values = asdict(tank).items()
+        content["hot_water"] = plain_json({name: np.asarray(one, dtype=np.float64).tolist() for name, one in values})
     content |= {"controller": decision.controller, "bounds": decision.bounds(), "notes": list(decision.step.notes)}
     content["plan"] = {name: values.tolist() for name, values in decision.plan.items()}
     signals = ("time_s", "T_out_C", "solar_W_m2", "lower_C", "upper_C", "price_per_kWh")

@@ -280,7 +280,14 @@ class _Run:
             kept=None if dry else KeptState(self.out / "state.npz", key),
             journal=None if dry else self.journal(model),
             told=shared_with(
-                self.building, people, told, lambda decision: in_words(decision, commands), self.out, mode, commands
+                self.building,
+                people,
+                told,
+                lambda decision: in_words(decision, commands),
+                self.out,
+                mode,
+                commands,
+                None if tank is None else tank.command,
             ),
             acts=acts,
             **self.common,

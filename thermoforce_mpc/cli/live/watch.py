@@ -80,6 +80,9 @@ def shown(view: RunView, hours: float, console: Console) -> RenderableType:
     lines.append(_zones(view, min(max(console.width - width_of(least, console) + _HEAD, _HEAD), _WIDTH)))
     lines.append(Text.assemble("acts: ", (view.status, _COLOURS.get(view.status, "red")), f" – {view.why}"))
     lines += [Text(f"in doubt: {note}", style="yellow") for note in view.notes]
+    if (tank := view.hot_water) is not None:
+        set_to = "left to its device" if math.isnan(tank.told) else f"set to {tank.told:g}"
+        lines.append(Text(f"tank: {set_to}. {tank.said}"))
     if view.plan:
         lines += _plan(view, hours, console)
     counts = ", ".join(f"{n} {status}" for status, n in sorted(view.counts.items(), key=lambda item: -item[1]))

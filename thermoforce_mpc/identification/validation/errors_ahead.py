@@ -24,12 +24,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, NORMAL_90, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
 from thermoforce_mpc.identification.estimation.regression import RegressionData, in_steps
 from thermoforce_mpc.identification.estimation.rest import Rest, rest_of
-from thermoforce_mpc.model.free_response.checks import NORMAL_90
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.blocked_hours import HourSeen, ahead_s
 from thermoforce_mpc.model.operator.heat_input import HeatInput

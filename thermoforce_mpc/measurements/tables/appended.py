@@ -10,7 +10,7 @@ import csv
 import io
 import re
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from thermoforce_mpc.measurements.tables.files import (
     read_tables,
     reading,
 )
-from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
+from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, Written
 from thermoforce_mpc.measurements.tables.raw_table import (
     MISSING,
     RawTable,
@@ -39,6 +39,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     of_one_signal,
     raw_table,
     tables_of,
+    with_numbers,
 )
 
 # A stamp so far from its place in the file is none, s; after the clock it is none where few rows have such.
@@ -75,9 +76,7 @@ class _Left:
 def read_appended(
     paths: Sequence[Path],
     wanted: Sequence[str],
-    clock: TimeStampRules,
-    form: CsvFormat,
-    table: TableForm,
+    written: Callable[[Path], Written],
     latest: pd.Timestamp,
     notes: list[str],
     absent: list[str] | None = None,
@@ -90,13 +89,15 @@ def read_appended(
     found: list[RawTable] = []
     known: dict[str, None] = {}
     for path in paths:
+        of = written(path)
+        clock = of.time.lenient()
         if not is_text(path):
-            found += read_tables([path], clock.column, wanted, form, table, notes)
+            found += [replace(one, clock=clock) for one in read_tables([path], wanted, written, notes)]
             known |= dict.fromkeys(name for one in found for name in one.names)
             continue
-        here = _read(path, wanted, clock, form, table, latest, notes, known)
+        here = _read(path, wanted, clock, of.csv, of.table, latest, notes, known)
         if here is not None:
-            found.append(here)
+            found.append(replace(here, clock=clock))
     for key in wanted:
         if absent is not None and key not in known:
             absent.append(key)
@@ -134,7 +135,7 @@ def _read(
     else:
         lines, rows = _rows(content, form, first, separator, cells, left)
         frame = pd.DataFrame(rows, columns=names, dtype=str)[keys]
-    frame = frame.mask(frame.isin({*_EMPTY, *form.missing}))
+    frame = with_numbers(frame.mask(frame.isin({*_EMPTY, *form.missing})), form.words, form.decimal)
     for key in dict.fromkeys(values.values()):
         ours = _of_wanted(frame, points, wanted) if points else np.ones(len(frame), dtype=bool)
         frame[key] = _numbers(frame[key], key, form.decimal, lines, left, ours)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -344,7 +345,7 @@ class Timed:
 
     `columns` (n,) stand at `index` (n,), but for those with instants of their `own`, of which each row is a reading:
     NaN says there that the signal was not available from then on. `beside`: first readings of signals that the map does
-    not name, where each row is one reading.
+    not name, where each row is one reading. `marks`: the end of an interval that the stamps of a column mark, by file.
     """
 
     index: pd.DatetimeIndex
@@ -352,6 +353,7 @@ class Timed:
     notes: tuple[str, ...] = field(default=())
     own: dict[str, pd.DatetimeIndex] = field(default_factory=dict)
     beside: dict[str, Array] = field(default_factory=dict)
+    marks: dict[str, Literal["start", "end"]] = field(default_factory=dict)
 
     def at(self, name: str) -> pd.DatetimeIndex:
         """The instants of a column."""
@@ -375,10 +377,12 @@ def timed(tables: Sequence[RawTable], clock: TimeStampRules, now: pd.Timestamp |
     does not exist, and for zones that differ.
     """
     notes: list[str] = []
-    stamps = [
-        _instants_of_readings(t, clock, notes, now) if t.codes is not None else instants(t, clock, notes, now)
-        for t in tables
-    ]
+    stamps = []
+    for table in tables:
+        read = _instants_of_readings if table.codes is not None else instants
+        at = read(table, table.clock or clock, notes, now)
+        stamps.append(at.dt.tz_convert(clock.zone) if clock.zone is not None and at.dt.tz is not None else at)
+    marks = {name: table.clock.marks for table in tables if table.clock is not None for name in table.names}
     has = [stamp.dt.tz is not None for stamp in stamps]
     if len(set(has)) > 1:
         naive, aware = tables[has.index(False)].name, tables[has.index(True)].name
@@ -397,12 +401,13 @@ def timed(tables: Sequence[RawTable], clock: TimeStampRules, now: pd.Timestamp |
         if table.codes is None:
             alike.setdefault(tuple(table.columns), []).append(i)
     parts = [
-        _after_one_another([tables[i] for i in of], [stamps[i] for i in of], clock, notes) for of in alike.values()
+        _after_one_another([tables[i] for i in of], [stamps[i] for i in of], tables[of[0]].clock or clock, notes)
+        for of in alike.values()
     ]
     if len(parts) == 1 and len(alike) and all(table.codes is None for table in tables):
         index, columns = parts[0]
         _check_years(index, tables[0].name)
-        return Timed(index, columns, tuple(notes))
+        return Timed(index, columns, tuple(notes), marks=marks)
     found: dict[str, list[tuple[pd.DatetimeIndex, Array]]] = {}
     for index, columns in parts:
         for name, values in columns.items():
@@ -436,7 +441,7 @@ def timed(tables: Sequence[RawTable], clock: TimeStampRules, now: pd.Timestamp |
         raise DataError(f"{tables[0].name}: the columns of the map hold no reading")
     _check_years(union, tables[0].name)
     beside = {name: values for table in tables for name, values in table.beside.items() if name not in own}
-    return Timed(union, columns, tuple(notes), own, beside)
+    return Timed(union, columns, tuple(notes), own, beside, marks)
 
 
 def _instants_of_readings(
