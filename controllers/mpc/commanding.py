@@ -42,12 +42,13 @@ from thermoforce_mpc.data import (
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.dataframes import clock_s, compose
 from thermoforce_mpc.model.card import JUDGED_H, MOST_ERROR_K, ModelCard
-from thermoforce_mpc.model.machine.change import weight_of_demand
+from thermoforce_mpc.model.machine.change import COMPARED_H, weight_of_demand
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR, ZONE
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# A plan that asks for more than this beyond what commands bring is made anew, at most so often in all.
+# A plan that asks for more than this beyond what commands bring is made anew, at most so often in all. By judgement:
+# laws of a command are not known better.
 _BEYOND, MOST_SOLVES = 0.05, 3
 NOT_BETTER = "commands that were found are not better than leaving the building alone: its own control acts"
 """What a plan says that is not carried out."""
@@ -381,7 +382,7 @@ class CommandedPlan:
         own = usual | planned
         problem, A = self.problem, len(self.spread)
         rng = np.random.default_rng(_SEED)
-        z = np.vstack([np.zeros(A + 2), rng.standard_normal((_DRAWS, A + 2))])
+        z = np.vstack([np.zeros(A + 3), rng.standard_normal((_DRAWS, A + 3))])
         uniform = rng.random(len(z))
         gain = np.exp(np.clip(z[:, :A] * self.spread, -1.0, 1.0))
         numbers, step_h = evaluator.numbers(problem), problem.step_s / HOUR_S
@@ -396,7 +397,11 @@ class CommandedPlan:
         demand = np.where(np.arange(len(z)) > 0, uniform, 0.5) * weight_of_demand(power_spread)
         as_asked = 1.0 + demand * (by_demand - 1.0)
         cost, energy = cost * as_asked, energy * as_asked
-        by_levels = (cost_alone - cost) * power_spread * z[:, A + 1]
+        # What is used more and what is used less are at other levels and other hours: each errs by itself.
+        moved = np.subtract(*(one[0].energy_cost.reshape(-1, problem.n_steps).sum(axis=0) for one in found))
+        of_parts = np.add.reduceat(moved, np.arange(0, moved.size, max(1, round(COMPARED_H / step_h))))
+        more, less = np.maximum(of_parts, 0.0).sum(), np.maximum(-of_parts, 0.0).sum()
+        by_levels = power_spread * (less * z[:, A + 1] - more * z[:, A + 2])
         # What commands do on the meter beside that; what follows after the plan counts as heat that is stored does.
         drawn = [one.meter.drawn(_standard(len(z), one.meter.mean.size, rng)) for one in self.beside]
         law_W = [np.stack([one.power_W for one in of]) for of in found]

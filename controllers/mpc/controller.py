@@ -265,7 +265,7 @@ class ThermoForceMPC(ActuatedController):
         """
         before, actuation = self._resume(observation, state, MPCState)
         if before is None:
-            watch = self._watched.begin(observation.time_s)
+            watch = self._watched.begin(observation.time_s, observation.history.origin)
             before = MPCState.begin(observation.time_s, self._layout.names, watch, self._readings.meters.begin)
         if self.config.whole_runs:
             actuation = without_owed(self._actuators, actuation, self.step_s)
