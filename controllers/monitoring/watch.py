@@ -696,10 +696,11 @@ class Watch:
         shift_K = level_shift(at(last), at(0)) if last else 0.0
         if not shift_K:
             return ""
-        side, hours = "more" if shift_K > 0 else "less", self.leads[-1] * self.step_s / HOUR_S
+        hours = self.leads[-1] * self.step_s / HOUR_S
+        side, or_else = ("more", "a load came to stay") if shift_K > 0 else ("less", "a window stands open")
         return (
             f"the zone reads {abs(shift_K):.1f} K {side} than predicted {hours:g} h ahead, and moves as predicted from"
-            " there: its sensor may have been moved (look at it), or a load came to stay"
+            f" there: its sensor may have been moved (look at it), or {or_else}"
         )
 
     def _less_effect(self, state: WatchState, now: float) -> str:

@@ -92,7 +92,7 @@ def watched(result: RunResult) -> list[float]:
     [
         ("weak", "the machine's power was"),
         ("weak unseen", "acting has less effect than predicted"),
-        ("window", "colder than predicted"),
+        ("window", "or a window stands open"),
         ("sensor", "than predicted"),
         ("stuck", "the actuator does not follow"),
         ("stuck unseen", "than predicted"),
