@@ -305,7 +305,8 @@ def learned_K(before_K: Array, beyond_K: Array, spare: NDArray[np.bool_], step_s
 # Time over which errors are remembered, h; the least standard deviation that they have, K; and how many say
 # something. By judgement, when the numbers below were chosen.
 _REMEMBERED_H, _LEAST_ERROR_K, _LEAST_ERRORS = 72.0, 0.02, 8.0
-# Change of level from which steps count the same, K: large ones are starts, which machines at a limit make slowly.
+# Change of level from which steps count the same, K: large ones are starts, which machines at a limit make slowly. By
+# judgement.
 _SMALL_K = 0.2
 # Prior standard deviation of what a first step gives beyond the model, relative; standard deviations from which it is
 # believed; and the share of what it explains of an error that does not last. A model with two thirds of the first step

@@ -29,7 +29,7 @@ EFFECT_H = 8
 DISTURBANCE_H = (1.0, 6.0, 48.0)
 """Time constants of what disturbs a room besides weather and actuators, h."""
 
-# Largest standard deviation of a logarithm that counts.
+# Largest standard deviation of a logarithm that counts. By judgement: beyond, the sign is all that is known.
 _MOST_OF_LOGARITHM = 1.5
 
 
@@ -104,7 +104,8 @@ HELD_OUT_SHARE = 0.25
 """Share of the rows of a run, or of the start times of pairs, that is held out."""
 # Share of the rows before these that is as many.
 _SHARE_BEFORE = HELD_OUT_SHARE / (1.0 - HELD_OUT_SHARE)
-# Share of the heat of its level below which an actuator, one of several, was not given all of it.
+# Share of the heat of its level below which an actuator, one of several, was not given all of it. By judgement; as
+# `_LACKING` of `controllers.mpc.margins`.
 _SERVED = 0.8
 
 
