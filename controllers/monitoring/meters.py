@@ -31,7 +31,8 @@ from thermoforce_mpc.scenario.settings import StrictModel
 
 _JUDGED = ("T_out_C", "solar_W_m2", "power_W", "heat_W")
 _WEATHER = ("T_out_C", "solar_W_m2")
-# Readings within this share of one another are the same; of the largest of the record they are next to nothing.
+# Readings within this share of one another are the same; of the largest of the record they are next to nothing. By
+# judgement: of rounding, and of a meter's idle reading.
 _SAME, _NOTHING = 1e-9, 0.05
 
 

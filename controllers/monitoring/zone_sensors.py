@@ -103,11 +103,13 @@ class Sensed:
 
 
 # A jump is more than this many times the largest change of the record within a step, or half-widths of the 80 % band.
+# By judgement (2026-11-22), as the pairs below; `bench fallback` has sensors that freeze, read wrongly or nothing.
 _TIMES_RECORD, _BANDS = 2.0, 3.0
 # A reading that repeats itself is frozen where the model is off by its resolution and this many half-widths of the 80 %
 # band, at least this, K; whatever the record showed, where it is off by the second pair.
 _FROZEN_BANDS, _FROZEN_K, _SURELY_BANDS, _SURELY_K = 2.0, 0.1, 4.0, 0.5
-# After `bridge_h` a sensor that had been silent or frozen is accepted within this of the prediction, K.
+# After `bridge_h` a sensor that had been silent or frozen is accepted within this of the prediction, K. By judgement: a
+# room left alone for a day.
 _AFTER_SILENCE_K = 5.0
 # A zone that really changed goes on: within this time, h, by this share of its first change, in two steps or more.
 _GOES_ON_H, _GOES_ON_SHARE = 2.0, 0.25

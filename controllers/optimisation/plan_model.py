@@ -144,7 +144,7 @@ def _like(pattern: sparse.csc_matrix, values: Array) -> sparse.csc_matrix:
     return matrix
 
 
-# Level from which a solve without a guess starts, as a share of the highest.
+# Level from which a solve without a guess starts, as a share of the highest. Of iterations only; by judgement.
 _START = 0.3
 
 

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 # Bounds from here on are as good as none beside the numbers of a plan, which are of the size of 1 to 1000.
 FAR = 1e6
-# How far from where it is a variable without a near bound may be in a better plan, as a multiple of its size.
+# How far from where it is a variable without a near bound may be in a better plan, as a multiple of its size. Such a
+# bound must not be active; by judgement.
 _REACH = 10.0
 
 

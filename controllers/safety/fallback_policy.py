@@ -13,9 +13,10 @@ from pydantic import Field
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation
 from thermoforce_mpc.scenario.settings import StrictModel
 
-# Set-points of the on/off rule stay within this, whatever the bounds say, °C.
+# Set-points of the on/off rule stay within this, whatever the bounds say, °C. No building is wanted colder or warmer.
 _RULE_C = (5.0, 35.0)
-# A plan is followed while its error is within this many half-widths of its 80 % band, or within this, K.
+# A plan is followed while its error is within this many half-widths of its 80 % band, or within this, K. By judgement
+# (2026-11-22): beyond, the plan is of another weather or machine.
 _TRUSTED_BANDS, _LEAST_TRUST_K = 3.0, 0.1
 
 

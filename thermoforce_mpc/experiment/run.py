@@ -254,7 +254,7 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
         StorageError: the disk is full, or the folder cannot be written any more; the plant was released.
     """
     experiment = Experiment.of(scenario)
-    note_given(scenario)
+    note_given(scenario, experiment.plant.name)
     folder = create_run_folder(
         out, f"{experiment.testcase.name}-{experiment.window}-{experiment.price}-{file_stem(experiment.own.name)}"
     )
@@ -298,10 +298,9 @@ def stop_test(folder: Path, given: Mapping[str, str] | None = None, code: Sequen
     with sole_use(folder):
         book = _reopened(folder, given, code)
         with closing(book.journal):
-            plant = book.experiment.plant
-            if not (book.told and plant.outlives_us):
+            if not (book.told and book.experiment.plant.outlives_us):
                 raise ConfigError(f"{folder}: its plant is simulated, or was never reached: there is no test to stop")
-            book.connect(plant.build).close()
+            book.connect().close()
 
 
 def _reopened(
@@ -342,11 +341,6 @@ def _carry_out(book: RunBook, display: RunDisplay) -> Path:
     return folder
 
 
-def build_plant(experiment: Experiment, testid: str | None = None) -> Plant:
-    """The plant of an experiment; raises as `ChosenPlant.build`."""
-    return experiment.plant.build(testid)
-
-
 def _execute(
     experiment: Experiment,
     display: RunDisplay,
@@ -362,10 +356,7 @@ def _execute(
         check_contestants(experiment)
     own, *baselines = experiment.contestants
 
-    def build(testid: str | None = None) -> Plant:
-        return build_plant(experiment, testid)
-
-    with book.released(book.connect(build)) if book else closing(build()) as plant:
+    with book.released(book.connect()) if book else closing(experiment.plant.build()) as plant:
         setting = Setting.of(plant, experiment)
         display.say(headline(plant, setting.period, experiment))
         identified: Mapping[str, IdentifiedModel] = {}

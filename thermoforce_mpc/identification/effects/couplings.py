@@ -17,7 +17,7 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel, ZoneModel
 
-# A neighbour's effect below this after a day at full level, K, is none.
+# A neighbour's effect below this after a day at full level, K, is none. By judgement.
 _LEAST_EFFECT_K = 0.02
 # Share of the most from which a step is one of those with the most; share of what levels stand for that is all of it,
 # which is 0.89 in the cold week of `house:5rooms`, whose machine is at its limit, and 1.09 in mild weather; and the

@@ -59,6 +59,8 @@ def feature_matrix(free_C: Array, T_out_C: Array, solar_W_m2: Array, time_s: Arr
     return matrix
 
 
+# Units of the network m(x), by judgement; the most that it may change an effect, as in the paper, whose errors are the
+# same over a wide range of it (fig:gamma).
 HIDDEN = 32
 GAMMA = 0.75
 

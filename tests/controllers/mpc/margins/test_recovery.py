@@ -111,6 +111,21 @@ def test_the_uncertainty_of_the_effect_is_kept_of_what_a_zone_has_to_come():
     np.testing.assert_array_equal(kept.upper_C, plain.upper_C)
 
 
+def test_of_a_zone_that_is_cooled_it_is_kept_below_the_upper_bound():
+    zone = simple_model().only
+    operator = replace(zone.operator, gains=-zone.operator.gains, sign=-1)
+    known = replace(zone.card, competence=Competence(True, effect_K=-5.0, effect_sd_K=0.5))
+    cooled = [ThermalModel.of_zone(replace(zone, operator=operator, card=card)) for card in (zone.card, known)]
+    plain, kept = (problem(None, model=model, at_C=33.0) for model in cooled)
+    house = SimpleHouse(33.0)
+    house.reset(10 * DAY_S, DAY_S)
+    expected = np.zeros(24)
+    expected[19] = 0.1 * (house.T - house.forecast(24 * HOUR_S, HOUR_S).upper_C[0, 20])
+    assert 0.1 < expected[19] < 0.9
+    np.testing.assert_allclose(plain.upper_C[0] - kept.upper_C[0], expected, atol=1e-9)
+    np.testing.assert_array_equal(kept.lower_C, plain.lower_C)
+
+
 def test_a_state_from_before_it_was_learned_is_planned_with():
     mpc = ThermoForceMPC(two_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
     seen, now = two_observation(), LearnedMargin.nothing(2)
@@ -143,6 +158,19 @@ def test_a_controller_learns_it_at_the_step_that_ends_where_the_bound_begins():
     assert found[18] == found[19] == [0.0, 0.0]
     assert missing_K > 0.5
     assert found[21] == found[20] == pytest.approx([missing_K, 0.0])
+
+
+def test_a_reading_is_judged_by_the_bound_of_its_instant_not_by_that_which_begins_next():
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    house, state = SimpleHouse(T_start_C=20.0), None
+    house.reset(10 * DAY_S + 18 * HOUR_S, 0.0)
+    for _ in range(2):
+        plan = mpc.plan(Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S)), state)
+        state = plan.state
+        assert house.T < 20.9, "below the bound of 20 h"
+        house.advance(0.8, HOUR_S)
+    assert isinstance(state, MPCState)
+    assert state.margins.learned.reserve_K[0, 0] == 0.0
 
 
 def test_after_hours_at_full_level_it_learns_nothing():
