@@ -45,7 +45,8 @@ class CommandedLoop:
     """A loop over the N steps of a plan: its command with the limits of each step, and the outdoor temperature.
 
     `low`, `high`, `usual` (N,): limits of the command and what it is when left alone; `T_out_C` (N,): mean of the step;
-    `age_s`: how long ago `learned.last` was read, s.
+    `age_s`: how long ago `learned.last` was read, s; `off`: commands with which the machine is off, so that no heat
+    comes, whatever the water still is.
     """
 
     learned: LearnedCommand
@@ -55,6 +56,11 @@ class CommandedLoop:
     T_out_C: Array
     step_s: float
     age_s: float = 0.0
+    off: tuple[float, ...] = ()
+
+    def is_on(self, values: Array) -> Array:
+        """Share of a step in which the machine may run, with commands (S, n) in its parts, (S,)."""
+        return np.asarray(1.0 - np.isclose(values[..., None], self.off, atol=SAME).any(axis=-1).mean(axis=-1))
 
     def begin(self) -> CommandState:
         """What is set where no plan acted in the last step: as it was read, or later what it usually is."""

@@ -22,7 +22,8 @@ Two direct checks are faster: levels measured against levels requested, and heat
 A sensor that is moved makes one large error, however often it is looked at: tails that allow it once see nothing more
 in it. What is rare is what comes after. The free forecast takes an error for heat, which leaves a room again or goes on
 coming, and so the next errors say which; a reading that was shifted goes on as predicted from where it is, while
-everything that was predicted before stays wrong by the same amount (`level_shift`).
+everything that was predicted before stays wrong by the same amount (`level_shift`). No promise stands behind this; its
+false alarms are counted (`bench detectors`).
 
 What a watch tests of a model: the size of the effect of acting, levels against requests, meters against the machine.
 
@@ -60,6 +61,7 @@ from thermoforce_mpc.model.machine.blocked_hours import (
     Directions,
     HourEffects,
     HourSeen,
+    ahead_s,
     each_direction,
     running,
     said,
@@ -513,17 +515,24 @@ class Watch:
         self._gain_sd = np.array([_relative_gain_sd(model, n * self.step_s / HOUR_S) for n in self.leads])
         self._n_steps = n_steps
 
-    def begin(self, time_s: float) -> WatchState:
-        """The state at the begin of a run: hours that were blocked while probing are known, and said."""
+    def begin(self, time_s: float, origin: Any = None) -> WatchState:
+        """The state at the begin of a run: hours that were blocked while probing are known, and said.
+
+        `origin`: what seconds count from (`Record.origin`); those of the card are of the clock on the wall.
+        """
         card = self._model.card
         hours = [card.blocked_hours, *[card.blocked_cooling_hours] * self._signed]
         if not self.config.blocked_hours:
             hours = [()] * len(hours)
+        later_s = -ahead_s(time_s, origin)
         known = tuple(BlockedHours.known(each, time_s) for each in hours)
         seen = card.hour_effects if self.config.blocked_hours else ()
         effects = HourEffects(self._model.operator.sign, tuple(HourSeen(*one) for one in seen)).at(time_s)
         news = "; ".join(filter(None, [said(known) if any(hours) else "", effects.in_words()]))
-        return WatchState(blocked=known, hours=effects, news=f"{news}; found while probing" if news else "")
+        return WatchState(
+            blocked=tuple(one.moved(later_s) for one in known), hours=effects.moved(later_s),
+            news=f"{news}; found while probing" if news else "",
+        )  # fmt: skip
 
     def due(self, time_s: float) -> bool:
         """Whether a prediction is to be recorded at `time_s`."""
@@ -551,13 +560,13 @@ class Watch:
         """
         if not self.config.enabled:
             return WatchState()
-        state = self._with_blocked_hours(state or self.begin(float(history.time_s[-1])), history)
+        state = self._with_blocked_hours(state or self.begin(float(history.time_s[-1]), history.origin), history)
         now = float(history.time_s[-1])
         levels = cache(partial(applied_levels, state.asked, history))
         state = replace(
             state, tracks=tuple(self._validate_due(track, history, levels, state.hours) for track in state.tracks)
         )
-        state = self._with_hour_effects(state, now)
+        state = self._with_hour_effects(state, now, history.origin)
         if state.news and state.of_levels and not _not_following(state, history):
             return self._returned(state, state.tracks[0], now, f"{state.news}; control returns")
         if state.alarm:
@@ -832,6 +841,11 @@ class Watch:
         if not self.config.blocked_hours or not history.n_steps:
             return replace(state, news=state.news if not state.asked else "")
         time_s, levels = np.reshape(state.asked, (-1, 2)).T
+        clock_s = ahead_s(float(history.time_s[-1]), history.origin)
+        if time_s.size and clock_s != (last_s := ahead_s(float(time_s[-1]), history.origin)):
+            # The clock was changed, and the plant's schedule with it.
+            blocked = tuple(way.moved(last_s - clock_s) for way in state.blocked)
+            state = replace(state, blocked=blocked, hours=state.hours.moved(last_s - clock_s))
         if not (self._shared or self._signed):
             history = running(history)
         after = []
@@ -843,10 +857,10 @@ class Watch:
         ):
             after.append(way.after(list(zip(time_s.tolist(), asked.tolist(), strict=True)), record, sign))
         changed = [way.hours for way in after] != [way.hours for way in state.blocked]
-        news = said(tuple(after)) if changed else state.news if not state.asked else ""
+        news = said(tuple(way.moved(clock_s) for way in after)) if changed else state.news if not state.asked else ""
         return replace(state, blocked=tuple(after), news=news)
 
-    def _with_hour_effects(self, state: WatchState, now: float) -> WatchState:
+    def _with_hour_effects(self, state: WatchState, now: float, origin: Any) -> WatchState:
         """The state with what the prediction an hour ahead that came due now tells of its hour, and news of it."""
         hourly = self.leads[0] * self.step_s == HOUR_S and self.every == self.leads[0]
         if not self.config.blocked_hours or self._signed or not hourly:
@@ -862,7 +876,7 @@ class Watch:
             return replace(state, hours=hours)
         # What gathered against the model may be of these hours.
         state = replace(state, tracks=tuple(track.cleared() for track in state.tracks))
-        news = hours.in_words() or "acting does in all hours of the day what was predicted"
+        news = hours.moved(ahead_s(now, origin)).in_words() or "acting does in all hours of the day what was predicted"
         return replace(state, hours=hours, news="; ".join(filter(None, [state.news, news])))
 
     def _recent(self, track: Track, now: float) -> Judged:

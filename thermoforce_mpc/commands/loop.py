@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.commands.command import SAME, Command
-from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Plan, PlannedSaving
+from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Plan, PlannedSaving, Record
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables are read
@@ -123,7 +123,8 @@ class LearnedCommand:
     `last`: the command (NaN: not known) at `last_s`, s, held for `held_s`; `usual` (n,): what it is when left alone, at
     the times of a week, in equal parts, from `origin` on. Seconds count from there; None: from where a plan's do.
     `machine`: name of the machine of whose actuators all are set by this one command; '': the actuator's own.
-    `untold`: why the record does not tell what it does to this actuator, '' where it does.
+    `untold`: why the record does not tell what it does to this actuator, '' where it does. `record`, `set_to` (n,):
+    what it was learned from, where the command is a machine's, and what was set over its steps.
     """
 
     command: Command
@@ -135,6 +136,8 @@ class LearnedCommand:
     origin: pd.Timestamp | None = None
     machine: str = ""
     untold: str = ""
+    record: Record | None = None
+    set_to: Array | None = None
 
     @property
     def in_words(self) -> str:

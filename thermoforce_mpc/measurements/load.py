@@ -21,6 +21,7 @@ from thermoforce_mpc.measurements.map.guesses import rooms_beside
 from thermoforce_mpc.measurements.map.mapping import (
     LEAST_STEP_S,
     MOST_STEP_S,
+    Level,
     MappedActuator,
     MeasurementMap,
     Signal,
@@ -350,19 +351,20 @@ def _from_table(
     ] or unknown
     heat = np.array([reader.mean(f"actuators.{name}.heat", a.heat, readings.POWER) for name, a in actuators] or unknown)
     tank, of_tank = _tank_record(rules, table, time_s, grid_s, rows_every_s, step_s, origin, refuse=refuse)
-    rooms_W = power
-    if tank is not None:  # what the machine takes for the tank says nothing of the rooms
-        m, share = names.machines.index(rules.tank_machine), tank.share_of(grid_s)
-        rooms_W, power = power.copy(), power.copy()
-        rooms_W[m] *= 1.0 - share
-        power[m, share > _CHARGED] = np.nan
+    # What a machine takes for hot water says nothing of the rooms.
+    modes = {f"machines.{name}.hot_water": m.hot_water and _held(m.hot_water) for name, m in machines}
+    for_water = np.array([reader.mean(key, mode, readings.LEVEL) for key, mode in modes.items()] or unknown)
+    for_water = np.clip(np.nan_to_num(for_water), 0.0, 1.0)
+    if tank is not None:
+        for_water[names.machines.index(rules.tank_machine)] = tank.share_of(grid_s)
+    rooms_W, power = power * (1.0 - for_water), np.where(for_water > _CHARGED, np.nan, power)
     u, of_levels = actuator_levels(rules, reader, heat, rooms_W)
     set_by = {name: found for name, _ in actuators if (found := rules.command_of(name)) is not None}
     commands = {
         name: replace(_commanded(reader, where, command), over_K=_over_K(rules.actuators[name], name, reader, rules))
         for name, (where, command) in set_by.items()
     }
-    contacts = {name: z.window.model_copy(update={"hold_h": _COMMAND_HOLDS_H}) for name, z in zones if z.window}
+    contacts = {name: _held(z.window) for name, z in zones if z.window}
     windows = {name: reader.scheduled(f"zones.{name}.window", one, readings.COMMAND) for name, one in contacts.items()}
     record = Record(
         grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
@@ -459,9 +461,16 @@ def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
             signals = T_zone_C, record.T_out_C, record.u[a], record.time_s
             habits_s = clock_s(record.time_s, record.origin)
             learned = learn_command(command, was, *signals, where, clock_s=habits_s, may_be_untold=True)
-            out[name] = replace(learned, origin=record.origin, machine=machine if shared else "")
+            out[name] = replace(learned, origin=record.origin)
+            if shared:
+                out[name] = replace(out[name], machine=machine, record=record, set_to=was.mean)
     check_told(out.values())
     return out
+
+
+def _held(state: Level) -> Level:
+    """A state that holds until the next reading, however long that is."""
+    return state.model_copy(update={"hold_h": _COMMAND_HOLDS_H})
 
 
 def _commanded(reader: SignalReader, where: str, command: Command) -> CommandRecord:

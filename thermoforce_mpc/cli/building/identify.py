@@ -22,7 +22,7 @@ from thermoforce_mpc.report.whole_tables import plain_table
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from thermoforce_mpc.data import NORMAL_95, Record
+    from thermoforce_mpc.data import Record
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.model.card import ModelCard
     from thermoforce_mpc.model.machine.power import PowerModel
@@ -240,6 +240,7 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
         console.print(f"  {machine} feeds {', '.join(fed) or 'nothing'}", soft_wrap=True)
     certified = f"NOT CERTIFIED: {', '.join(wrong)}" if wrong else "every pair CERTIFIED"
     console.print(f"Certificate: {certified}", soft_wrap=True)
+    from thermoforce_mpc.data import NORMAL_95
     from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
     from thermoforce_mpc.whatif.counterfactual import step_response_of
 
@@ -393,6 +394,8 @@ def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Co
     lags_h = [h for h in _LAGS_H if f"step_response_{h}h_sd_K" in uncertainty]
     if not lags_h:
         return
+
+    from thermoforce_mpc.data import NORMAL_95
 
     table = plain_table(["hours later", "expected", "from", "to"])
     for hours in lags_h:

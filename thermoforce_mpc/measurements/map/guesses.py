@@ -462,6 +462,7 @@ class _Look:
         self.unit = unit_of(column.name) or column.unit
         known = np.isfinite(column.values)
         self.time_s, self.values = column.time_s[known], column.values[known]
+        self.words = column.words
         v = self.values
         self.text = column.text or not v.size
         self.least, self.median, self.most = (
@@ -532,6 +533,8 @@ def _guess(look: _Look, fahrenheit: bool) -> Guess:
     """What a signal is: of no use, of the weather or a tariff, what people set, what acts, or a temperature."""
     if look.binary and not look.text and any(_WINDOW.search(word) for word in words_of(look.name)):
         return Guess(look.name, "window", "0-1")
+    if look.text and any("hot water" in tags(word) for word in look.words):
+        return Guess(look.name, "mode")
     if _of_no_use(look):
         return Guess(look.name, "")
     for asked in (_of_weather_and_price, _of_setpoints, _of_what_acts):

@@ -277,6 +277,11 @@ class MappedMachine(StrictModel):
 
     power: OfPower | None = Field(None, description="electric power, or that of the gas; without it nothing is planned")
     return_water: OfTemperature | None = None
+    hot_water: OfLevel | None = Field(
+        None,
+        description="on or 1 while it heats water for taps, as a mode with csv.words says: what it takes then is not "
+        "counted to the rooms",
+    )
     price: OfPrice | None = Field(None, description="price of its energy per kWh, or a column")
     command: AnyCommand | None = Field(
         None, description="one command for all that it feeds, as an offset of its heating curve"
@@ -427,6 +432,10 @@ class MeasurementMap(StrictModel):
         """Raise `ValueError` where the tank has no machine or clock, or shares a column with something else."""
         if tank.machine is None and len(self.machines) != 1:
             raise ValueError(f"hot_water.machine: say which one heats it, of {', '.join(self.machines) or 'machines'}")
+        if (twice := self.machines.get(self.tank_machine)) is not None and twice.hot_water is not None:
+            raise ValueError(
+                f"hot_water.charging is the place of machines.{self.tank_machine}.hot_water: name it there"
+            )
         if tank.machine is not None and tank.machine not in self.machines:
             raise ValueError(
                 f"hot_water.machine: there is no '{tank.machine}'; there are {', '.join(self.machines) or 'none'}"

@@ -73,7 +73,7 @@ def starting_map(files: str | Path | Sequence[str | Path]) -> str:
             read[k] = _columns(kinds[k])
     columns = list({column.name: column for of_kind in read for column in of_kind}.values())
     found = guesses(columns)
-    used = {guess.name for guess in found if guess.role}
+    used = {guess.name for guess in found if guess.role not in ("", "mode")}
     for k, kind in enumerate(kinds):
         words = dict.fromkeys(word for column in read[k] if column.name in used for word in column.words)
         kinds[k] = replace(kind, csv=kind.csv.model_copy(update={"missing": tuple(words)[:_MOST_MISSING]}))
@@ -128,7 +128,7 @@ def _columns(taken: Recognised) -> list[Column]:
                 below = next((u for u in (unit_of(f"({units.get(name, '').strip('()[]')})"),) if u), "")
                 unit = unit_of(name) or unit_of_cells(head[name], taken.csv.decimal) or below
                 by = 1.0 / divisors.get(name, 1.0)
-                found[key] = Column(key, time_s, numbers * by, words, unit, by, () if words else texts)
+                found[key] = Column(key, time_s, numbers * by, words, unit, by, texts)
     return list(found.values())
 
 
@@ -161,6 +161,8 @@ class _Text:
         self.paths, self.taken, self.others, self.found = paths, kinds[0], kinds[1:], list(found)
         self.column = {column.name: column for column in columns}
         self.used: set[str] = set()
+        modes = self.of("mode")
+        self.mode = modes[0] if len(modes) == 1 else None
 
     def of(self, *roles: str) -> list[Guess]:
         """Guesses of these roles, the sure ones first."""
@@ -268,6 +270,10 @@ class _Text:
     def _files(self) -> list[str]:
         form, table, lines = self.taken.csv, self.taken.table, []
         other = _told(form)
+        if self.mode is not None:
+            words = self.column[self.mode.name].words
+            numbers = [f"{_quoted(word)}: {int('hot water' in tags(word))}" for word in words]
+            other.append(f"words: {{{', '.join(numbers)}}}")
         if other:
             note = self.taken.notes["csv"][2:] or ("words for an empty cell?" if form.missing else "")
             lines.append(f"csv: {{{', '.join(other)}}}{_comment(note)}")
@@ -379,6 +385,8 @@ class _Text:
                     "    # power: {column: ..., unit: W}  # without it nothing can be planned; without a meter take"
                 )
                 lines.append("    #   the column of the level, with factor: the W of a reading of 1")
+            if len(machines) == 1 and self.mode is not None:
+                lines.append(f"    hot_water: {self._signal(self.mode)}  # while it heats water for taps (csv.words)")
             lines.append(f"    price: {cost}  # per kWh, a number or a column")
         return lines
 

@@ -202,7 +202,8 @@ def plain(text: pd.Series, form: str | None = None) -> pd.Series:
         first = str(text.iloc[0])
     if re.search(r"(?i)[ap]\.\s?m\b", first):
         text = text.str.replace(r"(?i)\b([ap])\.\s?m\.?", r"\1M", regex=True)
-    if not form or not re.search("%[aA]", form):
+    whole = "\n".join(text.tolist())  # one look at all tells what few have: a log has hundreds of thousands
+    if (not form or not re.search("%[aA]", form)) and re.search(r"(?m)^\s*[A-Za-z]", whole):
         text = text.str.replace(_DAY_OF_WEEK, "", regex=True)
         first = str(text.iloc[0])
     if re.search(r"[A-Za-zäéûô]{3,}", first):
@@ -211,7 +212,7 @@ def plain(text: pd.Series, form: str | None = None) -> pd.Series:
         for word in words:
             if (other := _in_digits(word, form)) is not None:
                 text = text.str.replace(rf"\b{word}\b\.?" if other.isalpha() else rf" ?\b{word}\b", other, regex=True)
-    late = text.str.contains(r"[ T]24:00(?::00)?", regex=True)
+    late = text.str.contains(r"[ T]24:00(?::00)?", regex=True) if "24:00" in whole else np.zeros(len(text), dtype=bool)
     if late.any():
         days = pd.to_datetime(text[late].str.extract(r"(\d{4}-\d{2}-\d{2})", expand=False), errors="coerce")
         known = days[days.notna()]
@@ -420,10 +421,8 @@ def timed(tables: Sequence[RawTable], clock: TimeStampRules, now: pd.Timestamp |
     own: dict[str, pd.DatetimeIndex] = {}
     columns = {}
     for name, pieces in found.items():
-        index = pd.DatetimeIndex(np.concatenate([one.as_unit("ns") for one, _ in pieces]), tz="UTC") if has[0] else (
-            pd.DatetimeIndex(np.concatenate([one.as_unit("ns") for one, _ in pieces]))
-        )  # fmt: skip
-        index = index.tz_convert(stamps[0].dt.tz) if has[0] else index
+        index = pd.DatetimeIndex(np.concatenate([one.as_unit("ns").asi8 for one, _ in pieces]))
+        index = index.tz_localize("UTC").tz_convert(stamps[0].dt.tz) if has[0] else index
         values = np.concatenate([one for _, one in pieces])
         order = np.lexsort((np.isfinite(values), index.asi8))
         order = order[np.append(np.diff(index.asi8[order]) > 0, True)]  # of two at one instant the later reading counts

@@ -38,6 +38,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     of_one_signal,
     raw_table,
     readings_table,
+    with_numbers,
 )
 
 Stamps: TypeAlias = str | tuple[str, ...] | None
@@ -274,10 +275,23 @@ class _Part:
 def _parts(path: Path, form: CsvFormat, *, scan: bool = True) -> list[_Part]:
     suffix = path.suffix.lower()
     if suffix in PARQUET:
-        return [_parquet(path)]
-    if suffix in _WORKBOOKS:
-        return [_workbook(path, form)]
-    return _csv(path, form, scan=scan)
+        parts = [_parquet(path)]
+    elif suffix in _WORKBOOKS:
+        parts = [_workbook(path, form)]
+    else:
+        parts = _csv(path, form, scan=scan)
+    return [replace(part, frames=partial(_numbered, part.frames, form)) for part in parts] if form.words else parts
+
+
+def _numbered(
+    frames: Callable[[Sequence[str] | None, int | None], Iterator[tuple[pd.DataFrame, Lines]]],
+    form: CsvFormat,
+    columns: Sequence[str] | None,
+    rows: int | None,
+) -> Iterator[tuple[pd.DataFrame, Lines]]:
+    """Frames of a part of a file, with numbers in the place of words."""
+    for df, line in frames(columns, rows):
+        yield with_numbers(df, form.words, form.decimal), line
 
 
 def _of_readings(

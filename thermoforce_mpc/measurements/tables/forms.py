@@ -124,6 +124,10 @@ class CsvFormat(StrictModel):
     encoding: str = "utf-8"
     skip_lines: int = Field(0, ge=0, description="lines before the line of column names")
     missing: tuple[str, ...] = Field((), description="texts that stand for an empty cell besides NaN, n/a and the like")
+    words: dict[str, float] = Field(
+        {},
+        description="numbers of words besides on and off, as of an operating mode: {dhw: 1, heating: 0}",
+    )
     skip_after: int = Field(0, ge=0, description="lines between that of column names and the first row, as of units")
     comment: str | None = Field(
         "#", min_length=1, description="lines that begin with this are left out; null: none are"

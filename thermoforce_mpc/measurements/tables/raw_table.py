@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -279,6 +279,22 @@ def as_numbers(column: pd.Series, decimal: str = ".") -> pd.Series:
     With the mark ',' a point is none of a number: it may stand between thousands.
     """
     return pd.Series(_with_texts(column, decimal)[0], index=column.index)
+
+
+def with_numbers(df: pd.DataFrame, words: Mapping[str, float], decimal: str = ".") -> pd.DataFrame:
+    """A data frame with numbers, as text, in the place of `words`, whatever their case, in its columns of text."""
+    if not words:
+        return df
+    numbers = {word.strip().lower(): f"{number:.10g}".replace(".", decimal) for word, number in words.items()}
+    out = df.copy(deep=False)
+    for key in df.columns:
+        if pd.api.types.is_numeric_dtype(df[key]) or pd.api.types.is_datetime64_any_dtype(df[key]):
+            continue
+        codes, cells = pd.factorize(df[key].astype(object))
+        to = [numbers.get(str(cell).strip().lower(), cell) for cell in cells]
+        if to != list(cells):
+            out[key] = pd.Series(np.array([*to, None], dtype=object)[codes], index=df.index, dtype=object)
+    return out
 
 
 def _with_texts(

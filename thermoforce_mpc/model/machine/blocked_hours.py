@@ -6,7 +6,8 @@ nothing either. Where the plant's own loops keep room set-points, heat is asked 
 the wrong side of the set-point that a loop would act (`called_for`). Heating and cooling are two machines: what one
 refuses says nothing of the other. Plans leave blocked hours out, but for the hour of now: at once where only probing
 has seen them, later after some days, so that a wrong claim or a schedule that ended is noticed. A schedule that differs
-by weekday is taken for one of every day; hours here and there are none.
+by weekday is taken for one of every day; hours here and there are none. Schedules go by the clock on the wall, hours
+here by seconds from a new year: after the clock is changed, what is known is moved (`moved`).
 
 Where the plant reports what it was asked for, or its schedule blows cold air, no level tells: `HourEffects` compares
 predictions an hour ahead with what came, by hour of the day.
@@ -18,7 +19,7 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -71,6 +72,11 @@ class BlockedHours:
         for n in range(each, record.n_steps + 1):
             known = known.after(requests[n - each : n], record.slice(n - each, n), sign)
         return known
+
+    def moved(self, later_s: float) -> BlockedHours:
+        """The same hours so much later in the day, whole hours in s."""
+        hours = round(later_s / HOUR_S)
+        return replace(self, refused=tuple(((hour + hours) % _HOURS, first_s) for hour, first_s in self.refused))
 
     @cached_property
     def hours(self) -> frozenset[int]:
@@ -255,6 +261,10 @@ class HourEffects:
         later_s = (now_s - last_s) // DAY_S * DAY_S
         return replace(self, seen=tuple(one._replace(time_s=one.time_s + later_s) for one in self.seen))
 
+    def moved(self, later_s: float) -> HourEffects:
+        """The same hours so much later in the day, s."""
+        return replace(self, seen=tuple(one._replace(time_s=one.time_s + later_s) for one in self.seen))
+
     @property
     def believed(self) -> HourEffects:
         """Only the hours that are believed to differ."""
@@ -333,6 +343,15 @@ class HourEffects:
         return (
             f"{'; '.join(told)}: the plant's own schedule; plans count on that (controller.options.watch.blocked_hours)"
         )
+
+
+def ahead_s(time_s: float, origin: Any) -> float:
+    """How far the clock on the wall is ahead of seconds from `origin` (`Record.origin`): an hour in summer time, s."""
+    if origin is None:  # of a simulated building
+        return 0.0
+    from thermoforce_mpc.data.dataframes import clock_s
+
+    return float(clock_s(np.array([time_s]), origin)[0] - time_s)
 
 
 Directions = tuple[BlockedHours, ...]
