@@ -27,8 +27,10 @@ _EACH = 2 + len(_LAGS_S)
 # Prior standard deviations, as shares of the mean power: of an effect, and of a number's; of what stays of it for
 # good; of the share of the power itself, of a state with less heat than usual (a machine may be off) and with more.
 _PRIOR, _OF_WATER, _STAYS, _LESS, _MORE = 1.0, 0.1, 0.02, 1.0, 0.03
-# Share of the power that a kelvin of water takes, mean and standard deviation: 1 / lift by Carnot, lifts of 30 to 60 K.
-_PER_K = (0.025, 0.01)
+# Share of the power that a kelvin of water takes, mean and standard deviation. By Carnot 1 / lift, 2 to 3 %, but a
+# machine that gives less heat runs longer, and takes its fixed part for longer: house 9501 of `bench commands` takes no
+# less at 3 K less (2026-11-28).
+_PER_K = (0.01, 0.015)
 # What waited while a machine was off comes within so long, s, this share of it more or less; most that waits, s; hours
 # of the day with the least of it.
 _LATER_S, _LATER_SD, _LONGEST_S, _QUIET = 0.75 * HOUR_S, 0.5, 2.0 * HOUR_S, 6

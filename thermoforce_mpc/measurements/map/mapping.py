@@ -255,7 +255,9 @@ class MappedActuator(StrictModel):
         "which it ran",
     )
     off_W: float = Field(0.0, ge=0, description="power while it is off, where no level is measured")
-    share: float = Field(0.0, ge=0, le=1, description="share of its machine's capacity at full level")
+    share: float = Field(
+        0.0, ge=0, le=1, description="share of its machine's capacity at full level; 0: as its power tells of each"
+    )
     command: AnyCommand | None = Field(
         None, description="what can be set in its place: setpoint, curve_offset, flow_temperature, sg_ready or enable"
     )
