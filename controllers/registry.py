@@ -73,13 +73,15 @@ _AS_PRINTED: dict[str, Any] = {
 }
 
 # Room set-points are kept by the plant's own loops within each step, so plans need no reserve for forecast errors.
+# Margin and blocks as `bestest_air` was first run (2026-11-22).
 _ROOM_SETPOINTS: dict[str, Any] = {
     "comfort_margin_K": 0.03,
     "backoff_level": 0.5,
     "actuation": {"mode": "room_setpoints", "block_s": 60.0},
 }
 
-# Valves whose machine's water the plan sets: a machine cycles by itself below a load, so low levels are of use too.
+# Valves whose machine's water the plan sets: a machine cycles by itself below a load, so low levels are of use too. By
+# judgement.
 _SUPPLY: dict[str, Any] = {"mode": "supply", "lowest_level": 0.2}
 
 _OWN: dict[str, Entry] = {

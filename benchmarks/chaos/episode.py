@@ -8,7 +8,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -120,17 +120,22 @@ def _run(setting: Setting, troubles: tuple[Trouble, ...], seed: int, most_Kh: fl
     ended, why, began, heard = "done", "", time.perf_counter(), _Heard()
     with serving(proxy) as url:
         scenario = _scenario(setting, url)
-        book = RunBook.begin(folder, Experiment.of(scenario), ["tf-mpc", "chaos"])
+        experiment = Experiment.of(scenario)
+        through_proxy = replace(
+            experiment.plant.entry, build=lambda *_: BoptestPlant(url, setting.testcase, config=config)
+        )
+        experiment = replace(experiment, plant=replace(experiment.plant, entry=through_proxy))
+        book = RunBook.begin(folder, experiment, ["tf-mpc", "chaos"])
         try:
             with (
                 logging_to(folder),
                 _heard() as heard,
                 closing(book.journal),
-                closing(book.connect(lambda _: BoptestPlant(url, setting.testcase, config=config))) as plant,
+                closing(book.connect()) as plant,
             ):
                 allowed = limits_of(controller, setting.testcase.area_m2, 0.0)
                 u_min = setting.testcase.layout.u_min
-                plant.noted("loop", lambda: {"controller": controller.name})
+                plant.noted("loop", {"controller": controller.name})
                 run_closed_loop(
                     plant,
                     controller,

@@ -284,9 +284,12 @@ def hot_water_command(
     "--by", "kinds", multiple=True, type=click.Choice(["set-points", "curve offset", "SG-Ready"]),
     help="How the house is set; repeatable.  [default: all three]",
 )  # fmt: skip
+@click.option("--only-faults", is_flag=True, help="Without days behind a broker at which nothing fails.")
 @QUICK
 @JSON
-def mqtt_command(seed: int, days: int, kinds: tuple[str, ...], quick: bool, json_file: Path | None) -> None:
+def mqtt_command(
+    seed: int, days: int, kinds: tuple[str, ...], only_faults: bool, quick: bool, json_file: Path | None
+) -> None:
     """Put houses behind a real MQTT broker (mosquitto, on loopback), at speed, and let things fail around them.
 
     A house behind its heat pump's own controller is commissioned, shadowed for a day and controlled: in process, behind
@@ -301,7 +304,8 @@ def mqtt_command(seed: int, days: int, kinds: tuple[str, ...], quick: bool, json
     from benchmarks.chaos.over_mqtt import run_over_mqtt
 
     named = {"kinds": kinds} if kinds else {}
-    show(run_over_mqtt(seed=seed, days=days, quick=quick, progress=say, **named), json_file)
+    found = run_over_mqtt(seed=seed, days=days, quick=quick, only_faults=only_faults, progress=say, **named)
+    show(found, json_file)
 
 
 @click.command("contest")

@@ -272,7 +272,8 @@ def learned(record: Record, kind: str, set_to: Array, over_K: Array | None) -> d
         signals = record.T_zone_C[a], record.T_out_C, record.u[a], record.time_s
         out[name] = learn_command(_command(kind, name), was, *signals, f"{kind} of {name}", may_be_untold=True)
         if shared:
-            out[name] = replace(out[name], machine="heat_pump", usual=np.full_like(out[name].usual, _USUAL[kind]))
+            usual = np.full_like(out[name].usual, _USUAL[kind])
+            out[name] = replace(out[name], machine="heat_pump", usual=usual, record=record, set_to=was.mean)
     check_told(out.values())
     return out
 

@@ -34,6 +34,8 @@ _OTHER_W, _SUN_K, _ASLEEP_H = 400.0, 2.5, 5.0
 _MORNING_H, _PURGES = (6.0, 7.5), 4.0
 # How far a door moves a sensor, K; a quarter of an hour, s; share of the name plate's heat that a worn machine gives.
 _DOOR_K, _QUARTER_S, _OF_PLATE = 1.0, 900.0, 0.65
+# How far a sensor is off that was moved, K, and how late its casing and the wall make it there, s.
+_MOVED_K, _MOVED_LAG_S = 2.0, 1.5 * HOUR_S
 # Air through a door that stands open all day (`plants.rooms.draw`), W/K^1.5.
 _OPEN_W_K15 = 121.0
 
@@ -315,6 +317,24 @@ def _anothers_sensor(found: BuiltCase, case: PanelCase) -> BuiltCase:
     return replace(found, plant=MeddledPlant(found.plant, shows))
 
 
+def _moved_sensor(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """From the third day on, for a day, the zone sensor reads 2 K more, every second case less, and late."""
+    from_s, off_K = found.period.start_s + _AFTER_S, _MOVED_K * (-1.0) ** case.number
+    last: dict[str, Any] = {}
+
+    def shows(measurement: Measurement) -> Measurement:
+        now_s = float(measurement.time_s)
+        if not from_s < now_s <= from_s + DAY_S:
+            last.clear()
+            return measurement
+        before_C = last.get("C", measurement.T_zone_C)
+        share = 1.0 - np.exp(-(now_s - last.get("s", from_s)) / _MOVED_LAG_S)
+        last.update(s=now_s, C=before_C + share * (measurement.T_zone_C + off_K - before_C))
+        return replace(measurement, T_zone_C=last["C"])
+
+    return replace(found, plant=MeddledPlant(found.plant, shows))
+
+
 def _stuck_meters(found: BuiltCase, case: PanelCase) -> BuiltCase:
     """From the third day on outdoor sensor (every second case: power meter) repeats its reading."""
     from_s, kept = found.period.start_s + _AFTER_S, dict[str, Any]()
@@ -342,6 +362,7 @@ FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "hours of the day, less effect": ("generated house", _cold_mornings),
     "foreign load": ("generated house", _other_load),
     "watch": ("embedded", _changed("weak")),
+    "watch, sensor moved": ("generated house", _moved_sensor),
     "watch, actuator stuck": ("embedded", _changed("stuck", level=0.0)),
     "guard": ("embedded", _changed("window")),
     "zone sensor": ("embedded", _changed("offset", offset_K=3.0)),

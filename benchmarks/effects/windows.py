@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
+from thermoforce_mpc.data import HOUR_S, NORMAL_95, Array
+from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.whatif.counterfactual import step_response_of
 
@@ -53,7 +53,7 @@ def band_K(model: ThermalModel, window: Window, effect_K: float, z: int = 0, a: 
         return float("nan"), float("nan")
     hours = np.array([0.0, *STEP_RESPONSE_H])
     relative = np.interp(window.hours, hours[1:], sd[1:] / np.maximum(np.abs(mean[1:]), 1e-9))
-    half = BAND * float(abs(effect_K) * relative if effect_K else np.interp(window.hours, hours, sd))
+    half = NORMAL_95 * float(abs(effect_K) * relative if effect_K else np.interp(window.hours, hours, sd))
     return effect_K - half, effect_K + half
 
 

@@ -41,7 +41,7 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Shares and levels below this mean off (signed: neither heating nor cooling); also the tolerance on measured mean
-# levels.
+# levels. A tolerance of solvers and meters, not tuned.
 OFF = 1e-3
 # Shares of a step nearer than this are one.
 _SAME = 1e-6

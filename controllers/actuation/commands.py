@@ -16,12 +16,15 @@ from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import Array
 
-# A command changes at multiples of this within a step, s, or at its beginning where it is shorter.
+# A command changes at multiples of this within a step, s, or at its beginning where it is shorter. The default control
+# step.
 _PART_S = 900.0
-# What a change of the command and the scatter of a loop count, as level over a step, and a step outside its limits.
+# What a change of the command and the scatter of a loop count, as level over a step, and a step outside its limits. By
+# judgement (2026-11-28): `bench commands` was set up with them.
 _CHANGE, _SCATTER, _OUTSIDE = 0.35, 0.5, 10.0
 # Later steps that a command is chosen for too, with a weight that falls from step to step.
 _AHEAD, _FADES = 6, 0.6
+# What earlier commands brought too much or too little is made up for by this level over a step, at most; by judgement.
 _MOST_OWED = 0.5
 
 Turns = tuple[tuple[float, float], ...]
@@ -42,7 +45,8 @@ class CommandedLoop:
     """A loop over the N steps of a plan: its command with the limits of each step, and the outdoor temperature.
 
     `low`, `high`, `usual` (N,): limits of the command and what it is when left alone; `T_out_C` (N,): mean of the step;
-    `age_s`: how long ago `learned.last` was read, s.
+    `age_s`: how long ago `learned.last` was read, s; `off`: commands with which the machine is off, so that no heat
+    comes, whatever the water still is.
     """
 
     learned: LearnedCommand
@@ -52,6 +56,11 @@ class CommandedLoop:
     T_out_C: Array
     step_s: float
     age_s: float = 0.0
+    off: tuple[float, ...] = ()
+
+    def is_on(self, values: Array) -> Array:
+        """Share of a step in which the machine may run, with commands (S, n) in its parts, (S,)."""
+        return np.asarray(1.0 - np.isclose(values[..., None], self.off, atol=SAME).any(axis=-1).mean(axis=-1))
 
     def begin(self) -> CommandState:
         """What is set where no plan acted in the last step: as it was read, or later what it usually is."""

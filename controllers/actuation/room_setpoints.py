@@ -13,6 +13,7 @@ import numpy as np
 from controllers.actuation.actuator import OFF
 from thermoforce_mpc.data import Array, Block
 
+# The numbers here were set on the air of `bestest_air`, the first plant with such loops (2026-11-22).
 # Planned change of the zone temperature beyond its present value from which the loop runs at its limit, K.
 _MOVES_K = 0.3
 # A loop slows down before it is there: factor on the time at full level.

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from pydantic import Field
@@ -30,7 +31,8 @@ from thermoforce_mpc.scenario.settings import StrictModel
 
 _JUDGED = ("T_out_C", "solar_W_m2", "power_W", "heat_W")
 _WEATHER = ("T_out_C", "solar_W_m2")
-# Readings within this share of one another are the same; of the largest of the record they are next to nothing.
+# Readings within this share of one another are the same; of the largest of the record they are next to nothing. By
+# judgement: of rounding, and of a meter's idle reading.
 _SAME, _NOTHING = 1e-9, 0.05
 
 
@@ -128,7 +130,7 @@ class Meters:
             after.append(state)
         return tuple(after), MeterFindings("; ".join(why), "; ".join(news), newly_stuck)
 
-    @property
+    @cached_property
     def _points(self) -> list[tuple[str, int]]:
         names = self.layout.names
         acting = [(name, row) for name in ("power_W", "heat_W") for row in range(names.rows(name))]

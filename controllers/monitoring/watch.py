@@ -19,6 +19,12 @@ effect of acting is taken off, as far as those before tell it (Kalman's innovati
 Half of `false_alarm` is for these detectors, half for the check of `effect_fault` on the size of the effect of acting.
 Two direct checks are faster: levels measured against levels requested, and heat or power against the machine's model.
 
+A sensor that is moved makes one large error, however often it is looked at: tails that allow it once see nothing more
+in it. What is rare is what comes after. The free forecast takes an error for heat, which leaves a room again or goes on
+coming, and so the next errors say which; a reading that was shifted goes on as predicted from where it is, while
+everything that was predicted before stays wrong by the same amount (`level_shift`). No promise stands behind this; its
+false alarms are counted (`bench detectors`).
+
 What a watch tests of a model: the size of the effect of acting, levels against requests, meters against the machine.
 
 A machine that gives less heat than its level makes the zone colder (cooling: warmer) than predicted, the more so the
@@ -47,14 +53,17 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from controllers.monitoring.single_actuator import SingleActuatorContext
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
-from thermoforce_mpc.model.free_response.checks import NORMAL_90
+from controllers.monitoring.zone_sensors import SensorConfig
+from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_90, Array, Record
+from thermoforce_mpc.data.limits import RULES
 from thermoforce_mpc.model.machine.blocked_hours import (
     BlockedHours,
     Directions,
     HourEffects,
     HourSeen,
+    ahead_s,
     each_direction,
+    hour_ends,
     running,
     said,
 )
@@ -67,6 +76,8 @@ from thermoforce_mpc.model.predictor import PredictorState
 from thermoforce_mpc.model.thermal_model import ZoneModel
 from thermoforce_mpc.scenario.settings import StrictModel
 
+# By judgement: what is farther off is no error of a gain. Tests of `tests/controllers/monitoring` name the faults of
+# all that follows.
 GAIN_BOUNDS = (0.3, 3.0)
 """Limits of gain and heat, as factors of the identified ones."""
 
@@ -234,13 +245,16 @@ class WatchState:
         return f"watch: {self.alarm} (found {(time_s - self.since_s) / HOUR_S:.1f} h ago)"
 
 
-# Length of the record and time between two tests, h.
+# Length of the record and time between two tests, h. A machine at half its heat is seen in a day (`bench faults`,
+# 2026-11-22); a day has as much of the morning as of the night.
 WINDOW_H, EVERY_H = 24.0, 6.0
-# Time in which all tests together have the stated probability of a false alarm, h.
-_MONTH_H = 30 * 24.0
-# Least share of the effect that is missing in a fault: smaller ones are errors of the gain, for adaptation.
+# Time in which all tests together have the stated probability of a false alarm, s.
+_MONTH_S = 30 * DAY_S
+# Least share of the effect that is missing in a fault: smaller ones are errors of the gain, for adaptation. Set with
+# `bench faults` (machine at half, 2026-11-22).
 _LEAST_SHARE = 0.2
-# Largest error that counts, in promised half-widths.
+# Largest error that counts, in promised half-widths: 2.6 standard deviations; clipped as in robust regression
+# (Huber 1964).
 _LARGEST = 2.0
 
 
@@ -268,7 +282,7 @@ def effect_fault(error_K: Array, effect_K: Array, promise_K: Array, false_alarm:
     from scipy.special import ndtri
 
     share, z = missing_effect(error_K, effect_K, promise_K)
-    if share < _LEAST_SHARE or z < -ndtri(false_alarm * EVERY_H / _MONTH_H):
+    if share < _LEAST_SHARE or z < -ndtri(false_alarm * EVERY_H * HOUR_S / _MONTH_S):
         return ""
     return (
         f"acting has less effect than predicted: {share:.0%} of it is missing in the last {WINDOW_H:g} h ({z:.1f}"
@@ -276,16 +290,43 @@ def effect_fault(error_K: Array, effect_K: Array, promise_K: Array, false_alarm:
     )
 
 
+# Hourly predictions in a row that were wrong by the same amount, and how many promised half-widths that is at least.
+# Share of the shift by which they may differ, and that the last prediction an hour ahead may be wrong by. Chosen
+# together (2026-11-28) on nine sensors moved by 2 K, in the embedded house and `bench detectors` 62903 and 62906 (eight
+# are found after 4 to 6 h), and on 19 clean house-weeks of 62902 and 62905 (no claim; at a share of 0.21 there is one).
+_SHIFT_HOURS, _SHIFT_BANDS = 3, 2.8
+_SHIFT_SPREAD, _SHIFT_SINCE = 0.25, 0.15
+# Least shift, K: what is always believed of one reading.
+_SHIFT_K = RULES["T_zone_C"].expected
+
+
+def level_shift(long: Judged, short: Judged) -> float:
+    """By how much readings moved away from all that was predicted and then went on as predicted, K; 0 if they did not.
+
+    `long`: the predictions at the longest lead that came due in the last hours (n,); `short`: those an hour ahead.
+    """
+    if long.error_K.size < _SHIFT_HOURS or not short.error_K.size or short.time_s[-1] < long.time_s[-1]:
+        return 0.0
+    shift = float(long.error_K.mean())
+    along = math.copysign(1.0, shift) * long.error_K
+    if along.min() < _SHIFT_K or abs(shift) < _SHIFT_BANDS * float(long.promise_K.mean()):
+        return 0.0
+    steady = np.ptp(along) <= _SHIFT_SPREAD * abs(shift)
+    return shift if steady and abs(short.error_K[-1]) <= _SHIFT_SINCE * abs(shift) else 0.0
+
+
 # Differences between requested and measured level count from here: rounding and rate limits of an actuator are below.
+# By judgement (2026-11-22).
 _SAME = 0.1
 # Full-load hours of difference that make a fault, and their least share of what was requested or measured, in one of
 # the windows, h. The long one is for levels that are low and wrong for long: native control that holds a zone on a mild
-# day runs at a level of 0.1 to 0.2, less than an hour at full level in 6 h, where the plan wanted nothing.
+# day runs at a level of 0.1 to 0.2, less than an hour at full level in 6 h, where the plan wanted nothing. Set with
+# `bench faults` (2026-11-22).
 _DIFFERENT_H, _DIFFERENT_SHARE = 1.0, 0.25
 _WINDOWS_H = (6.0, 24.0)
 # Hours of requested levels that are compared.
 LEVELS_H = _WINDOWS_H[-1]
-# Full-load hours that a comparison of meters needs.
+# Full-load hours that a comparison of meters needs. By judgement (2026-11-22).
 _RUNNING_H = 1.5
 
 
@@ -406,12 +447,13 @@ def _paired_levels(requests: Sequence[tuple[float, float]], history: Record) -> 
 
 
 LEADS_H = (1.0, 6.0)
-_MONTH_S = 30 * DAY_S
 # 0.9 quantile of Student's t with 2 degrees of freedom.
 _T2_90 = 1.8856
-# Smallest probability that counts: one error alone has an e-value of at most 158.
+# Smallest probability that counts: one error alone has an e-value of at most 158. By judgement: far below the watch's
+# threshold, so that no single error makes a claim.
 _LEAST_P = 1e-5
-# Days of bands whose median is the usual promise, and hours of errors that are kept.
+# Days of bands whose median is the usual promise, and hours of errors that are kept. By judgement: a week has all days;
+# three days of errors are those of a weather.
 _USUAL_DAYS, _KEPT_H = 7, 72.0
 # Share of its heat by which an emitter may change per K of the zone, and its supply per K outdoors: water 25 K over the
 # room, and a heating curve of 25 K over 20 K.
@@ -422,15 +464,20 @@ _MOST_UNKNOWN = 0.6
 _FORGOTTEN_S = 3 * HOUR_S
 # What full level does in so many hours, on a model's card.
 _STEP_RESPONSE = re.compile(r"step_response_(\d{1,4})h_K")
-# Hourly comparisons of meters before a change can be seen.
+# Hourly comparisons of meters before a change can be seen. By judgement, half a day of operation.
 _LEAST_RATIOS = 12
-# Share of predictions inside their band, and share of those expected that came due, to hand control back.
+# Share of predictions inside their band, and share of those expected that came due, to hand control back. By judgement:
+# bands promise 0.8.
 _INSIDE, _JUDGED = 0.7, 0.75
-# A second alarm within this time after a return doubles the wait, up to the limit; h.
+# A second alarm within this time after a return doubles the wait, up to the limit; h. By judgement (2026-11-22).
 _RELAPSE_H, _LONGEST_WAIT_H = 48.0, 48.0
-# Most of its effect that acting may do more than predicted as an error of the gain.
+# Shortest time of standing back after a shift, h: as long as steady readings of a sensor that jumped are not believed.
+_SHIFTED_H = SensorConfig.return_h
+# Most of its effect that acting may do more than predicted as an error of the gain. In `office:3rooms:641100` the first
+# hour has a tenth to a sixth more than the model (2026-11-28).
 _MOST_MORE = 0.5
-# Scaling while standing back: prior standard deviation of the gain, and hours between two updates.
+# Scaling while standing back: prior standard deviation of the gain, and hours between two updates. Set with `bench
+# faults` (2026-11-22).
 _GAIN_PRIOR_SD, _ADAPT_EVERY_H = 0.5, 6.0
 _ADAPTED = "the model adapted since"
 
@@ -469,17 +516,24 @@ class Watch:
         self._gain_sd = np.array([_relative_gain_sd(model, n * self.step_s / HOUR_S) for n in self.leads])
         self._n_steps = n_steps
 
-    def begin(self, time_s: float) -> WatchState:
-        """The state at the begin of a run: hours that were blocked while probing are known, and said."""
+    def begin(self, time_s: float, origin: Any = None) -> WatchState:
+        """The state at the begin of a run: hours that were blocked while probing are known, and said.
+
+        `origin`: what seconds count from (`Record.origin`); those of the card are of the clock on the wall.
+        """
         card = self._model.card
         hours = [card.blocked_hours, *[card.blocked_cooling_hours] * self._signed]
         if not self.config.blocked_hours:
             hours = [()] * len(hours)
+        later_s = -ahead_s(time_s, origin)
         known = tuple(BlockedHours.known(each, time_s) for each in hours)
         seen = card.hour_effects if self.config.blocked_hours else ()
         effects = HourEffects(self._model.operator.sign, tuple(HourSeen(*one) for one in seen)).at(time_s)
         news = "; ".join(filter(None, [said(known) if any(hours) else "", effects.in_words()]))
-        return WatchState(blocked=known, hours=effects, news=f"{news}; found while probing" if news else "")
+        return WatchState(
+            blocked=tuple(one.moved(later_s) for one in known), hours=effects.moved(later_s),
+            news=f"{news}; found while probing" if news else "",
+        )  # fmt: skip
 
     def due(self, time_s: float) -> bool:
         """Whether a prediction is to be recorded at `time_s`."""
@@ -507,20 +561,21 @@ class Watch:
         """
         if not self.config.enabled:
             return WatchState()
-        state = self._with_blocked_hours(state or self.begin(float(history.time_s[-1])), history)
+        state = self._with_blocked_hours(state or self.begin(float(history.time_s[-1]), history.origin), history)
         now = float(history.time_s[-1])
         levels = cache(partial(applied_levels, state.asked, history))
         state = replace(
             state, tracks=tuple(self._validate_due(track, history, levels, state.hours) for track in state.tracks)
         )
-        state = self._with_hour_effects(state, now)
+        state = self._with_hour_effects(state, now, history.origin)
         if state.news and state.of_levels and not _not_following(state, history):
             return self._returned(state, state.tracks[0], now, f"{state.news}; control returns")
         if state.alarm:
             return self._return_if_holding(self._update_candidate(state, history), history)
         unfollowed = _not_following(state, history)
         fault, state = (unfollowed, state) if unfollowed else self._machine_fault(state, history)
-        fault = fault or self._broken_promise(state.tracks[0]) or self._less_effect(state, now)
+        shifted = "" if fault else self._shifted(state, now)
+        fault = fault or shifted or self._broken_promise(state.tracks[0]) or self._less_effect(state, now)
         if not fault:
             return state
         in_use = replace(
@@ -533,7 +588,8 @@ class Watch:
         if in_use.adaptation.adapted:
             tracks.append(Track("the model as identified", ScaledModel(self._model), _without_force(in_use.predictor)))
         relapse = now - state.returned_s < _RELAPSE_H * HOUR_S
-        wait_h = min(2 * state.wait_h, _LONGEST_WAIT_H) if relapse else self.config.return_h
+        shortest_h = _SHIFTED_H if shifted else self.config.return_h
+        wait_h = min(max(2 * state.wait_h, shortest_h), _LONGEST_WAIT_H) if relapse else shortest_h
         return replace(state, tracks=tuple(tracks), alarm=fault, of_levels=bool(unfollowed), since_s=now, wait_h=wait_h)
 
     def record_request(self, state: WatchState, time_s: float, level: float) -> WatchState:
@@ -637,6 +693,25 @@ class Watch:
             f"the zone is {'warmer' if side > 0 else 'colder'} than predicted {hours:g} h ahead: by "
             f"{last.error_K.mean():+.2f} K in the last {last.error_K.size} predictions, where "
             f"±{last.promise_K.mean():.2f} K was promised"
+        )
+
+    def _shifted(self, state: WatchState, now: float) -> str:
+        """What the predictions that came due in the last hours, all since the last return, say of `level_shift`."""
+        rows, last = state.tracks[0].judged, len(self.leads) - 1
+        since = max(now - _SHIFT_HOURS * HOUR_S, state.returned_s + self.leads[-1] * self.step_s)
+        rows = rows[rows[:, 0] > since + 0.5 * self.step_s]
+
+        def at(lead: int) -> Judged:
+            return Judged.of(rows[(rows[:, 1] == lead) & ~self._differing(state.hours, rows[:, 0], lead)])
+
+        shift_K = level_shift(at(last), at(0)) if last else 0.0
+        if not shift_K:
+            return ""
+        hours = self.leads[-1] * self.step_s / HOUR_S
+        side, or_else = ("more", "a load came to stay") if shift_K > 0 else ("less", "a window stands open")
+        return (
+            f"the zone reads {abs(shift_K):.1f} K {side} than predicted {hours:g} h ahead, and moves as predicted from"
+            f" there: its sensor may have been moved (look at it), or {or_else}"
         )
 
     def _less_effect(self, state: WatchState, now: float) -> str:
@@ -765,9 +840,14 @@ class Watch:
 
     def _with_blocked_hours(self, state: WatchState, history: Record) -> WatchState:
         """The state with what the last hour told of blocked hours; news of them only, in the first step as it is."""
-        if not self.config.blocked_hours or not history.n_steps:
+        if not self.config.blocked_hours or not hour_ends(history):
             return replace(state, news=state.news if not state.asked else "")
         time_s, levels = np.reshape(state.asked, (-1, 2)).T
+        clock_s = ahead_s(float(history.time_s[-1]), history.origin)
+        if time_s.size and clock_s != (last_s := ahead_s(float(time_s[-1]), history.origin)):
+            # The clock was changed, and the plant's schedule with it.
+            blocked = tuple(way.moved(last_s - clock_s) for way in state.blocked)
+            state = replace(state, blocked=blocked, hours=state.hours.moved(last_s - clock_s))
         if not (self._shared or self._signed):
             history = running(history)
         after = []
@@ -779,10 +859,10 @@ class Watch:
         ):
             after.append(way.after(list(zip(time_s.tolist(), asked.tolist(), strict=True)), record, sign))
         changed = [way.hours for way in after] != [way.hours for way in state.blocked]
-        news = said(tuple(after)) if changed else state.news if not state.asked else ""
+        news = said(tuple(way.moved(clock_s) for way in after)) if changed else state.news if not state.asked else ""
         return replace(state, blocked=tuple(after), news=news)
 
-    def _with_hour_effects(self, state: WatchState, now: float) -> WatchState:
+    def _with_hour_effects(self, state: WatchState, now: float, origin: Any) -> WatchState:
         """The state with what the prediction an hour ahead that came due now tells of its hour, and news of it."""
         hourly = self.leads[0] * self.step_s == HOUR_S and self.every == self.leads[0]
         if not self.config.blocked_hours or self._signed or not hourly:
@@ -798,7 +878,7 @@ class Watch:
             return replace(state, hours=hours)
         # What gathered against the model may be of these hours.
         state = replace(state, tracks=tuple(track.cleared() for track in state.tracks))
-        news = hours.in_words() or "acting does in all hours of the day what was predicted"
+        news = hours.moved(ahead_s(now, origin)).in_words() or "acting does in all hours of the day what was predicted"
         return replace(state, hours=hours, news="; ".join(filter(None, [state.news, news])))
 
     def _recent(self, track: Track, now: float) -> Judged:

@@ -103,11 +103,13 @@ class Sensed:
 
 
 # A jump is more than this many times the largest change of the record within a step, or half-widths of the 80 % band.
+# By judgement (2026-11-22), as the pairs below; `bench fallback` has sensors that freeze, read wrongly or nothing.
 _TIMES_RECORD, _BANDS = 2.0, 3.0
 # A reading that repeats itself is frozen where the model is off by its resolution and this many half-widths of the 80 %
 # band, at least this, K; whatever the record showed, where it is off by the second pair.
 _FROZEN_BANDS, _FROZEN_K, _SURELY_BANDS, _SURELY_K = 2.0, 0.1, 4.0, 0.5
-# After `bridge_h` a sensor that had been silent or frozen is accepted within this of the prediction, K.
+# After `bridge_h` a sensor that had been silent or frozen is accepted within this of the prediction, K. By judgement: a
+# room left alone for a day.
 _AFTER_SILENCE_K = 5.0
 # A zone that really changed goes on: within this time, h, by this share of its first change, in two steps or more.
 _GOES_ON_H, _GOES_ON_SHARE = 2.0, 0.25
@@ -156,10 +158,10 @@ class Sensor:
         """
         now_s, raw = float(history.time_s[-1]), history.T_zone_C[z]
         if self.config.enabled:
-            implausible = implausible_zone(raw, history.time_s, (self.config.lowest_C, self.config.highest_C))
             new = history.time_s > state.seen_s
             # The first record is validated by its limits alone.
             if math.isinf(state.seen_s):
+                implausible = implausible_zone(raw, history.time_s, (self.config.lowest_C, self.config.highest_C))
                 state = _reject(state, history.time_s[implausible & new])
             else:
                 outside = (raw < self.config.lowest_C) | (raw > self.config.highest_C) | np.isinf(raw)
@@ -226,8 +228,11 @@ class Sensor:
 
     def _jump_reason(self, record: _ZoneRecord, y: float) -> str:
         predicted_C, half_K = record.predicted(record.time_s.size - 1)
+        # What is always believed needs no look at the record.
+        if not math.isfinite(predicted_C) or abs(y - predicted_C) <= self.config.jump_K:
+            return ""
         valid = np.flatnonzero(np.isfinite(record.T_C[:-1]))
-        if not valid.size or not math.isfinite(predicted_C):
+        if not valid.size:
             return ""
         limit_K, off_K = self._limit_K(record, half_K), y - predicted_C
         if abs(off_K) <= limit_K:
@@ -239,6 +244,8 @@ class Sensor:
 
     def _frozen_reason(self, record: _ZoneRecord, y: float) -> tuple[int, str]:
         """How many readings repeat the one before, and why the sensor is frozen; empty where it may not be."""
+        if record.T_C.size > 1 and record.T_C[-2] != y:
+            return 0, ""
         same = np.equal(record.T_C, y)
         repeated = int(same.size if same.all() else np.argmin(same[::-1])) - 1
         if repeated * record.step_s < self.config.frozen_h * HOUR_S - 1.0:

@@ -22,7 +22,7 @@ from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext
 
-# The saved model and the one that planned are the same where its forced response is within this, K.
+# The saved model and the one that planned are the same where its forced response is within this, K. By judgement.
 _SAME_K = 0.2
 # Sums that differ by less are the same, currency: solvers stop there.
 _CENT = 0.005

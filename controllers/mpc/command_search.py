@@ -24,6 +24,7 @@ from thermoforce_mpc.data import Array
 _DRAWN, _ROUNDS, _PATIENCE, _TOGETHER = 96, 14, 3, 8
 # Steps of a plan up to which so many are drawn; fewer of longer ones, so that a plan takes seconds.
 _LONG = 48
+# Lengths of windows that are drawn, h: from the shortest that a loop answers to a night's setback, by judgement.
 _WINDOW_H = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
 _SEED = 64
 

@@ -26,15 +26,29 @@ from controllers.optimisation.plan_model import Evaluator
 from controllers.optimisation.problem import MPCProblem, Weights
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand
-from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving, PlanStatus
+from thermoforce_mpc.commands.meter import MeterEffect, MeterRecord, learn_meter
+from thermoforce_mpc.data import (
+    HOUR_S,
+    J_PER_KWH,
+    Array,
+    Block,
+    Boundary,
+    HeldCommand,
+    Layout,
+    Plan,
+    PlannedSaving,
+    PlanStatus,
+)
 from thermoforce_mpc.data.compiled import njit
-from thermoforce_mpc.data.dataframes import compose
+from thermoforce_mpc.data.dataframes import clock_s, compose
 from thermoforce_mpc.model.card import JUDGED_H, MOST_ERROR_K, ModelCard
-from thermoforce_mpc.model.machine.change import weight_of_demand
+from thermoforce_mpc.model.machine.change import COMPARED_H, weight_of_demand
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR, ZONE
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# A plan that asks for more than this beyond what commands bring is made anew, at most so often in all.
+# A plan that asks for more than this beyond what commands bring is made anew, at most so often in all. By judgement:
+# laws of a command are not known better.
 _BEYOND, MOST_SOLVES = 0.05, 3
 NOT_BETTER = "commands that were found are not better than leaving the building alone: its own control acts"
 """What a plan says that is not carried out."""
@@ -43,11 +57,14 @@ _ROUNDS, _CLOSE, _TABLE = 20, 5e-4, 65
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
 # Lead time whose error counts of rooms that are not known, h.
 _ERROR_H = JUDGED_H[-1]
-# What a change of a command must save, as a share of what the building costs when it is left alone.
+# What a change of a command must save, as a share of what the building costs when it is left alone. By judgement: a
+# change an hour all day costs as much as 5 %.
 _PER_CHANGE = 0.002
 # What the scatter of a level costs, as a share of that level's cost: a search takes what is judged too well (see
 # `bench commands`, seed 100, 2026-11-28: without it power was 5 % more than the first steps of plans said).
 _SCATTER = 0.15
+# How many standard errors of what commands do on meters count as cost: a search takes what is judged too well.
+_CAUTION = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +98,16 @@ class Commanded:
 class BuildingCommands:
     """The commands of a building's actuators."""
 
-    def __init__(self, layout: Layout, learned: Mapping[int, LearnedCommand], cards: Sequence[ModelCard]) -> None:
-        """`learned`: by number of the actuator; `cards` (A,): of each actuator's model."""
+    def __init__(
+        self,
+        layout: Layout,
+        learned: Mapping[int, LearnedCommand],
+        cards: Sequence[ModelCard],
+        meters: Mapping[str, MeterEffect],
+    ) -> None:
+        """`learned`: by number of the actuator; `cards` (A,): of each actuator's model; `meters`: by machine."""
         self._layout, self._learned, self._cards = layout, dict(learned), tuple(cards)
+        self._meters = dict(meters)
         self._spread = np.array([_effect_spread(card) for card in cards])
 
     def begin(
@@ -109,7 +133,9 @@ class BuildingCommands:
             low, high = learned.within_seen(
                 *learned.command.limits(boundary.lower_C[z, 1:], boundary.upper_C[z, 1:], usual)
             )
-            loops[a] = CommandedLoop(learned, low, high, usual, T_out_C, boundary.step_s, age_s)
+            meter = self._meters.get(learned.machine)
+            off = () if meter is None else meter.off_states
+            loops[a] = CommandedLoop(learned, low, high, usual, T_out_C, boundary.step_s, age_s, off)
         groups: dict[str | int, list[int]] = {}
         for a, learned in self._learned.items():
             groups.setdefault(learned.machine or a, []).append(a)
@@ -118,7 +144,42 @@ class BuildingCommands:
         together = tuple(tuple(group) for group in groups.values())
         held = {self._layout.home[a]: _HeldRoom.of(self._cards[a]) for a in unknown if a not in alone}
         problem = replace(problem, weights=_of_any_room(problem.weights))
-        return CommandedPlan(operator, problem, boundary, loops, together, frozenset(alone), self._spread, held)
+        hour = clock_s(boundary.time_s[:-1], origin) / HOUR_S % 24.0
+        beside = tuple(
+            _Beside(group[0], self._layout.machine_of[group[0]], self._meters[name], hour)
+            for name, group in groups.items()
+            if isinstance(name, str) and name in self._meters
+        )
+        return CommandedPlan(operator, problem, boundary, loops, together, frozenset(alone), self._spread, held, beside)
+
+
+def meters_of(model: ThermalModel, learned: Mapping[int, LearnedCommand]) -> dict[str, MeterEffect]:
+    """What the commands of machines do on their meters beside what levels take, by the machine's name."""
+    out: dict[str, MeterEffect] = {}
+    for one in learned.values():
+        if not one.machine or one.machine in out or one.record is None or one.set_to is None:
+            continue
+        record, m = one.record, model.names.machines.index(one.machine)
+        if (law_W := model.power_by_law(m, record)) is None:
+            continue
+        begins_s = record.time_s[:-1]
+        usual = one.usual_at(one.from_origin_s(begins_s, record.origin))
+        hour = clock_s(begins_s, record.origin) / HOUR_S % 24.0
+        T_out_C = 0.5 * (record.T_out_C[1:] + record.T_out_C[:-1])
+        seen = MeterRecord(one.set_to, usual, law_W, record.power_W[m], T_out_C, hour, record.step_s)
+        if (found := learn_meter(one.command, seen)) is not None:
+            out[one.machine] = found
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """What the command of actuator `first` does on the meter of machine `m`, at hours of the clock (N,)."""
+
+    first: int
+    m: int
+    meter: MeterEffect
+    hour: Array
 
 
 @dataclass(frozen=True)
@@ -141,7 +202,7 @@ class CommandedPlan:
     """One plan in commands: `loops` by number of the actuator, of which those `left_alone` keep their usual commands.
 
     `together`: the actuators of each command; `spread` (A,): standard error of each one's effect, as a share; `held`:
-    the rooms that are not known, by number of the zone.
+    the rooms that are not known, by number of the zone; `beside`: what commands do on meters beside levels.
     """
 
     operator: BuildingOperator
@@ -152,6 +213,7 @@ class CommandedPlan:
     left_alone: frozenset[int]
     spread: Array
     held: Mapping[int, _HeldRoom]
+    beside: tuple[_Beside, ...] = ()
 
     def within_reach(self, guess: Array | None) -> MPCProblem:
         """The problem with the levels that commands bring at the temperatures of a plan `guess` (A, N).
@@ -205,7 +267,10 @@ class CommandedPlan:
             def cost(rows: Array) -> Array:
                 held = {a: rows[:, i] for i, (members, _) in enumerate(knobs) for a in members}
                 found = self._brought(u, held | {a: self._usual_row(a)[None] for a in left}, len(rows))
-                each = np.array([evaluator.evaluate(numbers, levels).cost for levels in found.levels])
+                brought = [evaluator.evaluate(numbers, levels) for levels in found.levels]
+                each = np.array([one.cost for one in brought])
+                beside = self._on_meters(held, np.stack([one.power_W for one in brought]), dearest.per_kWh)
+                each = each + beside.cost + beside.after + _CAUTION * beside.sd
                 changes = (np.abs(np.diff(rows, axis=2)) > SAME).sum(axis=(1, 2))
                 # Less heat than there would be is missing after the plan; more of it earns nothing.
                 more_K = found.forced_K - self._alone.forced_K
@@ -317,7 +382,7 @@ class CommandedPlan:
         own = usual | planned
         problem, A = self.problem, len(self.spread)
         rng = np.random.default_rng(_SEED)
-        z = np.vstack([np.zeros(A + 2), rng.standard_normal((_DRAWS, A + 2))])
+        z = np.vstack([np.zeros(A + 3), rng.standard_normal((_DRAWS, A + 3))])
         uniform = rng.random(len(z))
         gain = np.exp(np.clip(z[:, :A] * self.spread, -1.0, 1.0))
         numbers, step_h = evaluator.numbers(problem), problem.step_s / HOUR_S
@@ -332,10 +397,33 @@ class CommandedPlan:
         demand = np.where(np.arange(len(z)) > 0, uniform, 0.5) * weight_of_demand(power_spread)
         as_asked = 1.0 + demand * (by_demand - 1.0)
         cost, energy = cost * as_asked, energy * as_asked
-        dearest = _MeanCost(cost_alone, self._used(alone.levels))
+        # What is used more and what is used less are at other levels and other hours: each errs by itself.
+        moved = np.subtract(*(one[0].energy_cost.reshape(-1, problem.n_steps).sum(axis=0) for one in found))
+        of_parts = np.add.reduceat(moved, np.arange(0, moved.size, max(1, round(COMPARED_H / step_h))))
+        more, less = np.maximum(of_parts, 0.0).sum(), np.maximum(-of_parts, 0.0).sum()
+        by_levels = power_spread * (less * z[:, A + 1] - more * z[:, A + 2])
+        # What commands do on the meter beside that; what follows after the plan counts as heat that is stored does.
+        drawn = [one.meter.drawn(_standard(len(z), one.meter.mean.size, rng)) for one in self.beside]
+        law_W = [np.stack([one.power_W for one in of]) for of in found]
+        per_kWh = self._dearest(evaluator).per_kWh
+        beside, beside_alone = (
+            self._on_meters(held, law, per_kWh, drawn) for held, law in zip((own, usual), law_W, strict=True)
+        )
+        cost, energy = cost + beside.cost, energy + beside.kWh
+        cost_alone, energy_alone = cost_alone + beside_alone.cost, energy_alone + beside_alone.kWh
+        dearest = _MeanCost(cost_alone, self._used(alone.levels), energy_alone)
         worth = _worth(self.operator, problem, with_plan.forced_K - alone.forced_K, dearest)
-        saved = cost_alone - cost + worth + (cost_alone - cost) * power_spread * z[:, A + 1]
-        low, high = np.quantile(saved[1:], _QUANTILES)
+        worth = worth - beside.after + beside_alone.after
+        saved = cost_alone - cost + worth + by_levels
+        for one in self.beside:
+            if not np.array_equal(own[one.first], usual[one.first]):
+                moved = float((beside.cost + beside.after - beside_alone.cost - beside_alone.after)[0])
+                alone_cost = float(cost_alone[0])
+                sd = one.meter.beyond_sd(moved, alone_cost, problem.price_per_kWh[one.m], one.hour, problem.step_s)
+                saved = saved + sd * _standard(len(z), 1, rng)[:, 0]
+        # The draws tell how wide, not where: levels that end at 0 and 1 shift them all to one side of the likeliest
+        # house, and what came true lay on the other (`bench commands`, houses 9502 and 9501, 2026-11-28).
+        low, high = saved[0] + np.quantile(saved[1:], _QUANTILES) - np.median(saved[1:])
 
         outside = [self.boundary.outside_K(one.T_bounds_C[:, 1:]).sum(axis=1) * step_h for one in (with_plan, alone)]
         comfort = float((problem.weights.comfort * (outside[1] - outside[0])).sum())
@@ -389,8 +477,37 @@ class CommandedPlan:
     def _dearest(self, evaluator: Evaluator) -> _MeanCost:
         """What the building costs when it is left alone."""
         levels = self._alone.levels
-        cost = evaluator.brings(self.problem, levels[0]).energy_cost.sum()
-        return _MeanCost(np.array([cost]), self._used(levels))
+        brought = evaluator.brings(self.problem, levels[0])
+        usual = {one.first: self._usual_row(one.first)[None] for one in self.beside}
+        more = self._on_meters(usual, brought.power_W[None], 0.0)
+        kWh = brought.power_W.sum() * self.problem.step_s / J_PER_KWH + more.kWh
+        return _MeanCost(brought.energy_cost.sum() + more.cost, self._used(levels), kWh)
+
+    def _on_meters(
+        self, held: Mapping[int, Array], law_W: Array, per_kWh: Array | float, effects: Sequence[Array] = ()
+    ) -> _OnMeters:
+        """What commands `held` (S or 1, P), by actuator, cost and take on meters beside what levels do there.
+
+        `law_W` (S, M, N): power by levels; `per_kWh`: what energy that follows after the plan counts; `effects` (S, p)
+        of each of `beside`, the most likely ones by default.
+        """
+        S = len(law_W)
+        cost, kWh, after, variance = np.zeros(S), np.zeros(S), np.zeros(S), np.zeros(S)
+        for i, one in enumerate(self.beside):
+            loop, meter, law = self.loops[one.first], one.meter, law_W[:, one.m]
+            state, usual = loop.begin(), self._usual_row(one.first)
+            values = held.get(one.first, usual[None])
+            held_now = state.value, state.held_s
+            course = meter.course(values, usual, loop.step_s / loop.parts, loop.parts, law, one.hour, held_now)
+            of = effects[i] if effects else meter.mean[None]
+            each_kWh = meter.power_W(course, of, law, one.hour) * self.problem.step_s / J_PER_KWH
+            price = self.problem.price_per_kWh[one.m]
+            cost += each_kWh @ price
+            kWh += each_kWh.sum(axis=1)
+            after += np.einsum("ps,sp->s", course.after_h, np.broadcast_to(of, (S, of.shape[-1]))) / 1000.0 * per_kWh
+            moved = course.columns @ price * self.problem.step_s / J_PER_KWH + course.after_h * per_kWh / 1000.0
+            variance += ((moved.T @ meter.root) ** 2).sum(axis=1)
+        return _OnMeters(cost, kWh, after, np.sqrt(variance))
 
     def _used(self, levels: Array) -> Array:
         """Levels (S, A, N) by what their actuators take of the power, (S,)."""
@@ -547,6 +664,9 @@ class _LoopTables:
         arrays = (before, z, T_C, at_rest_C, np.broadcast_to(factor, level.shape))
         numbers = [np.ascontiguousarray(one, dtype=np.float64) for one in (asked, *arrays, heat)]
         _settle(level, scatter, *numbers, self._per_drive, self._per_u, *self._of_loop)
+        for a, loop in self._loops.items():
+            if loop.off:
+                level[:, a] *= loop.is_on(values[a])
 
 
 @njit(cache=True)
@@ -639,11 +759,29 @@ def _zone_C(problem: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class _OnMeters:
+    """What S buildings take on meters beside what levels do: currency and kWh (S,), and after the plan; `sd` of both
+    costs by what is not known of effects."""
+
+    cost: Array
+    kWh: Array
+    after: Array
+    sd: Array
+
+
+@dataclass(frozen=True, eq=False)
 class _MeanCost:
-    """What S buildings cost (S,), currency, and the levels that they used for it (S,), see `CommandedPlan._used`."""
+    """What S buildings cost (S,), currency, the levels (S,) and energy (S,), kWh, that they used for it, see
+    `CommandedPlan._used`."""
 
     cost: Array
     used: Array
+    kWh: Array
+
+    @property
+    def per_kWh(self) -> Array:
+        """Mean price of energy, (S,)."""
+        return np.asarray(self.cost / np.maximum(self.kWh, 1e-6))
 
     @property
     def per_used(self) -> Array:
@@ -681,6 +819,13 @@ def _worth(operator: BuildingOperator, problem: MPCProblem, more_K: Array, mean:
         if pair.gains[slowest] * drive:
             worth += price * per_u[a] * more_K[:, home, a, slowest] / (pair.gains[slowest] * drive)
     return worth
+
+
+def _standard(S: int, n: int, rng: np.random.Generator) -> Array:
+    """Standard normal numbers (S, n), of which the first are nought."""
+    z = rng.standard_normal((S, n))
+    z[0] = 0.0
+    return z
 
 
 def _turns(row: Array, part_s: float) -> Turns:

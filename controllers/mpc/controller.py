@@ -18,6 +18,7 @@ from controllers.mpc.commanding import (
     MOST_SOLVES,
     NOT_BETTER,
     BuildingCommands,
+    meters_of,
     with_command_states,
     with_commands,
 )
@@ -79,7 +80,8 @@ from thermoforce_mpc.protocols import FreeResponse
 # The rule acts where it costs less by this share of what the plan costs, and by more than so many K·h: what solvers and
 # moves leave is well below (bestest_air, mix_day, 2026-11-28: the plan's cost was lower by 7 or more in all 96 hours).
 _CLEARLY, _LEAST_KH = 0.05, 0.1
-# Solvers that did not return and were replaced, before no more are started; besides a forecaster of each zone.
+# Solvers that did not return and were replaced, before no more are started; besides a forecaster of each zone. By
+# judgement: each holds a thread.
 _SOLVERS_ABANDONED = 3
 
 
@@ -139,7 +141,7 @@ class ThermoForceMPC(ActuatedController):
         actuations = [choice.actuation for choice in choices]
         super().__init__(name, model.operator.step_s, n_steps, layout, actuations, c.fallback, by_number)
         cards = [zone.card for zone in zone_models]
-        self._commands = BuildingCommands(layout, by_number, cards)
+        self._commands = BuildingCommands(layout, by_number, cards, meters_of(model, by_number))
         if hot_water is not None:
             check_names("hot_water.machine", [hot_water.machine], "machine", layout.names.machines)
         self.hot_water = hot_water
@@ -263,7 +265,7 @@ class ThermoForceMPC(ActuatedController):
         """
         before, actuation = self._resume(observation, state, MPCState)
         if before is None:
-            watch = self._watched.begin(observation.time_s)
+            watch = self._watched.begin(observation.time_s, observation.history.origin)
             before = MPCState.begin(observation.time_s, self._layout.names, watch, self._readings.meters.begin)
         if self.config.whole_runs:
             actuation = without_owed(self._actuators, actuation, self.step_s)

@@ -21,7 +21,9 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# A zone's discomfort counts as at least this many times the heat that would have avoided it over a day.
+# A zone's discomfort counts as at least this many times the heat that would have avoided it over a day. By judgement,
+# when random offices joined `bench buildings` (2026-11-25): at 1 plans would trade comfort for heat as they trade
+# hours.
 _COMFORT_OVER_HEAT = 5.0
 # Power that no building takes: no limit, W.
 _NO_LIMIT_W = 1e7

@@ -30,7 +30,7 @@ is the share of a shared machine's capacity that is left unused: at its limit wh
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -49,7 +49,8 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Calibrated quantile level from which the standard deviation is computed.
 _SPREAD_LEVEL = 0.1
-# Averaging window of the expected violation, h: heat given now arrives within it; later violations can be corrected.
+# Averaging window of the expected violation, h: heat given now arrives within it; later violations can be corrected. A
+# third more moves levels of a cold day of the heat pump, not its cost (`benchmarks.constants`, 2026-11-28).
 _AHEAD_H = 6.0
 
 
@@ -87,7 +88,8 @@ def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: 
     return np.asarray(np.maximum(chance, z * sd))
 
 
-# Share of full level that is taken to be free for correcting what the forecast missed.
+# Share of full level that is taken to be free for correcting what the forecast missed: half, by judgement, when
+# random houses and offices were first run by `bench buildings` (2026-11-25).
 _FREE_SHARE = 0.5
 
 
@@ -108,9 +110,11 @@ def with_recourse_K(backoff: Array, operator: OperatorParameters) -> Array:
 # Effect of an hour at full level from which a zone is fast, K: a slab gives a few tenths, radiators and air several. A
 # third more changes the cost of the heat pump's peak day by 2.4 % (`benchmarks.constants`, 2026-11-28).
 _FAST_K = 0.6
-# Mean share of on-time that is assumed for the swing.
+# Mean share of on-time that is assumed for the swing, by judgement: at 0.25 and 0.45 blocks swing 0.82 and 1.09 times
+# as much.
 _SHARE = 0.35
-# Share of the held-out error one hour ahead: half of it is felt below the bound.
+# Share of the held-out error one hour ahead: half of it is felt below the bound. Set with `_SHARE` on generated houses,
+# whose light zones were below the bound between the ends of steps (2026-11-22).
 _ERROR_SHARE = 0.5
 # Most that is reserved, K: what a thermostat keeps above its bound. Beyond, comfort costs more than a thermostat's.
 _MOST_K = 0.3
@@ -118,17 +122,9 @@ _MOST_K = 0.3
 
 def is_fast(operator: OperatorParameters) -> bool:
     """Whether an hour at full level moves the zone by more than 0.6 K."""
-    return _hour_K(operator) > _FAST_K
-
-
-def _hour_K(operator: OperatorParameters) -> float:
-    """Effect of an hour at full level, K (of one step, if that is longer)."""
     steps = max(1, round(HOUR_S / operator.step_s))
-    return _first_K(operator, steps) * min(1.0, HOUR_S / operator.step_s)
-
-
-def _first_K(operator: OperatorParameters, steps: int) -> float:
-    return float(_rise_K(operator, steps)[-1])
+    of_longer_step = min(1.0, HOUR_S / operator.step_s)
+    return float(_rise_K(operator, steps)[-1]) * of_longer_step > _FAST_K
 
 
 def _rise_K(operator: OperatorParameters, steps: int) -> Array:
@@ -156,7 +152,7 @@ def _swing_K(operator: OperatorParameters, actuation: Actuation) -> float:
         return 0.0
     c, step_s = actuation.config, operator.step_s
     cycle_s = max(2 * c.block_s, c.min_on_s / _SHARE, c.min_off_s / (1.0 - _SHARE))
-    return 0.5 * _first_K(operator, 1) * actuation.block_level * _SHARE * (1.0 - _SHARE) * cycle_s / step_s
+    return 0.5 * float(_rise_K(operator, 1)[0]) * actuation.block_level * _SHARE * (1.0 - _SHARE) * cycle_s / step_s
 
 
 @dataclass(frozen=True)
@@ -182,11 +178,14 @@ def of_plans(allowed_K: float) -> Learning:
 # Where the plant's own loops keep set-points. They miss them by short drops, as of a fan that pauses at night: few
 # readings show them, so one is made up for at once in steps of 15 min. Chosen on two cold weeks of the small office.
 OF_LOOPS = Learning(4.0, 1.0, 0.001)
-# Share of the room to spare of a day that is given back, and how far beyond its margin a zone was near a bound, K.
+# Share of the room to spare of a day that is given back, and how far beyond its margin a zone was near a
+# bound, K; by judgement (2026-11-25).
 _GIVEN_BACK, _NEAR_K = 0.5, 0.15
-# How much wider than at its tightest a bound is set back, and by how much one gets tighter that begins, K.
+# How much wider than at its tightest a bound is set back, and by how much one gets tighter that begins, K; set on
+# seven days of the small office, `peak_heat_day` and `cold_day` (1.71 and 2.03 K·h, before 2.27 and 2.51; 2026-11-23).
 _SET_BACK_K = 0.5
-# Most that a bound is anticipated by where it begins, K.
+# Most that a bound is anticipated by where it begins, K: by judgement, offices of `bench buildings` at hand
+# (2026-11-25); what lacks more is a machine at its limit.
 _MOST_RECOVERY_K = 1.0
 
 
@@ -303,9 +302,11 @@ def learned_K(before_K: Array, beyond_K: Array, spare: NDArray[np.bool_], step_s
     return np.asarray(np.clip(before_K + np.where(learned, change_K, 0.0), least_K, learning.most_K))
 
 
-# Time over which errors are remembered, h; the least standard deviation that they have, K; and how many say something.
+# Time over which errors are remembered, h; the least standard deviation that they have, K; and how many say
+# something. By judgement, when the numbers below were chosen.
 _REMEMBERED_H, _LEAST_ERROR_K, _LEAST_ERRORS = 72.0, 0.02, 8.0
-# Change of level from which steps count the same, K: large ones are starts, which machines at a limit make slowly.
+# Change of level from which steps count the same, K: large ones are starts, which machines at a limit make slowly. By
+# judgement.
 _SMALL_K = 0.2
 # Prior standard deviation of what a first step gives beyond the model, relative; standard deviations from which it is
 # believed; and the share of what it explains of an error that does not last. A model with two thirds of the first step
@@ -363,12 +364,14 @@ class Innovations:
         return self.count * xe / noise / precision, precision**-0.5
 
 
-# Heat below this share of what the level stands for is lacking.
+# Heat below this share of what the level stands for is lacking. Set with the changes per hour below on
+# `house:3rooms:60` and `house:5rooms`, whose cold weeks they took from 4.65 to 0.19 and from 0.34 to 0.21 K·h
+# (2026-11-22).
 _LACKING = 0.8
 # Plans ask for all that they may from this share of it; a machine is at its limit from this share of its capacity:
 # below, a warm floor takes less than its level stands for.
 _ALL_ASKED, _AT_LIMIT, _MORE_THAN_ALL = 0.85, 0.92, 1.05
-# Levels below this say nothing of heat.
+# Levels below this say nothing of heat, by judgement.
 _LEAST_LEVEL = 0.1
 # Change of the share that is kept: while heat is lacking, and while none is, 1/h; and the most that is kept.
 _GROWTH_1_H, _FADING_1_H, _MOST = 0.12, 0.01, 0.25
@@ -396,9 +399,11 @@ def learned_share(
 
 
 # Power below this share of that of the level, and a zone that stays behind the plan by this, K, together say that the
-# machine is at a limit below the level; half of a step's finding is taken over, and no more than this share kept.
+# machine is at a limit below the level; half of a step's finding is taken over, and no more than this share kept. The
+# burner of `bestest_hydronic` gives 0.68 of its level there: its peak day went from 0.62 to 0.24 K·h (2026-11-28).
 _LESS_POWER, _BEHIND_K, _TAKEN_OVER, _MOST_BEYOND = 0.9, 0.1, 0.5, 0.4
-# A machine that takes less than this share of the power of its level is not at a limit: it stands.
+# A machine that takes less than this share of the power of its level is not at a limit: it stands, as that of an office
+# of `bench detectors` does whose mornings were blocked (house 7311:0, 2026-11-28).
 _STANDS = 0.25
 
 
@@ -419,16 +424,17 @@ def share_beyond_limit(
     return max(before - (_FADING_1_H * step_s / HOUR_S if reached >= _LESS_POWER * u else 0.0), 0.0)
 
 
-# Share of the highest level from which an actuator counts as fully used.
+# Share of the highest level from which an actuator counts as fully used, by judgement.
 _FULLY_USED = 0.95
 # Chance levels of the bound that actuation does not protect. A margin there costs heat that is not stored, and saves
 # discomfort that cannot be taken back: best is the quantile at the ratio of the two (newsvendor, Arrow et al. 1951).
 _OTHER_LEVELS = (0.05, 0.3)
-# Hours before a bound begins in which a recovery could have begun: those of a setback.
+# Hours before a bound begins in which a recovery could have begun: those of a setback by night, by judgement.
 _BEFORE_H = 12.0
-# Levels that differ by less are the same.
+# Levels that differ by less are the same: rounding of an actuator (`LEVEL_EDGE` of `model.machine.load`).
 _SAME_LEVEL = 0.02
-# Largest offset added to a prediction, K: beyond, the model is wrong rather than off.
+# Largest offset added to a prediction, K: beyond, the model is wrong rather than off, which the watch tells. The
+# radiators' zones for which offsets were made sat 0.05 K below their bound (2026-11-22).
 _OFFSET_K = 0.3
 
 
@@ -536,7 +542,7 @@ class MarginRules:
         c, rows, soon = self._config, [], steps_soon(self._step_s)
         for z in range(len(operator.zones)):
             own = self._layout.actuators_of(z)
-            signs = {self._layout.signs[a] for a in own}
+            signs, acting = {self._layout.signs[a] for a in own}, {a: operator.of_actuator(a) for a in own}
             # The bound that actuation protects has the chance level of its own; both, where heat and cold are at hand.
             other = float(np.clip(heat_share[z], *_OTHER_LEVELS)) if c.backs_off else c.backoff_level
             low = c.backoff_level if 1 in signs or not own else other
@@ -545,13 +551,13 @@ class MarginRules:
                 np.minimum(backoff_K(free, self._step_s, level, self._allowed_K, below=is_lower)[z], c.backoff_max_K)
                 for level, is_lower in ((low, True), (high, False))
             )
-            for a in own:
+            for a, by in acting.items():
                 if self._layout.signs[a] > 0:
-                    below = with_recourse_K(below, operator.of_actuator(a))
+                    below = with_recourse_K(below, by)
                 else:
-                    above = with_recourse_K(above, operator.of_actuator(a))
+                    above = with_recourse_K(above, by)
             lower_C, upper_C = boundary.lower_C[z, 1:], boundary.upper_C[z, 1:]
-            if any(is_fast(operator.of_actuator(a)) for a in own):
+            if any(map(is_fast, acting.values())):
                 # A bound holds until the next instant: such a zone would leave it in the last step before it ends.
                 lower_C = np.maximum(boundary.lower_C[z, :-1], lower_C)
                 upper_C = np.minimum(boundary.upper_C[z, :-1], upper_C)
@@ -562,7 +568,7 @@ class MarginRules:
             half = 0.5 * (upper_C - lower_C)
             by_loops = any(self._actuators.each[a].by_rooms for a in own)
             learned_K = learned.inside_K(z, lower_C, upper_C, by_loops=by_loops)
-            reserves_K = np.array([self._reserve_K(operator, z, sign) for sign in (1, -1)])
+            reserves_K = np.array([self._reserve_K(acting, sign) for sign in (1, -1)])
             inside_K = c.comfort_margin_K + np.stack([below, above]) + reserves_K[:, None] + learned_K
             now_C = np.array([boundary.lower_C[z, 0], boundary.upper_C[z, 0]])
             outside_K = np.array([boundary.lower_C[z, 1:] - T_C[z], T_C[z] - boundary.upper_C[z, 1:]])
@@ -587,9 +593,9 @@ class MarginRules:
 
     def could_begin_earlier(self, history: Record) -> NDArray[np.bool_]:
         """Whether what protects the lower and the upper bound of each zone had more to give in the last 12 h (2, Z)."""
-        last = history.last(min(history.n_steps, round(_BEFORE_H * HOUR_S / self._step_s)))
-        used = np.nan_to_num(last.u, nan=1.0).mean(axis=1) if last.n_steps else np.ones(len(self._layout.home))
-        return self._had_more(used)
+        steps = min(history.n_steps, round(_BEFORE_H * HOUR_S / self._step_s))
+        u = history.u[:, history.n_steps - steps :]
+        return self._had_more(np.nan_to_num(u, nan=1.0).mean(axis=1) if steps else np.ones(len(self._layout.home)))
 
     def _had_more(self, used: Array) -> NDArray[np.bool_]:
         """Whether what protects the lower and the upper bound of each zone had more to give (2, Z) at levels (A,).
@@ -710,11 +716,11 @@ class MarginRules:
             if self._actuators.each[fed[0]].modulates and operator.of_actuator(fed[0]).heat_input.law is None:
                 yield m, fed[0]
 
-    def _reserve_K(self, operator: BuildingOperator, z: int, sign: int) -> float:
-        """Reserve inside the bound that the actuators of one sign protect in zone `z`, K."""
+    def _reserve_K(self, acting: Mapping[int, OperatorParameters], sign: int) -> float:
+        """Reserve inside the bound that the actuators of one sign among those `acting` in a zone protect, K."""
         reserves = [
-            reserve_K(operator.of_actuator(a), self._actuators.each[a], self._cards[a])
-            for a in self._layout.actuators_of(z)
+            reserve_K(by, self._actuators.each[a], self._cards[a])
+            for a, by in acting.items()
             if self._layout.signs[a] == sign and self._config.corrections and not self._actuators.each[a].by_rooms
         ]
         return max(reserves, default=0.0)

@@ -174,7 +174,8 @@ def free_responses_of(
     return [WithSubstitutes(method, substitutes=()) for method in each]
 
 
-# Number of cached planners for adapted models; others are rebuilt when needed.
+# Number of cached planners for adapted models; others are rebuilt when needed. By judgement: a watch keeps two models
+# of an actuator.
 _KEPT = 4
 
 # What each actuator's model differs in from the identified one; None where in nothing.

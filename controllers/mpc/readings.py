@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from controllers.checks import message_of
 from controllers.monitoring.meters import Meters
@@ -148,9 +148,9 @@ class WatchedPredictions:
         self._watches, self._planner, self._model = tuple(watches), planner, model
         self.enabled = enabled
 
-    def begin(self, time_s: float) -> tuple[WatchState, ...]:
-        """The state of each watch at the begin of a run (A,)."""
-        return tuple(watch.begin(time_s) for watch in self._watches)
+    def begin(self, time_s: float, origin: Any) -> tuple[WatchState, ...]:
+        """The state of each watch at the begin of a run (A,); `origin`: see `Watch.begin`."""
+        return tuple(watch.begin(time_s, origin) for watch in self._watches)
 
     def validate(self, now: MPCState, history: Record, forced_K: Array | None) -> MPCState:
         """The state with the predictions that came due compared; where control returns, with the model that held.

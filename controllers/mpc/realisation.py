@@ -32,7 +32,7 @@ _LADDER = (
 _FIRST_NAMED = (PlanStatus.WATCH, PlanStatus.GATE, PlanStatus.NATIVE, PlanStatus.THERMOSTAT)
 
 
-# How far from off and full the level counts that a command inside its limits is answered with.
+# How far from off and full the level counts that a command inside its limits is answered with. By judgement.
 _NOT_AN_END = 0.01
 
 

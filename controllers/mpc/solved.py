@@ -29,13 +29,14 @@ from thermoforce_mpc.data.plan import NOT_ECONOMICAL
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import ZONE
 
-# Share of its highest level within which an actuator is taken to be at a limit.
+# Share of its highest level within which an actuator is taken to be at a limit. Of words only; by judgement.
 _NEARLY = 0.02
-# Share of full level from which a plan makes loops work.
+# Share of full level from which a plan makes loops work. By judgement.
 _WORKS_FROM = 0.5
-# A bound nearer than this is reported as binding, K.
+# A bound nearer than this is reported as binding, K. Of words only; by judgement.
 _BINDING_K = 0.02
-# Share of what is missing that more heat must have brought, for money to be the reason that it is missing.
+# Share of what is missing that more heat must have brought, for money to be the reason that it is missing. By
+# judgement.
 _BOUGHT = 0.5
 
 

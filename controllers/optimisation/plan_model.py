@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -136,7 +137,14 @@ class Evaluator:
         return f"{self._checks.required[number]} is broken by {by:.4g}"
 
 
-# Level from which a solve without a guess starts, as a share of the highest.
+def _like(pattern: sparse.csc_matrix, values: Array) -> sparse.csc_matrix:
+    """A matrix of the same pattern; a constructor's checks would take longer than all else of a programme."""
+    matrix = copy(pattern)
+    matrix.data = values
+    return matrix
+
+
+# Level from which a solve without a guess starts, as a share of the highest. Of iterations only; by judgement.
 _START = 0.3
 
 
@@ -159,7 +167,7 @@ class PlanModel(Evaluator):
         """Number of parameters of the operator that a programme depends on."""
         return self.operator.n_used
 
-    def ipopt(self, options: Mapping[str, Any]) -> ca.Function:
+    def ipopt(self, options: Mapping[str, Any]) -> Buffered:
         """Ipopt on the statement as a nonlinear programme, the exported gains in it (`Functions.ipopt`)."""
         return self.functions.ipopt(options, self._numbers.hidden)
 
@@ -186,9 +194,10 @@ class PlanModel(Evaluator):
         f, gradient, H, equal, A, above, G = self._local(x, own, y)
         # Scaled by the largest slope, so that tolerances do not depend on the currency.
         unit, (low, high) = float(np.abs(gradient).max()) or 1.0, self.bounds(p)
-        quadratic, A_, G_ = (pattern.copy() for pattern in self._patterns)
-        quadratic.data[:], A_.data, G_.data = 0.0, A.copy(), G.copy()
-        quadratic.data[self._in_quadratic] = H / unit
+        second = np.zeros(self._patterns[0].nnz)
+        second[self._in_quadratic] = H / unit
+        each = (second, A.copy(), G.copy())
+        quadratic, A_, G_ = (_like(pattern, values) for pattern, values in zip(self._patterns, each, strict=True))
         return QPData(
             quadratic,
             gradient / unit,

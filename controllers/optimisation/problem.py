@@ -180,12 +180,12 @@ class ProblemShape:
         means = np.add.reduceat(u, self.first_steps, axis=-1) / self.lengths
         return np.asarray(means[..., self.move_of_step])
 
-    @property
+    @cached_property
     def first_steps(self) -> NDArray[np.intp]:
         """The first step of each move, shape (n_moves,)."""
         return np.searchsorted(self.move_of_step, np.arange(self.n_moves))
 
-    @property
+    @cached_property
     def lengths(self) -> NDArray[np.intp]:
         """Number of steps of each move, shape (n_moves,)."""
         return np.bincount(self.move_of_step)

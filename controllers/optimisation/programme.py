@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 # Bounds from here on are as good as none beside the numbers of a plan, which are of the size of 1 to 1000.
 FAR = 1e6
-# How far from where it is a variable without a near bound may be in a better plan, as a multiple of its size.
+# How far from where it is a variable without a near bound may be in a better plan, as a multiple of its size. Such a
+# bound must not be active; by judgement.
 _REACH = 10.0
 
 
@@ -63,8 +64,10 @@ class QPData:
     @property
     def convex(self) -> bool:
         """Whether Q has no negative eigenvalue, to rounding."""
-        diagonal = self.quadratic.diagonal()
-        others = np.asarray(abs(self.quadratic).sum(axis=1)).ravel() - np.abs(diagonal)
+        rows, values, n = self.quadratic.indices, self.quadratic.data, self.linear.size
+        on = rows == _columns(self.quadratic)
+        diagonal = np.bincount(rows[on], values[on], minlength=n)
+        others = np.bincount(rows, np.abs(values), minlength=n) - np.abs(diagonal)
         slack = 1e-9 * float(np.abs(diagonal).max(initial=0.0))
         if (diagonal >= others - slack).all():
             return True

@@ -35,7 +35,8 @@ from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.scenario.settings import StrictModel
 
-# Hours ahead at which the network sees what is needed and what it costs, and where these are cut off.
+# Hours ahead at which the network sees what is needed and what it costs, and where these are cut off. By judgement, as
+# the numbers below: twice as far each.
 _LEADS_H = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 24.0)
 _LEAST, _MOST = -2.0, 3.0
 # How much the levels of the network reach beyond their bounds, where they are cut off: it can say off and full.

@@ -15,7 +15,7 @@ from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.testcase import TestCase
 
-# Distance of a set-point from the bound, K: that of the defaults from BOPTEST's bounds.
+# Distance of a set-point from the bound, K: that of the defaults from BOPTEST's bounds. By judgement.
 _INSIDE_K = 0.3
 
 

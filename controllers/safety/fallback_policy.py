@@ -7,14 +7,16 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation
 from thermoforce_mpc.scenario.settings import StrictModel
 
-# Set-points of the on/off rule stay within this, whatever the bounds say, °C.
+# Set-points of the on/off rule stay within this, whatever the bounds say, °C. No building is wanted colder or warmer.
 _RULE_C = (5.0, 35.0)
-# A plan is followed while its error is within this many half-widths of its 80 % band, or within this, K.
+# A plan is followed while its error is within this many half-widths of its 80 % band, or within this, K. By judgement
+# (2026-11-22): beyond, the plan is of another weather or machine.
 _TRUSTED_BANDS, _LEAST_TRUST_K = 3.0, 0.1
 
 
@@ -107,22 +109,29 @@ class FallbackPolicy:
 
     def rule_at(self, T_zone_C: float, bounds: Boundary, time_s: float) -> tuple[float | None, str]:
         """The same for a temperature of the zone, °C, at a time within `bounds`, s."""
-        T = T_zone_C
         if self.mode == "both":
             return None, "native control"
-        if not math.isfinite(T):
+        if not math.isfinite(T_zone_C):
             return None, "zone temperature unknown: native control"
-        heating = self.mode == "heating"
-        ahead = (bounds.time_s >= time_s - 1.0) & (bounds.time_s <= time_s + self.config.look_ahead_h * HOUR_S)
-        limits_C = (bounds.lower_C if heating else bounds.upper_C)[self.zone, ahead]
-        limits_C = limits_C[np.isfinite(limits_C)]
-        inside_K = self.config.setpoint_above_bound_K
-        if not limits_C.size:
-            setpoint = self.config.safe_C[0 if heating else 1]
+        (setpoint,), (known,) = self.setpoints_C(bounds, np.array([time_s]))
+        level, note = self.switched(T_zone_C, float(setpoint)), "" if known else " (no bounds)"
+        return level, f"{T_zone_C:.2f} °C against {setpoint:.2f} °C{note}: {'on' if level else 'off'}"
+
+    def setpoints_C(self, bounds: Boundary, time_s: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Set-points of the rule at times (k,) within `bounds`, s, and whether a bound was known for each."""
+        heating, inside_K = self.mode == "heating", self.config.setpoint_above_bound_K
+        limits_C = (bounds.lower_C if heating else bounds.upper_C)[self.zone]
+        begin_s, end_s = time_s[:, None] - 1.0, time_s[:, None] + self.config.look_ahead_h * HOUR_S
+        ahead = (bounds.time_s >= begin_s) & (bounds.time_s <= end_s) & np.isfinite(limits_C)
+        known = np.asarray(ahead.any(axis=1))
+        if heating:
+            setpoint = np.where(ahead, limits_C, -np.inf).max(axis=1, initial=-np.inf) + inside_K
         else:
-            setpoint = float(limits_C.max()) + inside_K if heating else float(limits_C.min()) - inside_K
-        setpoint = min(max(setpoint, _RULE_C[0]), _RULE_C[1])
-        on = setpoint > T if heating else setpoint < T
-        note = "" if limits_C.size else " (no bounds)"
-        why = f"{T:.2f} °C against {setpoint:.2f} °C{note}: {'on' if on else 'off'}"
-        return self.level if on else 0.0, why
+            setpoint = np.where(ahead, limits_C, np.inf).min(axis=1, initial=np.inf) - inside_K
+        setpoint = np.where(known, setpoint, self.config.safe_C[0 if heating else 1])
+        return np.clip(setpoint, *_RULE_C), known
+
+    def switched(self, T_zone_C: float, setpoint_C: float) -> float:
+        """Level of the rule at a temperature of the zone and a set-point, °C."""
+        on = setpoint_C > T_zone_C if self.mode == "heating" else setpoint_C < T_zone_C
+        return self.level if on else 0.0

@@ -20,9 +20,9 @@ from simple_house import SimpleHouse, simple_model
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.experiment import run as experiment_run
 from thermoforce_mpc.identification.validation import competence
 from thermoforce_mpc.plants import registry as plants_registry
+from thermoforce_mpc.plants.registry import ChosenPlant
 
 TESTCASE = "bestest_hydronic_heat_pump"
 # Nothing is known of the building but that its heater heats.
@@ -56,7 +56,7 @@ def test_what_a_message_quotes_does_nothing_to_the_terminal(tmp_path):
 def simple(monkeypatch, tmp_path):
     """`tf-mpc run` on the simple house, in an empty folder; gives a function that runs it in this process."""
     house = SimpleHouse()
-    monkeypatch.setattr(experiment_run, "build_plant", lambda *_: house)
+    monkeypatch.setattr(ChosenPlant, "build", lambda *_: house)
     monkeypatch.chdir(tmp_path)
 
     def call(*words: str):

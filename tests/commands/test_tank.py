@@ -143,3 +143,7 @@ def test_what_a_record_does_not_tell_is_refused_with_the_reason(lived, spoilt, w
 def test_a_wrong_map_is_refused_by_its_key(lived, wrong, why):
     with pytest.raises(ConfigError, match=why):
         read_measurements(lived[1], a_map(**wrong))
+    if "machine" in wrong:
+        twice = a_map() | {"machines": {"heat_pump": {"power": "power", "hot_water": "charged"}}}
+        with pytest.raises(ConfigError, match=r"hot_water\.charging is the place of machines\.heat_pump\.hot_water"):
+            read_measurements(lived[1], twice)

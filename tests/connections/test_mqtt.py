@@ -6,6 +6,7 @@ import json
 import socket
 import time
 
+import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
@@ -186,6 +187,28 @@ def test_what_comes_is_recorded_but_for_what_was_retained(connect, broker, tmp_p
     other.loop_stop()
 
 
+@needs_broker
+def test_a_record_that_is_written_to_for_months_keeps_its_days_and_what_comes_meanwhile(connect, broker, monkeypatch):
+    """It was cut to its days when a controller began, and grew until the next beginning."""
+    other, now = broker.client(), [pd.Timestamp("2026-01-01 12:00", tz="UTC").to_pydatetime()]
+    monkeypatch.setattr("thermoforce_mpc.connections.mqtt.utc_now", lambda: now[0])
+    home = connect(days=10)
+    home.reads(["z/out"])
+    home.begin()
+    wait_for("the broker", lambda: home.connected)
+    time.sleep(0.2)
+    for day in range(20):
+        other.publish("z/out", f"{day}", qos=1).wait_for_publish(5)
+        wait_for("the record", lambda day=day: home.measurements().read_text().endswith(f",z/out,{day}\n"))
+        now[0] += pd.Timedelta("1D")
+    table = pd.read_csv(home.measurements())
+    first = int(table["value"].iloc[0])
+    assert 5 <= first <= 10, "ten days, and a fourth of these at the most beyond"
+    assert table["value"].tolist() == list(range(first, 20))
+    other.disconnect()
+    other.loop_stop()
+
+
 def test_a_record_reads_as_measurements(tmp_path):
     now = pd.Timestamp.now("UTC").floor("1h")
     file = tmp_path / "mqtt.csv"
@@ -202,6 +225,13 @@ def test_a_record_reads_as_measurements(tmp_path):
     measured = read_measurements(file, rules, at=now, now=now)
     assert measured.record.n_steps == 10
     assert measured.record.u[0].tolist() == pytest.approx([0.4] * 10)
+    torn = measured.record
+    for whole in ("\n".join(["time,topic,value", *rows, ""]), "\r\n".join(["time,topic,value", *rows, ""])):
+        file.write_text(whole, newline="")
+        clean = read_measurements(file, rules, at=now, now=now)  # a log in which all is whole is read at once
+        assert not clean.left_out
+        for signal in ("time_s", "T_zone_C", "T_out_C", "u"):
+            np.testing.assert_array_equal(getattr(clean.record, signal), getattr(torn, signal))
 
 
 @needs_broker

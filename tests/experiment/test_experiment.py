@@ -11,10 +11,10 @@ from simple_house import SimpleHouse
 
 from controllers import registry
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.experiment import run as experiment_run
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.identifying import IdentificationTask, SavedModel
 from thermoforce_mpc.plants import testcases
+from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.scenario import settings
 from thermoforce_mpc.scenario import testcase as testcase_module
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -42,7 +42,7 @@ def done(monkeypatch) -> Counter[tuple[str, object]]:
     counted(settings, "read_yaml", "read", str)
     counted(testcases, "read_yaml", "read", str)
     counted(testcase_module, "parse_yaml", "read", lambda content, path: str(path))
-    monkeypatch.setattr(experiment_run, "build_plant", lambda *_: SimpleHouse())
+    monkeypatch.setattr(ChosenPlant, "build", lambda *_: SimpleHouse())
     return times
 
 

@@ -17,8 +17,8 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.data.clock import seconds_of, words_of
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.experiment import run as experiment_run
 from thermoforce_mpc.experiment.explaining import decision_at
+from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.records.journal import Journal, JournalError, read_run
 
@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
     words = ["--model", root / "model", "--baselines", "thermostat", "--days", "0.5", "--out", root / "run"]
     settings = ["--set", "controller.options.gate.enabled=false", "--set", "step_s=3600"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiment_run, "build_plant", lambda *_: SimpleHouse())
+        patch.setattr(ChosenPlant, "build", lambda *_: SimpleHouse())
         patch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
         done = call("run", "--testcase", "bestest_hydronic_heat_pump", *words, *settings)
     assert done.exit_code == 0, done.output
@@ -172,7 +172,7 @@ def test_several_zones_on_one_machine(tmp_path, monkeypatch):
     model = two_houses.two_model(shared=True)
     operator = replace(model.operator, zones=names.zones, actuators=names.actuators)
     replace(model, operator=operator, machines=names.machines).save(tmp_path / "model")
-    monkeypatch.setattr(experiment_run, "build_plant", lambda *_: two_houses.TwoHouses(shared=True))
+    monkeypatch.setattr(ChosenPlant, "build", lambda *_: two_houses.TwoHouses(shared=True))
     monkeypatch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
     words = ["--model", tmp_path / "model", "--baselines", "", "--days", "0.2", "--out", tmp_path / "run"]
     settings = [

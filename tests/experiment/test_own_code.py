@@ -13,9 +13,9 @@ from controllers.registry import build_controller, find_entry, lent
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Block, Plan, PlanStatus
 from thermoforce_mpc.errors import ConfigError, ControllerRaised
-from thermoforce_mpc.experiment import run as experiment_run
 from thermoforce_mpc.experiment.run import run
 from thermoforce_mpc.files import DoubtfulInput
+from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.records.run_folder import own_kpis
 
@@ -60,7 +60,7 @@ def broken(trajectory):
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A working folder with rules and KPIs; runs there are on the simple house."""
-    monkeypatch.setattr(experiment_run, "build_plant", lambda *_: SimpleHouse())
+    monkeypatch.setattr(ChosenPlant, "build", lambda *_: SimpleHouse())
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_rules.py").write_text(RULES)
     (tmp_path / "my_kpis.py").write_text(KPIS)

@@ -10,31 +10,28 @@ import pytest
 from fuzzing import fuzz, mutated, result_or_error, tampered
 from hypothesis import given
 from hypothesis import strategies as st
+from run_folders import experiment_on
 from simple_house import SimpleHouse
 
 from controllers import Thermostat
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import ThermoForceError
-from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.explaining import alternatives_of, decision_at
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
-from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.records.journal import NAME, JournalError, read_journal
 
 
 def run(book: RunBook) -> None:
-    plant = book.connect(lambda _: SimpleHouse())
-    plant.noted("loop", lambda: {"controller": "thermostat"})
+    plant = book.connect()
+    plant.noted("loop", {"controller": "thermostat"})
     run_closed_loop(plant, Thermostat(), Period("test", 10 * DAY_S, 3600.0, DAY_S), keeper=plant)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    book = RunBook.begin(
-        folder, Experiment.of(load_scenario(None, {"testcase": "bestest_hydronic_heat_pump"})), ["tf-mpc", "run"]
-    )
+    book = RunBook.begin(folder, experiment_on(SimpleHouse()), ["tf-mpc", "run"])
     run(book)
     book.journal.close()
     return folder
@@ -63,7 +60,7 @@ def explained(folder) -> None:
 
 
 def resumed(folder) -> None:
-    book = RunBook.reopen(folder)
+    book = RunBook.reopen(folder, resolved=lambda _: experiment_on(SimpleHouse()))
     try:
         run(book)
     finally:

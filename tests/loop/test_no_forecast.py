@@ -20,9 +20,9 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Period, PlanStatus
 from thermoforce_mpc.errors import NoForecast
 from thermoforce_mpc.experiment import experiment as experiment_module
-from thermoforce_mpc.experiment import run as experiment_run
 from thermoforce_mpc.experiment.explaining import decision_at
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
+from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.records.told_steps import told_run
 
 START_S = 10 * DAY_S
@@ -81,7 +81,7 @@ def test_a_plant_that_never_gave_a_forecast_ends_the_run_at_once():
 
 def test_a_run_killed_without_a_forecast_goes_on_to_the_same_bytes_and_is_explained(tmp_path, monkeypatch):
     simple_model().save(tmp_path / "model")
-    monkeypatch.setattr(experiment_run, "build_plant", lambda *_: silent(4, 30))
+    monkeypatch.setattr(ChosenPlant, "build", lambda *_: silent(4, 30))
     monkeypatch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
     words = ["--model", tmp_path / "model", "--baselines", "", "--days", "0.5", "--out", tmp_path / "run"]
     settings = ["--set", "controller.options.gate.enabled=false", "--set", "step_s=3600", "--set", "days=0.5"]
@@ -122,7 +122,7 @@ def test_a_journal_tells_the_forecasts_that_the_run_had(tmp_path, monkeypatch):
         had["run"] = run_closed_loop(*args, **options)
         return had["run"]
 
-    monkeypatch.setattr(experiment_run, "build_plant", lambda *_: silent(4, 7, gappy))
+    monkeypatch.setattr(ChosenPlant, "build", lambda *_: silent(4, 7, gappy))
     monkeypatch.setattr(experiment_module, "run_closed_loop", kept)
     monkeypatch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
     words = ["run", "--testcase", "bestest_hydronic_heat_pump", "--model", tmp_path / "model", "--baselines", ""]

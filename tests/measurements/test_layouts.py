@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import thermoforce_mpc as tf
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.map.starting_map import starting_map
 
 ZONE = "Europe/Berlin"
@@ -408,7 +408,125 @@ def spreadsheet(folder: Path) -> list[Path]:
     return [folder / "classeur.csv"]
 
 
+def netatmo(folder: Path) -> list[Path]:
+    """A file a module, of two clocks and with three lines above; the heating in a table of another program."""
+    files, seconds = [], HOUSE.index.as_unit("s").asi8
+    for name, module, kind in (
+        ("living", "Wohnzimmer", "Indoor"),
+        ("bath", "Bad", "Indoor"),
+        ("out", "Aussen", "Outdoor"),
+    ):
+        lines = ["Name;Long;Lat;ModuleName;ModuleType", f'"Haus";11.58;48.13;"{module}";"{kind}"']
+        lines += ['Timestamp;"Timezone : Europe/Berlin";Temperature;Humidity' + ";CO2" * (kind == "Indoor")]
+        for at, told, value in zip(seconds, local("%Y/%m/%d %H:%M:%S"), HOUSE[name], strict=True):
+            lines.append(f'{at};"{told}";{value};45' + ";650" * (kind == "Indoor"))
+        files.append(folder / f"{module}_{kind}_12_1_2026.csv")
+        files[-1].write_text("\n".join(lines) + "\n", encoding="utf-8")
+    names = {"v_living": "Ventil Wohnzimmer %", "v_bath": "Ventil Bad %", "power": "Wärmepumpe W"}
+    df = HOUSE[list(names)].rename(columns=names).reset_index(drop=True)
+    df.insert(0, "Zeit", local("%d.%m.%Y %H:%M"))
+    df.to_csv(folder / "heizung.csv", index=False, decimal=",", sep=";")
+    return [*files, folder / "heizung.csv"]
+
+
+def switchbot(folder: Path) -> list[Path]:
+    """A file a meter with its dew point, degrees as one character."""
+    files = []
+    for name, told in (("living", "Living Room_data"), ("bath", "Bath_data"), ("out", "Outdoor Meter_data")):
+        columns = {"Timestamp": local("%Y-%m-%d %H:%M"), "Temperature_Celsius(℃)": HOUSE[name].to_numpy()}
+        columns |= {"Relative_Humidity(%)": 45, "DPT(℃)": 9.5, "VPD(kPa)": 1.2}
+        files.append(folder / f"{told}.csv")
+        pd.DataFrame(columns).to_csv(files[-1], index=False, encoding="utf-8-sig")
+    return [*files, _heating(folder)]
+
+
+def govee(folder: Path) -> list[Path]:
+    """The United States' degrees, and files called exports of a day."""
+    files = []
+    for name, told in (("living", "Living"), ("bath", "Bath"), ("out", "Outside")):
+        columns = {"Timestamp for sample frequency every 15 min min": local("%Y-%m-%d %H:%M:%S")}
+        columns |= {"Temperature_Fahrenheit": (HOUSE[name] * 1.8 + 32).round(2).to_numpy(), "Relative_Humidity": 45.2}
+        files.append(folder / f"{told}_export202601121200.csv")
+        pd.DataFrame(columns).to_csv(files[-1], index=False)
+    return [*files, _heating(folder)]
+
+
+def _heating(folder: Path) -> Path:
+    names = {"v_living": "valve living (%)", "v_bath": "valve bath (%)", "power": "heat pump (W)"}
+    df = HOUSE[list(names)].rename(columns=names).reset_index(drop=True)
+    df.insert(0, "Timestamp", local("%Y-%m-%d %H:%M"))
+    df.to_csv(folder / "heat.csv", index=False)
+    return folder / "heat.csv"
+
+
+def shelly(folder: Path) -> list[Path]:
+    """A meter that counts from 1970 and tells more than means, beside stamps of ISO 8601."""
+    rooms = HOUSE.rename(columns={k: v[7:] for k, v in ENTITIES.items()}).drop(columns="heat_pump_power")
+    rooms.set_axis(HOUSE.index.strftime("%Y-%m-%dT%H:%M:%SZ")).to_csv(folder / "rooms.csv", index_label="time")
+    power = HOUSE["power"].to_numpy()
+    columns = {"timestamp": HOUSE.index.as_unit("s").asi8, "total_act_energy": power / 4, "max_act_power": power + 90}
+    columns |= {
+        "total_act_ret_energy": 0.0,
+        "min_act_power": power - 90,
+        "max_aprt_power": power + 99,
+        "avg_voltage": 232,
+    }
+    pd.DataFrame(columns).to_csv(folder / "shelly.csv", index=False)
+    return [folder / "rooms.csv", folder / "shelly.csv"]
+
+
+def emporia(folder: Path) -> list[Path]:
+    """Plurals of units, circuits without a sensor, the zone in the header; rooms as Home Assistant stores them."""
+    rooms = ha_history(folder)
+    table = pd.read_csv(rooms[0])
+    table[table["entity_id"] != ENTITIES["power"]].to_csv(rooms[0], index=False)
+    new_york = pd.Series(HOUSE.index.tz_convert("America/New_York").strftime("%m/%d/%Y %H:%M:%S"))
+    columns = {"Time Bucket (America/New_York)": new_york, "Mains_A (kWhs)": HOUSE["power"] / 4000 + 1}
+    columns |= {"Heat Pump (kWhs)": HOUSE["power"] / 4000, "Dryer (kWhs)": "No CT"}
+    pd.DataFrame({k: getattr(v, "array", v) for k, v in columns.items()}).to_csv(folder / "1MIN.csv", index=False)
+    return [*rooms, folder / "1MIN.csv"]
+
+
+def desigo(folder: Path) -> list[Path]:
+    """Thousandths of a second behind a comma, a unit in a column of its own."""
+    names = {
+        "living": "GA.R101.Raumtemp.Istwert", "bath": "GA.R102.Raumtemp.Istwert", "out": "GA.Witterung.Aussentemp",
+        "v_living": "GA.R101.Heizventil.Stellwert", "v_bath": "GA.R102.Heizventil.Stellwert",
+        "power": "GA.WP01.Leistung",
+    }  # fmt: skip
+    lines = ["Zeitstempel;Datenpunkt;Wert;Einheit;Qualität"]
+    for name, point in names.items():
+        unit = {"v": "%", "p": "kW"}.get(name[0], "°C")
+        values = [f"{v:.3f}".replace(".", ",") for v in HOUSE[name] / (1000 if name == "power" else 1)]
+        stamps = local("%d.%m.%Y %H:%M:%S,000")
+        lines += [f"{at};{point};{value};{unit};gut" for at, value in zip(stamps, values, strict=True)]
+    (folder / "trend.csv").write_text("\n".join(lines), encoding="cp1252")
+    return [folder / "trend.csv"]
+
+
+def nibe(folder: Path) -> list[Path]:
+    """A Swedish cloud's table; one room has a valve that its name does not tell."""
+    names = {
+        "living": "Rumstemperatur (BT50) [°C]", "bath": "Badrum temperatur [°C]",
+        "out": "Aktuell utetemperatur (BT1) [°C]", "v_living": "Ventil vardagsrum [%]", "v_bath": "Ventil badrum [%]",
+        "power": "Momentan använd effekt [W]",
+    }  # fmt: skip
+    df = HOUSE.rename(columns=names).reset_index(drop=True)
+    df.insert(4, "Framledning (BT2) [°C]", 30 + HOUSE["v_living"].to_numpy() / 10)
+    df.insert(5, "Gradminuter [GM]", -120)
+    df.insert(0, "Tidpunkt", local("%Y-%m-%d %H:%M:%S"))
+    df.to_csv(folder / "nibe.csv", sep=";", decimal=",", index=False, encoding="utf-8-sig")
+    return [folder / "nibe.csv"]
+
+
 LAYOUTS = (
+    netatmo,
+    switchbot,
+    govee,
+    shelly,
+    emporia,
+    desigo,
+    nibe,
     knx,
     fhem,
     campbell,
@@ -588,6 +706,70 @@ def test_a_word_in_one_cell_of_a_long_table_does_not_hide_the_signal(tmp_path):
     outdoors = tf.read_measurements(files, tmp_path / "map.yaml").record.T_out_C
     assert np.isnan(outdoors).sum() < 3
     assert np.nanmax(np.abs(outdoors - HOUSE["out"].to_numpy()[: outdoors.size])) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("h.json", '[[{"entity_id": "sensor.a", "state": "21.3"}' + ', {"state": "1"}' * 9000 + "]]", "is JSON, no"),
+        ("h.csv", "<!DOCTYPE html><html><body>Log in</body></html>", "is a page of the web"),
+        ("h.xml", '<?xml version="1.0"?><Statistics/>', "is XML"),
+        ("h.log", "2026-01-12_01:00:01 WP temp: 21.0\n2026-01-12_01:09:00 WP temp: 21.1\n", "nothing parts the cells"),
+        (
+            "h.csv",
+            "entity_id,type,unit," + ",".join(f"2026-01-12T{h:02d}:00:00.000Z" for h in range(24)) + "\n"
+            "sensor.heat_pump,device_consumption,kWh" + ",0.5" * 24 + "\n",
+            "its times stand side by side",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_no_table_is_told_with_what_to_do(tmp_path, name, text, said):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(DataError, match=said):
+        starting_map(tmp_path / name)
+
+
+def test_times_side_by_side_are_turned_round_as_is_said(tmp_path, monkeypatch):
+    """Home Assistant's energy dashboard: the remedy of the message gives a table."""
+    times = [f"2026-01-12T{h:02d}:00:00.000Z" for h in range(24)]
+    rows = ["entity_id,type,unit," + ",".join(times), "sensor.hp,device_consumption,kWh" + ",0.5" * 24]
+    (tmp_path / "energy.csv").write_text("\n".join(rows) + "\n")
+    with pytest.raises(DataError) as told:
+        starting_map(tmp_path / "energy.csv")
+    monkeypatch.chdir(tmp_path)
+    exec(str(told.value).split('python -c "')[1].removesuffix('"'))
+    turned = pd.read_csv("turned.csv")
+    assert list(turned.columns) == ["time", "sensor.hp"]
+    assert list(turned["time"]) == times
+
+
+def test_a_format_that_is_still_to_be_filled_in_is_said():
+    with pytest.raises(ConfigError, match="'FILL IN' has no %"):
+        tf.read_measurements(pd.DataFrame({"t": ["1"], "T": [1.0]}), {"time": {"format": "FILL IN"}, "outdoor": "T",
+            "zones": {"r": {"temperature": "T"}}})  # fmt: skip
+
+
+def test_files_of_two_programs_hold_by_their_own_marks_and_clocks(tmp_path):
+    """Rooms by a pattern with decimal commas; the meter's stamps are ends of quarters of an hour in UTC."""
+    df = HOUSE[["living", "out", "v_living"]].reset_index(drop=True)
+    df.insert(0, "Zeit", local("%d.%m.%Y %H:%M"))
+    df.to_csv(tmp_path / "raum 1.csv", sep=";", decimal=",", index=False)
+    ends = (HOUSE.index + pd.Timedelta("15min")).strftime("%Y-%m-%dT%H:%M:%SZ")
+    HOUSE[["power"]].set_axis(ends).to_csv(tmp_path / "zaehler.csv", index_label="Horodate")
+    rules = {
+        "time": {"zone": ZONE, "format": "%d.%m.%Y %H:%M"}, "csv": {"decimal": ","}, "outdoor": "out",
+        "files": {"zaehler*": {"csv": {}, "time": {"marks": "end", "zone": "UTC"}}},
+        "zones": {"r": {"temperature": "living"}}, "actuators": {"v": {"level": {"column": "v_living", "unit": "%"}}},
+        "machines": {"m": {"power": "power", "price": 0.3}},
+    }  # fmt: skip
+    record = tf.read_measurements(sorted(tmp_path.glob("*.csv")), rules).record
+    truth = HOUSE.reindex(record.stamps().tz_convert("UTC"))
+    np.testing.assert_allclose(record.T_zone_C[0][1:-2], truth["living"].to_numpy()[1:-2])
+    np.testing.assert_allclose(record.power_W[0][1:-2], truth["power"].to_numpy()[:-1][1:-2])
+    lenient = tf.read_measurements(sorted(tmp_path.glob("*.csv")), rules, now=HOUSE.index[-1])
+    np.testing.assert_allclose(
+        lenient.record.power_W[0][1:-2], truth["power"].to_numpy()[:-1][1:-2][: lenient.record.n_steps]
+    )
 
 
 def test_a_picture_is_no_code_page(tmp_path):

@@ -16,7 +16,7 @@ import thermoforce_mpc as tf
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.map.starting_map import starting_map
 from thermoforce_mpc.measurements.tables.files import read_tables
-from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm
+from thermoforce_mpc.measurements.tables.forms import Written
 
 BASE = {
     "outdoor": "out",
@@ -559,4 +559,4 @@ def test_parquet_without_pyarrow_says_what_to_install(tmp_path, monkeypatch):
     with pytest.raises(
         DataError, match=r"house\.parquet: Parquet needs pyarrow.*pip install 'thermoforce-mpc.parquet.'"
     ):
-        read_tables([tmp_path / "house.parquet"], None, ["T"], CsvFormat(), TableForm(), [])
+        read_tables([tmp_path / "house.parquet"], ["T"], lambda _: Written(), [])

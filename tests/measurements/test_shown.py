@@ -92,6 +92,33 @@ def test_a_set_point_and_a_window_are_those_of_their_room(tmp_path):
     assert "# not used: kitchen window" in text
 
 
+def test_what_a_mode_says_is_for_hot_water_is_not_of_the_rooms(tmp_path):
+    """The proposed map takes the words of a mode for numbers; power of steps with hot water is not the rooms'."""
+    k = np.arange(960)
+    time = pd.date_range("2025-01-10", periods=960, freq="15min").strftime("%Y-%m-%d %H:%M")
+    df = pd.DataFrame({"time": time, "room temperature": 20 + k % 7 / 4, "outdoor temperature": k % 50 / 5})
+    df["valve"] = 50.0 * (k // 8 % 3)
+    mode = np.where(k % 96 < 3, "DHW", np.where(k // 8 % 3, "Heating", "Idle"))
+    df["heat pump mode"] = mode
+    df["heat pump power W"] = np.where(mode == "DHW", 2100.0, 500.0 * (k // 8 % 3))
+    df.to_csv(tmp_path / "home.csv", index=False)
+    text = starting_map(tmp_path / "home.csv")
+    rules = yaml.safe_load(text)
+    assert rules["csv"]["words"] == {"DHW": 1, "Heating": 0}
+    assert rules["machines"]["machine"]["hot_water"] == {"column": "heat pump mode"}
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    record = tf.read_measurements(tmp_path / "home.csv", tmp_path / "map.yaml").record
+    np.testing.assert_array_equal(np.isnan(record.power_W[0]), (mode == "DHW")[:-1])
+    np.testing.assert_allclose(np.nanmax(record.power_W), 1000.0)
+    now = pd.Timestamp("2025-01-19 23:50", tz="Europe/Brussels")
+    live = tf.read_measurements(tmp_path / "home.csv", tmp_path / "map.yaml", now=now, at="end").record
+    assert np.nanmax(live.power_W) == 1000.0
+    df.loc[5, "heat pump mode"] = "Defrost"
+    df.to_csv(tmp_path / "home.csv", index=False)
+    with pytest.raises(DataError, match=r"'heat pump mode' holds .*Defrost"):
+        tf.read_measurements(tmp_path / "home.csv", tmp_path / "map.yaml")
+
+
 def test_rooms_that_are_called_as_a_watt_are_rooms(tmp_path):
     row = np.arange(400)
     df = pd.DataFrame({"time": pd.date_range("2025-01-10", periods=400, freq="15min"), "Temp WC": 20 + row % 7 / 4})

@@ -15,7 +15,7 @@ from simple_house import SimpleHouse
 from thermoforce_mpc import report
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.experiment import run as experiment_run
+from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.records.journal import JournalError, read_journal
 
 WORDS = ("--testcase", "bestest_hydronic_heat_pump", "--controller", "thermostat", "--baselines", "native")
@@ -26,7 +26,7 @@ def whole(tmp_path_factory):
     """A finished run of two controllers, with its journal."""
     folder = tmp_path_factory.mktemp("runs") / "whole"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiment_run, "build_plant", lambda *_: SimpleHouse())
+        patch.setattr(ChosenPlant, "build", lambda *_: SimpleHouse())
         patch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
         done = call("run", *WORDS, "--days", "1", "--no-equal-comfort", "--out", folder)
         assert done.exit_code == 0, done.output

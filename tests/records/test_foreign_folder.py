@@ -19,11 +19,11 @@ from thermoforce_mpc import files, report
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ArtifactError, ConfigError
 from thermoforce_mpc.experiment import outside
-from thermoforce_mpc.experiment import run as experiment_run
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.explaining import alternatives_of, decision_at
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.files import open_plain
+from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.records.run_folder import kept_model
 
@@ -55,7 +55,7 @@ def sent(folder: Path, **settings: object) -> Path:
 @pytest.fixture
 def run(monkeypatch, tmp_path) -> Path:
     """A whole run of the simple house."""
-    monkeypatch.setattr(experiment_run, "build_plant", lambda *_: SimpleHouse())
+    monkeypatch.setattr(ChosenPlant, "build", lambda *_: SimpleHouse())
     done = call(*WORDS, "--controller", "thermostat", "--out", tmp_path / "run")
     assert done.exit_code == 0, done.output
     return tmp_path / "run"
@@ -104,11 +104,11 @@ def test_an_address_in_a_journal_gets_no_request_and_no_token_until_it_is_given(
 def test_an_fmu_in_a_journal_is_not_opened_until_it_is_given_or_the_one_of_before(monkeypatch, tmp_path):
     opened: list[str] = []
 
-    def build(experiment, *_: object) -> SimpleHouse:
-        opened.append(experiment.plant.spec.path)
+    def build(chosen, *_: object) -> SimpleHouse:
+        opened.append(chosen.spec.path)
         return SimpleHouse()
 
-    monkeypatch.setattr(experiment_run, "build_plant", build)
+    monkeypatch.setattr(ChosenPlant, "build", build)
     monkeypatch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
     fmu, settings = tmp_path / "wrapped.fmu", {"controller": {"name": "thermostat"}}
     fmu.write_bytes(b"mine")
@@ -130,7 +130,7 @@ def test_an_fmu_in_a_journal_is_not_opened_until_it_is_given_or_the_one_of_befor
 
 
 def test_python_in_a_journal_is_not_run_by_resume_or_explain(monkeypatch, tmp_path):
-    monkeypatch.setattr(experiment_run, "build_plant", lambda *_: SimpleHouse())
+    monkeypatch.setattr(ChosenPlant, "build", lambda *_: SimpleHouse())
     mark, terms = tmp_path / "was here", tmp_path / "terms.py"
     terms.write_text(
         f"open({str(mark)!r}, 'w').close()\ndef cheap(plan):\n    plan.add_cost(1e-9 * plan.u)\n", encoding="utf-8"
@@ -251,7 +251,7 @@ def test_what_is_exchanged_during_a_run_is_not_written_through(monkeypatch, tmp_
             os.mkfifo(folder / name) if what == "a pipe" else (folder / name).symlink_to(victim)
         return SimpleHouse()
 
-    monkeypatch.setattr(experiment_run, "build_plant", exchanged)
+    monkeypatch.setattr(ChosenPlant, "build", exchanged)
     done = call(*WORDS, "--controller", "thermostat", "--out", folder)
     assert done.exit_code == 0, done.output
     assert victim.read_bytes() == b"as it was"

@@ -21,8 +21,8 @@ from thermoforce_mpc import report
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.experiment import run as experiment_run
 from thermoforce_mpc.model.thermal_model import load_model
+from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.protocols import OutlivingPlant
 from thermoforce_mpc.records.journal import JournalError, read_journal
 
@@ -66,14 +66,14 @@ def call(*words: object):
 
 def run(house: SimpleHouse, out: Path, *words: object):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiment_run, "build_plant", lambda *_: house)
+        patch.setattr(ChosenPlant, "build", lambda *_: house)
         patch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
         return call("run", "--testcase", TESTCASE, *SETTINGS, "--out", out, *words)
 
 
 def resumed(house: SimpleHouse, folder: Path):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiment_run, "build_plant", lambda *_: house)
+        patch.setattr(ChosenPlant, "build", lambda *_: house)
         patch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
         return call("resume", folder)
 

@@ -17,7 +17,7 @@ from waiting import LONG_S, wait_for
 
 from thermoforce_mpc import report
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.experiment import run as experiment_run
+from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.records import journal as journal_module
 from thermoforce_mpc.records.journal import Journal, JournalError, read_journal
 
@@ -30,7 +30,7 @@ def whole(tmp_path_factory):
     root = tmp_path_factory.mktemp("runs")
     simple_model().save(root / "model")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiment_run, "build_plant", lambda *_: SimpleHouse())
+        patch.setattr(ChosenPlant, "build", lambda *_: SimpleHouse())
         patch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
         words = ("--model", root / "model", "--baselines", "thermostat", "--days", "1", "--out", root / "whole")
         settings = ("--set", "controller.options.gate.enabled=false", "--set", "step_s=3600")
@@ -89,7 +89,7 @@ def test_a_damaged_record_in_the_middle_is_refused_by_its_line(whole, tmp_path):
 
 def test_a_run_that_does_not_repeat_itself_is_refused(whole, tmp_path, monkeypatch):
     folder = killed(whole, 150_000, tmp_path / "other")
-    monkeypatch.setattr(experiment_run, "build_plant", lambda *_: SimpleHouse(T_start_C=20.5))
+    monkeypatch.setattr(ChosenPlant, "build", lambda *_: SimpleHouse(T_start_C=20.5))
     error = call("resume", folder).exception
     assert isinstance(error, JournalError)
     assert "the plant answers" in str(error)

@@ -26,10 +26,10 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import ConfigError, PlantError, StorageError
 from thermoforce_mpc.experiment import experiment as experiment_module
-from thermoforce_mpc.experiment import run as experiment_run
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.files import write_whole, written
+from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.records import run_folder
 from thermoforce_mpc.records.journal import read_journal
@@ -57,7 +57,7 @@ def call(monkeypatch):
     """`tf-mpc` in this process on the house given; the result of the call."""
 
     def called(house: SimpleHouse, *words: object):
-        monkeypatch.setattr(experiment_run, "build_plant", lambda *_: house)
+        monkeypatch.setattr(ChosenPlant, "build", lambda *_: house)
         return CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=True)
 
     return called

@@ -11,7 +11,7 @@ from simple_house import SimpleHouse, simple_model
 
 from boptest_client import TransportConfig
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.experiment import run as experiment_run
+from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.records.journal import read_journal
 
 
@@ -25,7 +25,7 @@ def whole(tmp_path_factory):
     root = tmp_path_factory.mktemp("runs")
     simple_model().save(root / "model")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiment_run, "build_plant", lambda *_: SimpleHouse())
+        patch.setattr(ChosenPlant, "build", lambda *_: SimpleHouse())
         words = ["--model", root / "model", "--baselines", "thermostat", "--days", "1", "--out", root / "whole"]
         words += ["--set", "controller.options.gate.enabled=false", "--set", "step_s=3600"]
         words += ["--set", "controller.options.free_response.name=persistence"]

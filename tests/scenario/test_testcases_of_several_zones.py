@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.execution.keys import canonical
 from thermoforce_mpc.plants.rooms import house_of_rooms
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.settings import read_yaml, validate
@@ -31,6 +32,17 @@ def test_what_acts_where_is_read(apartment):
     assert layout.home == (0, 1)
     assert layout.machine_of == (0, 0)
     assert layout.shares == (0.5, 0.5), "equal shares of the machine where none are given"
+
+
+def test_what_was_derived_of_a_building_is_not_that_of_a_changed_copy_nor_part_of_its_key(apartment):
+    building = validate(TestCase, apartment, "file")
+    key = canonical(building)
+    zones = building.points.zones
+    assert canonical(building) == key
+    larger = building.zones | {"Day": building.zones["Day"].model_copy(update={"floor_area_m2": 99.0})}
+    copy = building.model_copy(update={"zones": larger})
+    assert copy.layout.floor_area_m2[0] == 99.0
+    assert (building.points.zones, building.model_copy().points.zones) == (zones, zones)
 
 
 def test_every_shipped_building_of_several_zones_loads():

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from click.testing import CliRunner
 
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.experiment.experiment import Experiment
+from thermoforce_mpc.plants.testcases import load_scenario
+from thermoforce_mpc.protocols import Plant
 
 
 def call(*words: object):
     return CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=True)
+
+
+def experiment_on(plant: Plant) -> Experiment:
+    """The default experiment, whose plant is this one."""
+    experiment = Experiment.of(load_scenario(None, {"testcase": "bestest_hydronic_heat_pump"}))
+    entry = replace(experiment.plant.entry, build=lambda *_: plant)
+    return replace(experiment, plant=replace(experiment.plant, entry=entry))
 
 
 def results(folder: Path) -> dict[str, object]:

@@ -13,8 +13,6 @@ from thermoforce_mpc.scenario.settings import StrictModel
 
 # Commands nearer to one another than this are one, in their unit.
 SAME = 1e-6
-# 0.95 quantile of the normal distribution: half-width of a 90 % band over its standard deviation.
-CERTAIN = 1.645
 _MOST_VALUES = 1000
 
 

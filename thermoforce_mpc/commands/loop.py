@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.commands.command import CERTAIN, SAME, Command
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Plan, PlannedSaving
+from thermoforce_mpc.commands.command import SAME, Command
+from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Plan, PlannedSaving, Record
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables are read
@@ -123,7 +123,8 @@ class LearnedCommand:
     `last`: the command (NaN: not known) at `last_s`, s, held for `held_s`; `usual` (n,): what it is when left alone, at
     the times of a week, in equal parts, from `origin` on. Seconds count from there; None: from where a plan's do.
     `machine`: name of the machine of whose actuators all are set by this one command; '': the actuator's own.
-    `untold`: why the record does not tell what it does to this actuator, '' where it does.
+    `untold`: why the record does not tell what it does to this actuator, '' where it does. `record`, `set_to` (n,):
+    what it was learned from, where the command is a machine's, and what was set over its steps.
     """
 
     command: Command
@@ -135,6 +136,8 @@ class LearnedCommand:
     origin: pd.Timestamp | None = None
     machine: str = ""
     untold: str = ""
+    record: Record | None = None
+    set_to: Array | None = None
 
     @property
     def in_words(self) -> str:
@@ -443,7 +446,7 @@ def _untold(
         return float(np.mean(moved)) / max(1.0 - one.carry, _LEAST_LEFT)
 
     found, error = effect(loop), float(np.std([effect(one) for one in drawn]))
-    if found - CERTAIN * error < _LEAST_EFFECT or r2 < _LEAST_R2:
+    if found - NORMAL_95 * error < _LEAST_EFFECT or r2 < _LEAST_R2:
         return (
             f"{where}: the record does not tell what it does: from {low:.3g} to {high:.3g} the level changes by "
             f"{found:.2f} ± {error:.2f}, and it explains {100 * max(r2, 0.0):.0f} % of the level's scatter. Try "

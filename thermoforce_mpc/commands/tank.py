@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Discriminator, Field, Tag
 
-from thermoforce_mpc.commands.command import CERTAIN, Command, StepwiseCommand, SwitchCommand
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, HotWaterPlan, Plan
+from thermoforce_mpc.commands.command import Command, StepwiseCommand, SwitchCommand
+from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, HotWaterPlan, Plan
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import DataError
@@ -280,7 +280,7 @@ class LearnedTank:
 
 
 def _band(value: float, sd: float) -> str:
-    return f"{value:.3g} ± {CERTAIN * sd:.2g}"
+    return f"{value:.3g} ± {NORMAL_95 * sd:.2g}"
 
 
 def tank_rows(plan: Plan, command: Command | None) -> list[dict[str, Any]]:
@@ -495,7 +495,7 @@ def _energy(charges: _Charges, T_out_C: float, where: str) -> tuple[Array, float
     error = spread / np.sqrt(known.sum())
     if not mean > 0.0 or error > _MOST_ERROR * mean:
         raise DataError(
-            f"{where}: a kelvin took {mean:.0f} ± {CERTAIN * error:.0f} Wh by the meter of its machine: the record "
+            f"{where}: a kelvin took {mean:.0f} ± {NORMAL_95 * error:.0f} Wh by the meter of its machine: the record "
             "does not tell what a charge costs. Is it the meter of the machine that heats the tank, and is the time "
             "right?"
         )

@@ -30,7 +30,7 @@ from pydantic import Field
 
 from thermoforce_mpc.connections.discovery import device_message
 from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.files import no_secret_in, secret_from, storage_errors, write_whole
+from thermoforce_mpc.files import no_secret_in, secret_from, storage_errors, written
 from thermoforce_mpc.measurements.tables.raw_table import SWITCH
 from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -42,6 +42,8 @@ TIMEOUT_S, _KEEPALIVE_S = 10.0, 30
 TAKEN_S = 10.0
 _HEADER = "time,topic,value\n"
 _MOST_PAYLOAD = 100_000
+# How often a record that is written to for months is looked through for what is too old.
+_KEEP_EVERY = timedelta(days=1)
 
 
 class MqttActuator(StrictModel):
@@ -90,7 +92,7 @@ class MqttConnection:
             ca_file: certificate of the authority that signed it; default: those of the system.
             version: of the protocol, 5 or 3.1.1.
             record: file that what comes is appended to.
-            days: how long it is kept, at least.
+            days: how long it is kept, at least; it is read in each step, so that more of it takes more time.
             prefix: of the topics that say what is planned.
             discovery: prefix of Home Assistant's device discovery; null: none.
             forecast: a file of weather, or services, see docs/how-to/forecasts.md.
@@ -129,6 +131,7 @@ class MqttConnection:
         self._outlook = Outlook(forecast)
         self._columns: tuple[str, ...] = tuple(a.state for a in self._actuators.values() if a.state is not None)
         self._heard: dict[str, str] = {}
+        self._writing, self._kept_at = threading.Lock(), utc_now()
         self._change = threading.Condition()
         self._asks: dict[str, Callable[[str], None]] = {}
         self._said: dict[str, str] = {}
@@ -154,7 +157,7 @@ class MqttConnection:
         """Connect, and record what comes from now on; asked for by the first reading too."""
         if self._client is not None:
             return
-        _keep_lately(self._record, self._days)
+        self._keep_lately()
         # The same name after each loss: the broker then says the last will of the lost connection at once, and not half
         # a minute after we are back.
         client = self._made(f"thermoforce-mpc-{uuid4().hex[:16]}")
@@ -188,6 +191,8 @@ class MqttConnection:
             if time.monotonic() > until:
                 raise PlantError(problem)
             time.sleep(0.05)
+        if utc_now() - self._kept_at > _KEEP_EVERY:
+            self._keep_lately()
         if not self._record.exists():
             raise PlantError(f"nothing was recorded in {self._record} yet of {', '.join(self._columns)}")
         return self._record
@@ -451,12 +456,17 @@ class MqttConnection:
         if rows:
             self._append(rows)
 
+    def _keep_lately(self) -> None:
+        with self._writing:
+            _keep_lately(self._record, self._days)
+        self._kept_at = utc_now()
+
     def _append(self, rows: Iterable[str]) -> None:
         at, lines = utc_now().isoformat(timespec="milliseconds"), io.StringIO()
         csv.writer(lines, lineterminator="\n").writerows((at, *row.split("\x00", 1)) for row in rows)
         try:
             new = not self._record.exists()
-            with self._record.open("a", encoding="utf-8") as file:
+            with self._writing, self._record.open("a", encoding="utf-8") as file:
                 file.write((_HEADER if new else "") + lines.getvalue())
         except OSError as error:
             _LOG.warning("%s: what came is not recorded (%s)", self._record, error.strerror or error)
@@ -528,14 +538,19 @@ def _break_off(client: Any) -> None:
 
 
 def _keep_lately(record: Path, days: float) -> None:
-    """Leave out of the record what is older than `days`, once at the start; and end a line that was torn."""
+    """Leave out of the record what is older than `days`, where that is a good part of it; and end a torn line."""
     if not record.exists():
         with storage_errors(record.parent):
             record.parent.mkdir(parents=True, exist_ok=True)
         return
-    since = (utc_now() - timedelta(days=days)).isoformat()
-    text = record.read_text(encoding="utf-8", errors="replace")
-    lines = text.splitlines()
-    kept = [line for line in lines[1:] if line[:10] >= since[:10]]
-    if len(kept) < 0.8 * (len(lines) - 1) or not text.endswith("\n"):
-        write_whole(record, "\n".join([_HEADER.strip(), *kept]) + "\n")
+    since = (utc_now() - timedelta(days=days)).date().isoformat().encode()
+    with storage_errors(record), record.open("rb") as file:  # line by line: it may be of a hundred million bytes
+        last, lines, old = file.readline(), 0, 0
+        for last in file:
+            lines, old = lines + 1, old + (last[:10] < since)
+    if last.endswith(b"\n") and old <= 0.2 * lines:
+        return
+    with written(record) as aside, record.open("rb") as file, aside.open("wb") as kept:
+        file.readline()
+        kept.write(_HEADER.encode())
+        kept.writelines(line.rstrip(b"\r\n") + b"\n" for line in file if line[:10] >= since)

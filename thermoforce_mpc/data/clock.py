@@ -1,4 +1,4 @@
-"""The type of arrays, units of time and energy, instants as people write them, and those that go up in equal steps."""
+"""The type of arrays, units, widths of bands, instants as people write them, and those that go up in equal steps."""
 
 from __future__ import annotations
 
@@ -19,6 +19,9 @@ ZERO_C_K = 273.15
 """0 °C in K."""
 
 J_PER_KWH = 3.6e6
+
+NORMAL_90, NORMAL_95 = 1.2816, 1.645
+"""Quantiles 0.9 and 0.95 of the normal distribution: half of an 80 % and a 90 % band, standard deviations."""
 
 Array = NDArray[np.float64]
 

@@ -14,6 +14,7 @@ The level is not needed where heat was measured and drives the operator (`heat_d
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -36,8 +37,7 @@ def first_order(poles: Array, drive: Array, start: Array) -> Array:
     if n <= 1:  # laws that see the temperature ask step by step
         return np.asarray(poles * start[..., None, :] + drive)[..., :n, :]
     width = min(_BLOCK, n)
-    lag = np.arange(width)[:, None] - np.arange(width)
-    within = np.where(lag >= 0, poles[:, None, None] ** np.maximum(lag, 0), 0.0)
+    within, fading, whole = _powers(np.asarray(poles, dtype=np.float64).tobytes(), width)
     count = -(-n // width)
     padded = np.zeros((*drive.shape[:-2], count * width, poles.size))
     padded[..., :n, :] = drive
@@ -45,10 +45,22 @@ def first_order(poles: Array, drive: Array, start: Array) -> Array:
     own = blocks @ np.swapaxes(within, -1, -2)  # (..., q, count, width), each block from 0
     begin = np.broadcast_to(start, (*drive.shape[:-2], poles.size))[..., None]
     if count > 1:
-        ends = first_order(poles**width, np.swapaxes(own[..., :-1, -1], -1, -2), begin[..., 0])
+        ends = first_order(whole, np.swapaxes(own[..., :-1, -1], -1, -2), begin[..., 0])
         begin = np.concatenate([begin, np.swapaxes(ends, -1, -2)], axis=-1)
-    states = own + begin[..., None] * poles[:, None, None] ** np.arange(1, width + 1)
+    states = own + begin[..., None] * fading
     return np.moveaxis(states, -3, -1).reshape(padded.shape)[..., :n, :]
+
+
+@lru_cache(32)
+def _powers(poles: bytes, width: int) -> tuple[Array, Array, Array]:
+    """What a drive leaves within a block (q, width, width), and a state after each step (q, 1, width) and after all.
+
+    They take longer to work out than all else of a series of some days, and a run asks for the same ones.
+    """
+    a = np.frombuffer(poles)
+    lag = np.arange(width)[:, None] - np.arange(width)
+    within = np.where(lag >= 0, a[:, None, None] ** np.maximum(lag, 0), 0.0)
+    return within, a[:, None, None] ** np.arange(1, width + 1), a**width
 
 
 def lagged(signal: Array, pole: float, start: float = 0.0) -> Array:

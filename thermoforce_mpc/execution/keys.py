@@ -71,7 +71,10 @@ def canonical(value: Any) -> Any:
     if isinstance(value, bytes):
         return {"bytes": hashlib.sha256(value).hexdigest()}
     if isinstance(value, BaseModel):
-        return {"model": _name(value), "fields": {key: canonical(item) for key, item in value}}
+        return {
+            "model": _name(value),
+            "fields": {key: canonical(getattr(value, key)) for key in type(value).model_fields},
+        }
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {item.name: canonical(getattr(value, item.name)) for item in dataclasses.fields(value)}
         return {"dataclass": _name(value), "fields": fields}

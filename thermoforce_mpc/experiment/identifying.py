@@ -13,7 +13,6 @@ from pydantic import BaseModel
 from controllers.entries.entry import Chosen
 from controllers.registry import choose
 from thermoforce_mpc.data import Period, Record
-from thermoforce_mpc.experiment.windows import check_window
 from thermoforce_mpc.loop.probing import Identifying, Probed, ProbingProgress, probe_until_known
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
@@ -258,7 +257,6 @@ def run_identification(
         PlantError: the plant failed.
         JournalError: a journal of the probing cannot be used; names the file.
     """
-    check_window(task.period)
     identifying = Identifying(task.testcase, task.identification, task.step_s, say)
     probed, look = taken_probing(task, keep), None
     if probed is None:

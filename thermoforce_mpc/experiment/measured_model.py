@@ -29,7 +29,7 @@ def check_measurements(file: str | Path, map_file: str | Path, testcase: TestCas
     """
     rules = load_map(Path(map_file))
     columns = [column for _, signal in rules.signals() for column in signal.columns]
-    check_columns([file], rules.time.column, columns, rules.csv, rules.table)
+    check_columns([file], columns, rules.written)
     if testcase is None:
         return
     map_layout, testcase_layout = rules.layout, testcase.layout

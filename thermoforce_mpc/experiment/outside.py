@@ -52,10 +52,13 @@ class Outside(NamedTuple):
             return ""
 
 
-def outside(scenario: Scenario) -> list[Outside]:
-    """The settings of a scenario that act outside; raises `ConfigError` where nothing implements its test case."""
+def outside(scenario: Scenario, plant_of: str | None = None) -> list[Outside]:
+    """The settings of a scenario that act outside; `plant_of`: name of its plant, where that is known.
+
+    Raises `ConfigError` where nothing implements its test case.
+    """
     plant, found = scenario.plant, []
-    name = plant_name(plant, load_testcase(scenario.testcase))
+    name = plant_of or plant_name(plant, load_testcase(scenario.testcase))
     if name == "boptest":
         found.append(Outside("plant.url", plant.url, "--url", "requests and BOPTEST_TOKEN go there"))
     elif plant.path is not None:
@@ -127,9 +130,9 @@ def shown_code(one: Outside) -> str:
         return str(error)
 
 
-def note_given(scenario: Scenario) -> None:
-    """Note what the user gave."""
-    note_marks(mark for one in outside(scenario) if (mark := one.mark))
+def note_given(scenario: Scenario, plant_of: str | None = None) -> None:
+    """Note what the user gave; arguments and errors as of `outside`."""
+    note_marks(mark for one in outside(scenario, plant_of) if (mark := one.mark))
 
 
 def unknown(scenario: Scenario) -> list[Outside]:

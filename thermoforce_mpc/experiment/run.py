@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -254,7 +253,7 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
         StorageError: the disk is full, or the folder cannot be written any more; the plant was released.
     """
     experiment = Experiment.of(scenario)
-    note_given(scenario)
+    note_given(scenario, experiment.plant.name)
     folder = create_run_folder(
         out, f"{experiment.testcase.name}-{experiment.window}-{experiment.price}-{file_stem(experiment.own.name)}"
     )
@@ -298,10 +297,9 @@ def stop_test(folder: Path, given: Mapping[str, str] | None = None, code: Sequen
     with sole_use(folder):
         book = _reopened(folder, given, code)
         with closing(book.journal):
-            plant = book.experiment.plant
-            if not (book.told and plant.outlives_us):
+            if not (book.told and book.experiment.plant.outlives_us):
                 raise ConfigError(f"{folder}: its plant is simulated, or was never reached: there is no test to stop")
-            book.connect(plant.build).close()
+            book.connect().close()
 
 
 def _reopened(
@@ -342,11 +340,6 @@ def _carry_out(book: RunBook, display: RunDisplay) -> Path:
     return folder
 
 
-def build_plant(experiment: Experiment, testid: str | None = None) -> Plant:
-    """The plant of an experiment; raises as `ChosenPlant.build`."""
-    return experiment.plant.build(testid)
-
-
 def _execute(
     experiment: Experiment,
     display: RunDisplay,
@@ -362,10 +355,7 @@ def _execute(
         check_contestants(experiment)
     own, *baselines = experiment.contestants
 
-    def build(testid: str | None = None) -> Plant:
-        return build_plant(experiment, testid)
-
-    with book.released(book.connect(build)) if book else closing(build()) as plant:
+    with book.released(book.connect()) if book else closing(experiment.plant.build()) as plant:
         setting = Setting.of(plant, experiment)
         display.say(headline(plant, setting.period, experiment))
         identified: Mapping[str, IdentifiedModel] = {}
@@ -374,8 +364,7 @@ def _execute(
             models |= {one.name: model for one in experiment.contestants if one.chosen.needs_model}
         elif book and isinstance(plant, JournaledPlant):
             # Probing has journals of its own: the journal of the run has the models, which are what comes of it.
-            find = partial(identify_all, experiment.contestants, plant.inside, display, book.folder)
-            identified = kept_models(plant, book.folder, find)
+            identified = kept_models(experiment.contestants, plant, display, book.folder)
         else:
             identified = identify_all(experiment.contestants, plant, display)
         models |= {who: found.acts_on for who, found in identified.items()}
@@ -413,7 +402,7 @@ def _follow(setting: Setting, controller: Controller, display: RunDisplay, steps
     plant = setting.plant
     keeper = plant if isinstance(plant, JournaledPlant) else None
     if keeper:
-        keeper.noted("loop", lambda: {"controller": controller.name})
+        keeper.noted("loop", {"controller": controller.name})
     kpis = keeper.kpis_so_far if keeper else plant.kpis
     with display.loop(controller.name, setting.period, kpis, setting.experiment.testcase.currency) as progress:
 

@@ -13,7 +13,6 @@ from pathlib import Path
 from thermoforce_mpc.errors import PlantError, StorageError, ThermoForceError, out_of_memory
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.loop.closed_loop import StepRecord
-from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.records.journal import (
     FORMAT,
     NAME,
@@ -103,8 +102,9 @@ class RunBook:
         journal = Journal(path, text, durable=goes_on)
         return cls(folder, experiment, command, journal, text.entries[1:], resumed=True, cut=since is not None)
 
-    def connect(self, build: Callable[[str | None], Plant]) -> JournaledPlant:
-        """The plant of the run; `build` makes it, or takes up the test of a service by its name."""
+    def connect(self) -> JournaledPlant:
+        """The plant of the run: made, or the test of a service that it had taken up again; raises as it is built."""
+        build = self.experiment.plant.build
         if self.told:
             entry = self.told[0]
             if entry.kind != "plant":
@@ -114,7 +114,7 @@ class RunBook:
                 if testid is not None and not _TESTID.fullmatch(testid):
                     raise ValueError(f"{testid:.100} is not the name of a test")
             return JournaledPlant(build(testid), self.journal, self.told[1:], cut=self.cut)
-        plant = build(None)
+        plant = build()
         try:
             self.journal.write("plant", {"info": plain_json(asdict(plant.info))})
         except BaseException:

@@ -16,11 +16,10 @@ import pandas as pd
 from controllers.safety.overrides import SharedCommands
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.commands.loop import LearnedCommand
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Boundary, Period, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, NORMAL_95, Array, Boundary, Period, Record
 from thermoforce_mpc.data.dataframes import stamps as stamps_at
 from thermoforce_mpc.data.dataframes import table
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.regression import BAND
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.machine.change import Share, weight_of_demand
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -358,7 +357,7 @@ def band_of(saved: float, drawn: Sequence[float]) -> tuple[float, float]:
 
     away = np.array(drawn) - saved
     n = away.size
-    half = float(stdtrit(n, 0.95)) if n < 30 else BAND
+    half = float(stdtrit(n, 0.95)) if n < 30 else NORMAL_95
     half *= float(np.sqrt(np.mean(away**2) * (1.0 + 1.0 / n)))
     return saved - half, saved + half
 

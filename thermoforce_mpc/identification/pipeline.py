@@ -19,7 +19,12 @@ from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.confounding import unknown_heat
-from thermoforce_mpc.identification.effects.couplings import assembled, others_of, with_metered_shares
+from thermoforce_mpc.identification.effects.couplings import (
+    assembled,
+    others_of,
+    with_metered_shares,
+    with_shares_by_power,
+)
 from thermoforce_mpc.identification.effects.meters import (
     OtherLoads,
     foreign_loads,
@@ -131,6 +136,7 @@ def identify(
     say(f"fitting what acting does to {days:.3g} days of records")
     estimates = _estimates(runs, records, layout, data, config)
     layout = with_metered_shares(layout, [each.everything.heat_input for each in estimates], records.histories)
+    layout = with_shares_by_power(layout, records.histories)
     power, of_power = _powers(records, config, layout)
     zones, heat_sd = [], []
     for a, (zone, estimate) in enumerate(zip(data, estimates, strict=True)):

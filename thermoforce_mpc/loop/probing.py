@@ -55,8 +55,16 @@ class Probed:
 
     def blocked(self, layout: Layout) -> list[Directions]:
         """What it tells of the hours in which each actuator is kept off (A,)."""
-        from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, called_for, each_direction, running
+        from thermoforce_mpc.model.machine.blocked_hours import (
+            BlockedHours,
+            ahead_s,
+            called_for,
+            each_direction,
+            running,
+        )
 
+        # By the clock on the wall, since a model made in winter acts in summer.
+        clock_s = ahead_s(float(self.record.time_s[-1]), self.record.origin)
         found: list[Directions] = []
         for a, (z, sign, u_min) in enumerate(zip(layout.home, layout.signs, layout.u_min, strict=True)):
             levels = np.array([math.nan if block.u[a] is None else block.u[a] for block in self.blocks])
@@ -69,7 +77,7 @@ class Probed:
             if len(layout.fed_by(m)) == 1 and u_min >= 0.0:
                 record = running(record)
             each = each_direction(asked, record, sign, signed=u_min < 0.0)
-            found.append(tuple(BlockedHours.found(*one) for one in each))
+            found.append(tuple(BlockedHours.found(*one).moved(clock_s) for one in each))
         return found
 
 

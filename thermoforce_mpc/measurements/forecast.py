@@ -38,7 +38,7 @@ from thermoforce_mpc.measurements.signals import SignalReader
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import found_files, head_of, read_tables
-from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules
+from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules, Written
 from thermoforce_mpc.measurements.tables.raw_table import NoColumn, as_numbers, tables_of
 from thermoforce_mpc.measurements.tables.recognition import Recognised, guessed_form, recognised
 from thermoforce_mpc.scenario.bill import SUFFIXES, Bill, file_beside, read_bill
@@ -79,8 +79,9 @@ def prices_over_steps(
         )
     stamped = recognised([path]).clock
     own = {"zone": clock.zone or stamped.zone, "order": "sort", "duplicates": "last"}
-    tables = read_tables([path], stamped.column, named, form, TableForm(), [])
-    rows = timed(tables, stamped.model_copy(update=own))
+    stamped = stamped.model_copy(update=own)
+    tables = read_tables([path], named, lambda _: Written(time=stamped, csv=form), [])
+    rows = timed(tables, stamped)
     values = rows.columns[named[0]]
     known = np.isfinite(values)
     factor, unit = next(
@@ -281,12 +282,13 @@ def _rows(
                 form, csv = rules.forecast.table or taken.table, rules.forecast.csv or taken.csv
                 if rules.forecast.time is None:
                     zone = taken.clock.zone or rules.time.zone
-                    clock = taken.clock.model_copy(update={"zone": zone})
+                    clock = taken.clock.model_copy(update={"zone": zone, "marks": rules.time.marks})
                     clock = clock if now is None else clock.lenient()
+            written = Written(time=clock, csv=csv, table=form)
             if now is None:
-                tables = read_tables(paths, clock.column, columns, csv, form, [])
+                tables = read_tables(paths, columns, lambda _: written, [])
             else:
-                tables = read_appended(paths, columns, clock, csv, form, now + _LATEST, notes)
+                tables = read_appended(paths, columns, lambda _: written, now + _LATEST, notes)
     rows = timed(tables, clock, now)
     if now is not None:
         notes += rows.notes

@@ -21,6 +21,7 @@ from thermoforce_mpc.measurements.map.guesses import rooms_beside
 from thermoforce_mpc.measurements.map.mapping import (
     LEAST_STEP_S,
     MOST_STEP_S,
+    Level,
     MappedActuator,
     MeasurementMap,
     Signal,
@@ -259,7 +260,7 @@ def read_measurements(
     rules, left_out, notes = _rules(map), list[str](), list[str]()
     columns = [column for _, signal in rules.signals() for column in signal.columns]
     clock = rules.time if now is None else rules.time.lenient()
-    head = None
+    head, decimal = None, rules.csv.decimal
     if isinstance(files, pd.DataFrame):
         if now is None or rules.table != TableForm():
             tables = tables_of(files, clock.column, columns, rules.table, "table")
@@ -270,10 +271,12 @@ def read_measurements(
         patterns = [files] if isinstance(files, str | Path) else list(files)
         paths = found_files(patterns, most_bytes)
         if now is None:
-            tables = read_tables(paths, clock.column, columns, rules.csv, rules.table, notes)
-            head = head_of(paths[0], _ROWS, rules.csv) if rules.table == TableForm() else None
+            tables = read_tables(paths, columns, rules.written, notes)
+            first = rules.written(paths[0])
+            head = head_of(paths[0], _ROWS, first.csv) if first.table == TableForm() else None
+            decimal = first.csv.decimal
         else:
-            tables = read_appended(paths, columns, clock, rules.csv, rules.table, now + _LATEST, left_out)
+            tables = read_appended(paths, columns, rules.written, now + _LATEST, left_out)
     rows = timed(tables, clock, now)
     rows = replace(rows, notes=(*notes, *rows.notes))
     found = _from_table(tables, rows, rules, step_s, at, refuse=now is None)
@@ -282,7 +285,7 @@ def read_measurements(
     beside = dict(rows.beside)
     if head is not None and rules.table.point is None:
         named = head.columns.drop_duplicates(keep=False)
-        beside = {str(name): as_numbers(head[name], rules.csv.decimal).to_numpy() for name in named}
+        beside = {str(name): as_numbers(head[name], decimal).to_numpy() for name in named}
     understood = replace(found.understood, beside=rooms_beside(beside, rules))
     return replace(found, understood=understood, left_out=tuple(left_out))
 
@@ -331,8 +334,8 @@ def _from_table(
         grid_s = _grid_s(time_s, rows_every_s, step_s, _at_s(time_s, rows_every_s, step_s, at))
     if grid_s.size < _LEAST_STEPS + 1:
         raise DataError(
-            f"{tables[0].name}: {len(time_s)} rows from {table.index[0]} to {table.index[-1]} make fewer than "
-            f"{_LEAST_STEPS} steps of {step_s:g} s; give more rows, or a shorter step"
+            f"{tables[0].name}: {counted(len(time_s), 'row')} from {table.index[0]} to {table.index[-1]} make "
+            f"fewer than {_LEAST_STEPS} steps of {step_s:g} s; give more rows, or a shorter step"
         )
     reader = SignalReader(table, time_s, grid_s, step_s, rules, refuse=refuse)
     zones, actuators, machines = rules.zones.items(), rules.actuators.items(), rules.machines.items()
@@ -348,19 +351,20 @@ def _from_table(
     ] or unknown
     heat = np.array([reader.mean(f"actuators.{name}.heat", a.heat, readings.POWER) for name, a in actuators] or unknown)
     tank, of_tank = _tank_record(rules, table, time_s, grid_s, rows_every_s, step_s, origin, refuse=refuse)
-    rooms_W = power
-    if tank is not None:  # what the machine takes for the tank says nothing of the rooms
-        m, share = names.machines.index(rules.tank_machine), tank.share_of(grid_s)
-        rooms_W, power = power.copy(), power.copy()
-        rooms_W[m] *= 1.0 - share
-        power[m, share > _CHARGED] = np.nan
+    # What a machine takes for hot water says nothing of the rooms.
+    modes = {f"machines.{name}.hot_water": m.hot_water and _held(m.hot_water) for name, m in machines}
+    for_water = np.array([reader.mean(key, mode, readings.LEVEL) for key, mode in modes.items()] or unknown)
+    for_water = np.clip(np.nan_to_num(for_water), 0.0, 1.0)
+    if tank is not None:
+        for_water[names.machines.index(rules.tank_machine)] = tank.share_of(grid_s)
+    rooms_W, power = power * (1.0 - for_water), np.where(for_water > _CHARGED, np.nan, power)
     u, of_levels = actuator_levels(rules, reader, heat, rooms_W)
     set_by = {name: found for name, _ in actuators if (found := rules.command_of(name)) is not None}
     commands = {
         name: replace(_commanded(reader, where, command), over_K=_over_K(rules.actuators[name], name, reader, rules))
         for name, (where, command) in set_by.items()
     }
-    contacts = {name: z.window.model_copy(update={"hold_h": _COMMAND_HOLDS_H}) for name, z in zones if z.window}
+    contacts = {name: _held(z.window) for name, z in zones if z.window}
     windows = {name: reader.scheduled(f"zones.{name}.window", one, readings.COMMAND) for name, one in contacts.items()}
     record = Record(
         grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
@@ -457,9 +461,16 @@ def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
             signals = T_zone_C, record.T_out_C, record.u[a], record.time_s
             habits_s = clock_s(record.time_s, record.origin)
             learned = learn_command(command, was, *signals, where, clock_s=habits_s, may_be_untold=True)
-            out[name] = replace(learned, origin=record.origin, machine=machine if shared else "")
+            out[name] = replace(learned, origin=record.origin)
+            if shared:
+                out[name] = replace(out[name], machine=machine, record=record, set_to=was.mean)
     check_told(out.values())
     return out
+
+
+def _held(state: Level) -> Level:
+    """A state that holds until the next reading, however long that is."""
+    return state.model_copy(update={"hold_h": _COMMAND_HOLDS_H})
 
 
 def _commanded(reader: SignalReader, where: str, command: Command) -> CommandRecord:

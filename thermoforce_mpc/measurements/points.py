@@ -111,7 +111,7 @@ def read_points(
             tables = tables_of(files, clock.column, columns, rules.table, "table")
     else:
         paths = found_files([files], most_bytes)
-        tables = read_appended(paths, columns, clock, rules.csv, rules.table, now + _LATEST, notes, absent)
+        tables = read_appended(paths, columns, rules.written, now + _LATEST, notes, absent)
     rows = timed(tables, clock, now) if tables else None
     if rows is not None and rows.index.tz is None:
         raise ConfigError("time.zone: the time stamps have no zone: name the building's, as Europe/Berlin, in the map")

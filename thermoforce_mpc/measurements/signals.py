@@ -213,13 +213,18 @@ class SignalReader:
             return np.empty(0)
         return np.minimum(durations_s(readings, marks), max(self.grid_s[-1], self._time_s[-1]) + self._step_s)
 
+    def _marks_of(self, signal: Signal) -> str:
+        """Which end of an interval the stamps of a signal mark, by its file."""
+        return self._table.marks.get(signal.columns[0], self._marks)
+
     def mean(self, key: str, signal: Signal | None, rules: SignalRule) -> Array:
         """Means of a signal over the steps (n,); NaN where it is not measured."""
         if signal is None:
             return np.full(self.grid_s.size - 1, np.nan)
         readings, unit, flags = self._readings(key, signal, rules)
-        lasts = self._lasts_s(readings, self._marks)
-        starts = readings.time_s - (lasts if self._marks == "end" else 0.0)
+        marks = self._marks_of(signal)
+        lasts = self._lasts_s(readings, marks)
+        starts = readings.time_s - (lasts if marks == "end" else 0.0)
         values = means(starts, lasts, readings.values, self.grid_s, self._coverage)
         return self._summarised(key, signal, unit, readings, values, flags)
 
@@ -238,7 +243,7 @@ class SignalReader:
         raw = raw * signal.factor
         values = converted(raw, declared) if declared else raw
         if declared.endswith(PER_STEP):
-            values = values / _intervals_s(time_s, np.isfinite(values), signal.hold_h, self._marks)
+            values = values / _intervals_s(time_s, np.isfinite(values), signal.hold_h, self._marks_of(signal))
         flags: list[Flag] = []
         if (endless := np.isinf(values)).any():
             row = time_s[int(np.argmax(endless))]
@@ -250,7 +255,7 @@ class SignalReader:
         is_counter = declared.endswith(COUNTER)
         stored_s = time_s
         if is_counter and values.size > 1:
-            values, time_s, raw, of_counter = _from_counter(values, time_s, raw, self._marks, self._when)
+            values, time_s, raw, of_counter = _from_counter(values, time_s, raw, self._marks_of(signal), self._when)
             flags += of_counter
         name = f"{key} (column {' + '.join(signal.columns)})"
         longest = longest_s(time_s, self._step_s, signal.hold_h)

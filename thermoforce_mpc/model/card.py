@@ -27,7 +27,7 @@ MOST_ERROR_K = {1.0: 0.5, 6.0: 1.0}
 # later steps correct what comes later. At 0.43 the sign is certain to 99 %; at 0.4 the 90 % interval is a third to five
 # thirds of what was planned, which re-planning still corrects.
 MOST_RELATIVE_SD = 0.4
-# Relative standard deviation of the effect of a day on another zone from which a record does not tell it.
+# Relative standard deviation of the effect of a day on another zone from which a record does not tell it. By judgement.
 UNTOLD_SD = 0.5
 TOGETHER_SD = "together_24h_relative_sd"
 """What a card's `uncertainty` calls the relative standard deviation of what a day of all actuators does to its zone."""

@@ -27,6 +27,7 @@ from thermoforce_mpc.data.series import WEATHER, at_instants, gap_s
 _SAME_S = 1.0
 # How a source of data fills what follows a schedule.
 BY_DAYS = "the same hour of the days before"
+# A week has each day of the week.
 _DAYS_BEFORE = 7
 # Last days of the record that tell how far a guess of the weather may be off: two weeks, of one season still.
 _SPREAD_DAYS = 14

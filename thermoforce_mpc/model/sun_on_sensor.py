@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # pvlib is loaded only where the sun is needed
 
 LIKELY = 0.9
 """Probability of sun on a sensor from which it is taken off the readings."""
-# Full sun on a facade, and the most that a vertical plane receives, W/m².
+# Full sun on a facade, and the most that a vertical plane receives, W/m². By judgement: of a clear sky.
 FULL_SUN_W_M2, _MOST_W_M2 = 800.0, 1000.0
 # Beam is not extrapolated from a lower sun than this, °.
 _LOWEST_SUN_DEG = 5.0

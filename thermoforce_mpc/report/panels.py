@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Layout, PlanStatus, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, NORMAL_95, Array, Layout, PlanStatus, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
 from thermoforce_mpc.loop.closed_loop import RunResult, Sample, StepRecord, in_force
 from thermoforce_mpc.loop.inputs import price_paid
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -311,7 +311,7 @@ def answers_json(model: ThermalModel | None) -> list[list[Json | None]] | None:
         cell: Json = {"hours": _rounded(hours[::every]), "K": _rounded(answer[::every]), "full": full_level_of(pair)}
         mean, sd = step_response_of(model, z, a)
         if mean.size:
-            band = {"mean": mean, "low": mean - BAND * sd, "high": mean + BAND * sd}
+            band = {"mean": mean, "low": mean - NORMAL_95 * sd, "high": mean + NORMAL_95 * sd}
             cell |= {"at": [0, *STEP_RESPONSE_H], **{name: _rounded(values) for name, values in band.items()}}
         matrix[z][a] = cell
     return matrix

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -154,7 +154,7 @@ class TestCase(StrictModel):
         """Floor area of the building, m²."""
         return self.floor_area_m2 or sum(zone.floor_area_m2 for zone in self.zones.values())
 
-    @property
+    @cached_property
     def points(self) -> BuildingPoints:
         """Points of all zones, actuators and machines; one of each where the file has `actuator`."""
         f = self.forecast

@@ -16,12 +16,23 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Boundary, FreeForecast, Names, Observation, Record
+from thermoforce_mpc.data import (
+    DAY_S,
+    HOUR_S,
+    J_PER_KWH,
+    NORMAL_95,
+    Array,
+    Boundary,
+    FreeForecast,
+    Names,
+    Observation,
+    Record,
+)
 from thermoforce_mpc.data.dataframes import control_free, seconds_at, table
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.data.series import WEATHER, bridged, interpolated, lagged
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
 from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.free_response.checks import LEVELS
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse
@@ -125,7 +136,7 @@ def _plot_answer(axes: Axes, model: ThermalModel, z: int, a: int, pair: Operator
     mean, sd = step_response_of(model, z, a)
     if mean.size:
         at = np.array([0.0, *STEP_RESPONSE_H])
-        low, high = mean - BAND * sd, mean + BAND * sd
+        low, high = mean - NORMAL_95 * sd, mean + NORMAL_95 * sd
         axes.fill_between(at, low, high, color="tab:red", alpha=0.2, linewidth=0, label="90 % band")
         axes.plot(at, mean, "o", color="tab:red", markersize=3)
     if model.names.single:
@@ -306,7 +317,7 @@ class Counterfactual:
     @property
     def half_K(self) -> Array:
         """Half width of the 90 % band of `other_C` (Z, N), K; NaN where the card has no uncertainty."""
-        return np.asarray(BAND * self.sd_K)
+        return np.asarray(NORMAL_95 * self.sd_K)
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per step, at its start: both levels; at its end both temperatures, 90 % band, effect, bounds."""
@@ -401,7 +412,7 @@ def _energy_band(
     low, high = np.full(was.shape, np.nan), np.full(was.shape, np.nan)
     for m in np.flatnonzero(np.isfinite(other)):
         share = model.power_change(int(m), record)
-        ends = [was[m] + (other[m] - was[m]) * (share.mean + sign * BAND * share.sd) for sign in (-1.0, 1.0)]
+        ends = [was[m] + (other[m] - was[m]) * (share.mean + sign * NORMAL_95 * share.sd) for sign in (-1.0, 1.0)]
         if share.spread > _EXACT:  # levels that follow the demand stand for it in the law
             fed = [home for home, machine in zip(model.operator.home, model.machine_of, strict=True) if machine == m]
             over_K = stretch.T_zone_C[fed, 1:] - stretch.T_out_C[1:]

@@ -67,7 +67,7 @@ class IpoptSolver(StatementSolver):
     @property
     def programme(self) -> ca.Function:
         """What Ipopt is given: CasADi's solver with its functions `nlp_f`, `nlp_g` and their derivatives."""
-        return self.model.ipopt(self._options)
+        return self.model.ipopt(self._options).function
 
     def _answers(self, p: Array, guess: Array | None) -> Iterator[SolverAnswer]:
         cold, choices = self.model.cold(), self.model.choices
@@ -106,11 +106,11 @@ class IpoptSolver(StatementSolver):
         upper = np.full(n_rows, np.inf)
         upper[:n_equal] = 0.0
         solver, p = self.model.ipopt(options), self.model.ipopt_parameters(p)
-        with self.model.functions.busy:  # status and iterations are those of the call before
-            found = solver(x0=x, p=p, lbx=low, ubx=high, lbg=np.zeros(n_rows), ubg=upper)
-            stats = solver.stats()
-        x, multipliers = (np.asarray(found[name], dtype=np.float64).ravel() for name in ("x", "lam_g"))
+        with self.model.functions.busy:  # one call at a time
+            found = solver.named(x0=x, p=p, lbx=low, ubx=high, ubg=upper)
+            stats, x, multipliers = solver.stats, found["x"].copy(), found["lam_g"].copy()
+            objective = float(found["f"][0])
         status = str(stats["return_status"])
-        claimed, why = float(found["f"]) if status in _ACCEPTED else None, f"Ipopt ended with {status}"
+        claimed, why = objective if status in _ACCEPTED else None, f"Ipopt ended with {status}"
         why = "" if status == _OPTIMAL else why
         return SolverAnswer(x, claimed, f"ipopt:{status}", int(stats["iter_count"]), why, multipliers=multipliers)

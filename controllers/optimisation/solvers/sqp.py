@@ -20,7 +20,8 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel
 
-# Share of the promised gain that a step must bring, and lengths that are tried.
+# Share of the promised gain that a step must bring, and lengths that are tried. The usual ones of line searches
+# (Nocedal and Wright 2006, 3.1).
 _ENOUGH, _LENGTHS = 1e-2, (1.0, 0.5, 0.2)
 # Proximal terms, as a share of the largest slope: the first one, and the one from which there is no progress.
 _LEAST, _MOST = 1e-3, 1e6

@@ -36,6 +36,7 @@ class Numbers:
         self._z, self._a = (np.array(numbers, dtype=np.intp) for numbers in zip(*s.pairs, strict=True))
         poles, gains_ = operator.poles, operator.gains
         self._firsts, self._lengths = shape.first_steps, np.array(s.lengths)
+        self._by_steps = self._firsts.size == shape.n_steps
         alone = ~machinery.shared[machinery.machine_of]
         self._lasts = self._firsts + self._lengths - 1
         each = [[difference_equation(g.poles, g.gains, kind) for g in groups] for kind in s.kinds]
@@ -62,6 +63,7 @@ class Numbers:
         for name, (rows, columns) in places.items():
             self._places[name] = (at, rows, columns)
             at += rows * columns
+        self._last: tuple[MPCProblem, Array] | None = None
         self._vector = np.zeros(at)
         self._write(self._vector, self._constant)
 
@@ -76,10 +78,16 @@ class Numbers:
         return vector[at : at + rows * columns]
 
     def of(self, p: MPCProblem) -> Array:
-        """The parameters of an instance.
+        """The parameters of an instance; those of the last one are kept, since it is asked several times in a step.
 
         Raises `DataError` where it does not fit the shape: in its steps, or by a part in u² in peak, cap or exchange.
         """
+        last = self._last
+        if last is None or last[0] is not p:
+            self._last = last = p, self._packed(p)
+        return last[1]
+
+    def _packed(self, p: MPCProblem) -> Array:
         s, machine_of = self._s, self._shape.machinery.machine_of
         if p.power_per_u2_W is not None and (s.peak or s.capped or s.exchange or s.terms) and not s.curved:
             raise DataError("MPC problem: power has a part in u², which its shape (`curved`) does not say")
@@ -111,7 +119,7 @@ class Numbers:
             "reached": np.full((1, s.N), p.peak_so_far_W),
         }
         capacity = np.ones(p.power_fixed_W.shape) if p.capacity is None else p.capacity
-        values["capacity"] = np.minimum.reduceat(capacity, self._firsts, axis=1)
+        values["capacity"] = self._least(capacity)
         values["least"], values["most"] = self._reach(p)
         if p.cooling is not None:
             values["cold_power"] = self._mean(p.cooling.power_per_u_W)
@@ -134,28 +142,34 @@ class Numbers:
             )
         vector = self._vector.copy()
         self._write(vector, values)
+        vector.setflags(write=False)
         return vector
 
     def _reach(self, p: MPCProblem) -> tuple[Array, Array]:
         """Least and largest level above 0 of each step of the plan, (A, N): the tightest of its control steps."""
         low, high = p.level_bounds
-        most = np.minimum.reduceat(high, self._firsts, axis=1)
-        return np.minimum(np.maximum.reduceat(np.maximum(low, 0.0), self._firsts, axis=1), most), most
+        most = self._least(high)
+        return np.minimum(self._most(np.maximum(low, 0.0)), most), most
 
     def _sum(self, values: Array) -> Array:
         """Sums over the control steps of each step of the plan: (rows, control steps) → (rows, N)."""
-        return np.asarray(np.add.reduceat(values, self._firsts, axis=1))
+        return values if self._by_steps else np.add.reduceat(values, self._firsts, axis=1)
 
     def _mean(self, values: Array) -> Array:
-        return self._sum(values) / self._lengths
+        return values if self._by_steps else self._sum(values) / self._lengths
+
+    def _least(self, values: Array) -> Array:
+        return values if self._by_steps else np.minimum.reduceat(values, self._firsts, axis=1)
+
+    def _most(self, values: Array) -> Array:
+        return values if self._by_steps else np.maximum.reduceat(values, self._firsts, axis=1)
 
     def _inside(self, p: MPCProblem) -> tuple[Array, Array]:
         """Least and largest forced response at the end of each step of the plan within comfort, K, (Z, N).
 
         They are the tightest of its control steps; where these cross or meet, about the middle.
         """
-        low_K = np.maximum.reduceat(p.lower_C - p.T_free_C, self._firsts, axis=1)
-        high_K = np.minimum.reduceat(p.upper_C - p.T_free_C, self._firsts, axis=1)
+        low_K, high_K = self._most(p.lower_C - p.T_free_C), self._least(p.upper_C - p.T_free_C)
         middle_K = 0.5 * (low_K + high_K)
         return np.minimum(low_K, middle_K - _HALF_BAND_K), np.maximum(high_K, middle_K + _HALF_BAND_K)
 

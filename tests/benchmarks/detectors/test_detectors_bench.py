@@ -14,7 +14,7 @@ from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.detectors.bench import WeekOutcome, rule_of, rule_rows, run_detectors_bench, targets
 from benchmarks.detectors.panel import FAULTS, KINDS, PanelCase, built, clean, faulty
 from benchmarks.detectors.rules import RULES, ControlledWeek
-from thermoforce_mpc.data import DAY_S, Layout, PlantInfo
+from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, PlantInfo
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.loop.probing import Probed, Probing
@@ -67,6 +67,22 @@ def test_doors_that_stood_open_while_probing_are_shut_since():
 
     probed, controlled = (spread_K(place.period.start_s - days * DAY_S) for days in (1.0, 0.0))
     assert controlled > probed + 1.0
+
+
+@pytest.mark.parametrize(("number", "off_K"), [(0, 2.0), (1, -2.0)])
+def test_a_moved_sensor_reads_more_or_less_for_a_day_and_late(number, off_K):
+    moved, clean_one = (built(PanelCase("generated house", number, 3, fault)) for fault in ("watch, sensor moved", ""))
+    from_s = moved.period.start_s + 2 * DAY_S
+
+    def readings_C(place) -> np.ndarray:
+        place.plant.reset(from_s - HOUR_S, 0.0)
+        seen = [place.plant.advance((0.0,), hours * HOUR_S) for hours in (1, 1.5, 6, 16.5, 1)]
+        return np.array([float(one.T_zone_C[0]) for one in seen])
+
+    away_K = readings_C(moved) - readings_C(clean_one)
+    assert away_K[[0, -1]] == pytest.approx(0.0, abs=1e-9), "before and after"
+    assert away_K[1] == pytest.approx(off_K * (1.0 - np.exp(-1.0)), abs=0.3)
+    assert away_K[3] == pytest.approx(off_K, abs=0.1)
 
 
 def test_rules_can_be_turned_off_by_options_that_exist():

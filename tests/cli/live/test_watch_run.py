@@ -12,6 +12,7 @@ import requests
 from click.testing import CliRunner
 from faults import FaultyHouse
 from rich.console import Console
+from run_folders import experiment_on
 from simple_house import SimpleHouse, simple_model
 from two_houses import TwoHouses, two_model
 from waiting import LONG_S
@@ -22,10 +23,8 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.live.watch import shown
 from thermoforce_mpc.data import DAY_S, HOUR_S, Period, PlanStatus
 from thermoforce_mpc.errors import InputError, PlantError
-from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
-from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.records.journal import Journal, JournalError, JournalTail, read_journal
 from thermoforce_mpc.report.live_view import LiveRun, ZoneNow
 from thermoforce_mpc.service.live_page import page_server
@@ -36,11 +35,9 @@ OPTIONS = {"step_s": 3600, "horizon_h": 12, "gate": {"enabled": False}, "free_re
 
 def run(folder, plant, model, hours: float = 12):
     folder.mkdir(exist_ok=True)
-    book = RunBook.begin(
-        folder, Experiment.of(load_scenario(None, {"testcase": "bestest_hydronic_heat_pump"})), ["tf-mpc", "run"]
-    )
-    journaled = book.connect(lambda _: plant)
-    journaled.noted("loop", lambda: {"controller": "thermoforce_mpc"})
+    book = RunBook.begin(folder, experiment_on(plant), ["tf-mpc", "run"])
+    journaled = book.connect()
+    journaled.noted("loop", {"controller": "thermoforce_mpc"})
     controller = ThermoForceMPC(model, MPCConfig(**OPTIONS))
     result = run_closed_loop(
         journaled, controller, Period("test", 10 * DAY_S, hours * HOUR_S, 2 * DAY_S), keeper=journaled
@@ -182,12 +179,10 @@ def test_the_end_of_a_run_is_said(single, tmp_path):
 
 
 def test_a_finished_run_shows_its_controller_and_names_the_baselines(tmp_path):
-    book = RunBook.begin(
-        tmp_path, Experiment.of(load_scenario(None, {"testcase": "bestest_hydronic_heat_pump"})), ["tf-mpc", "run"]
-    )
-    journaled = book.connect(lambda _: SimpleHouse())
+    book = RunBook.begin(tmp_path, experiment_on(SimpleHouse()), ["tf-mpc", "run"])
+    journaled = book.connect()
     for name in ("thermoforce_mpc", "thermostat"):
-        journaled.noted("loop", lambda name=name: {"controller": name})
+        journaled.noted("loop", {"controller": name})
         controller = ThermoForceMPC(simple_model(), MPCConfig(**OPTIONS))
         run_closed_loop(journaled, controller, Period("test", 10 * DAY_S, 2 * HOUR_S, 2 * DAY_S), keeper=journaled)
     book.journal.close()

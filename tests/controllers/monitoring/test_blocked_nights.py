@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 from faults import FaultyHouse
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
+from controllers.monitoring.watch import Watch, WatchConfig
 from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.data import DAY_S, HOUR_S, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, PlanStatus, Record
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 
 
@@ -91,3 +93,25 @@ def test_what_a_record_told_of_an_evening_keeps_the_first_one():
     steps = cold_at_seven(hours=tuple(told))
     assert "found while probing" in steps[0].plan.news
     assert missing_K(steps, 10) < 0.2
+
+
+def test_a_night_stays_where_the_clock_on_the_wall_has_it():
+    """Known of a winter's probing, in the night in which summer time begins, and of a run that begins in summer."""
+    model, new_year = simple_model(), pd.Timestamp("2026-01-01", tz="Europe/Berlin")
+    zone = replace(model, cards=(replace(model.only.card, blocked_hours=tuple(range(5))),)).only
+    watch = Watch(WatchConfig(), zone, 48, lambda record: record.u)
+
+    def until(at: str) -> Record:
+        now_s = (pd.Timestamp(at, tz="Europe/Berlin") - new_year).total_seconds()
+        n, time_s = np.zeros(48), now_s + 900.0 * np.arange(-48, 1)
+        return Record(time_s, np.full((1, 49), 20.5), 0.0 * time_s, 0.0 * time_s, n[None], n[None], n[None],
+                      origin=new_year)  # fmt: skip
+
+    before, after = until("2026-03-29 01:00"), until("2026-03-29 04:00")
+    state = watch.validate(watch.begin(float(before.time_s[-1]), new_year), before, None, None)
+    assert sorted(state.blocked[0].hours) == [0, 1, 2, 3, 4]
+    asked = replace(state, asked=((float(before.time_s[-1]), 0.0),))
+    assert sorted(watch.validate(asked, after, None, None).blocked[0].hours) == [0, 1, 2, 3, 23]
+    begun = watch.begin(float(until("2026-06-01 12:00").time_s[-1]), new_year)
+    assert sorted(begun.blocked[0].hours) == [0, 1, 2, 3, 23]
+    assert begun.news.startswith("nothing comes from 0:00 to 5:00"), "and that is what people are told"

@@ -162,3 +162,14 @@ def test_what_a_machine_has_is_asked_of_it_in_every_step(monkeypatch):
         asked = 0.6 * courses[name].u.sum(axis=0)
         assert asked.max() > 0.7, "else this tries nothing"
         assert (asked <= falling[0] + 1e-9).all(), name
+
+
+def test_courses_of_a_shared_machine_stay_within_its_capacity():
+    model = two_model(shared=True)
+    mpc, seen = controller(model), observed(TwoHouses(shared=True))
+    context = mpc.predictor.context(seen)
+    whole = mpc.instance(context, seen.history)
+    for capacity, level in ((1.0, 1.0), (0.6, 0.6), (2.0, 1.0)):
+        problem = replace(whole, capacity=np.full((1, N), capacity))
+        courses = mpc.courses(mpc.planning_operator, problem, context.boundary, seen.T_zone_C)
+        np.testing.assert_allclose(courses.limited(np.ones((2, N))), np.full((2, N), level))

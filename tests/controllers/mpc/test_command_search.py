@@ -59,6 +59,8 @@ def test_it_begins_with_the_best_start_and_is_the_same_again():
         ({"change_per_h": 0.5}, [20.0] * 4 + [21.0] * 4 + [22.0] * 88, False),
         ({"kind": "sg_ready"}, [1.0] * 8 + [2.0] * 88, True),
         ({"kind": "sg_ready"}, [1.0] * 9 + [2.0] * 87, False),
+        ({"kind": "sg_ready", "hold_min": 180}, [1.0] * 8 + [2.0] * 88, True),  # the longest time comes before the hold
+        ({"kind": "sg_ready", "hold_min": 180}, [1.0] * 7 + [2.0] * 89, False),
     ],
 )
 def test_what_a_command_may_not_do_is_known(keys, row, keeps):
@@ -71,6 +73,18 @@ def test_what_was_set_a_moment_ago_is_held_on():
     assert not one.keeps(np.full(N * PARTS, 21.0))
     rows, _ = better_commands([one], [np.full((1, N * PARTS), 20.0)], dear)
     assert (rows[0, :3] == 20.0).all()
+
+
+@pytest.mark.parametrize(
+    ("value", "keys"),
+    [(24.0, {}), (18.5, {"minimum": 19.0}), (24.0, {"change_per_h": 0.5})],
+    ids=["bounds", "own", "far"],
+)
+def test_what_may_not_stand_is_left_at_once_whatever_hold_and_steps_ask(value, keys):
+    one = knob(CommandState(value, 900.0), **keys)
+    assert one.keeps(np.full(N * PARTS, 21.0))
+    if not keys:  # from then on they count again
+        assert not one.keeps(np.array([21.0] * 2 + [20.0] * (N * PARTS - 2)))
 
 
 def test_one_command_of_two_rooms_is_for_both():

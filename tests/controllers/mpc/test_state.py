@@ -12,9 +12,11 @@ from faults import FAILED, ChangedSolver
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
+from controllers.monitoring.watch import WatchState
 from controllers.mpc.acting import NoModelController
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
+from controllers.mpc.state import MPCState
 from controllers.rules.native import NativeController
 from controllers.rules.pi import PIConfig, PIController
 from controllers.rules.thermostat import Thermostat, ThermostatState
@@ -146,6 +148,36 @@ def test_minimum_times_hold_whatever_acts(follow_steps, monkeypatch):
         ]
         short = [(level, duration) for level, duration in runs[1:-1] if duration < 600.0]
         assert not short
+
+
+def test_the_peak_of_a_run_is_that_of_the_steps_that_it_made():
+    house = SimpleHouse()
+    house.reset(10 * DAY_S, DAY_S)
+    record, ahead = house.past(HOUR_S), house.forecast(6 * HOUR_S, HOUR_S)
+
+    def peak_W(last_W: float, before: MPCState) -> float:
+        power_W = np.full((1, record.n_steps), 500.0)
+        power_W[0, :2], power_W[0, -2:] = np.nan, (4000.0, last_W)
+        return before.peak_after(Observation(replace(record, power_W=power_W), ahead))
+
+    now_s = float(record.time_s[-1])
+    assert peak_W(3000.0, MPCState(now_s)) == 0.0, "steps before the first plan were not its own"
+    assert peak_W(3000.0, MPCState(now_s - HOUR_S)) == 3000.0
+    assert peak_W(3000.0, MPCState(now_s - HOUR_S, peak_W=3500.0)) == 3500.0
+    assert peak_W(np.nan, MPCState(now_s - HOUR_S, peak_W=3500.0)) == 3500.0
+    unknown = Observation(replace(record, power_W=np.full((1, record.n_steps), np.nan)), ahead)
+    assert MPCState(now_s).peak_after(unknown, "month") == 0.0
+
+
+def test_after_a_plan_that_did_not_act_its_own_request_alone_is_not_known():
+    asked = ((0.0, 0.5), (3600.0, 0.7), (7200.0, 0.2))
+    state = MPCState(0.0, watch=(WatchState(asked=asked), WatchState()), actuation=(ActuationState(on=True),) * 2)
+    kept = state.not_followed()
+    assert kept.watch[0].asked[:2] == asked[:2]
+    assert kept.watch[0].asked[2][0] == 7200.0
+    assert np.isnan(kept.watch[0].asked[2][1])
+    assert (len(kept.watch[0].asked), kept.watch[1].asked) == (3, ())
+    assert all(one.native for one in kept.actuation)
 
 
 def after(u: list[float]) -> tuple[np.ndarray, float]:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from houses import House, random_levels, record
 
-from thermoforce_mpc.data import HOUR_S, Layout, Names, Record
+from thermoforce_mpc.data import HOUR_S, NORMAL_95, Layout, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import assembled
-from thermoforce_mpc.identification.estimation.regression import BAND, Effect
+from thermoforce_mpc.identification.estimation.regression import Effect
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.parameters import linear_operator
@@ -157,7 +157,9 @@ def test_a_band_of_a_logarithm_reaches_as_far_above():
     plain, wide = effect.uncertainty(), effect.uncertainty(of_logarithm=True)
     mean_K, sd_K = plain["step_response_48h_K"], plain["step_response_48h_sd_K"]
     assert wide["step_response_48h_K"] == mean_K
-    assert mean_K + BAND * wide["step_response_48h_sd_K"] == pytest.approx(mean_K * np.exp(BAND * sd_K / mean_K))
+    assert mean_K + NORMAL_95 * wide["step_response_48h_sd_K"] == pytest.approx(
+        mean_K * np.exp(NORMAL_95 * sd_K / mean_K)
+    )
     small = Effect(np.log([10.0]), np.array([0.4]), np.full(7, 0.001))
     assert small.uncertainty(of_logarithm=True) == pytest.approx(small.uncertainty(), rel=5e-3)
 

@@ -178,6 +178,23 @@ def test_hot_water_on_a_meter_that_several_rooms_share_is_found():
     assert "take the other load (hot water" in found.remedy
 
 
+def test_valves_are_levels_also_where_warmer_water_warms_a_room_beside_them():
+    """A house on a heating curve: water that is warmer at times takes more power, and a room that hardly calls for it
+    feels the pipes."""
+    record, layout = three_rooms(2500.0)
+    rng, n = np.random.default_rng(6), record.n_steps
+    warmer = np.convolve(rng.normal(0.0, 1.0, n + 16), np.ones(16) / 4.0, mode="valid")[:n]
+    u, T = record.u.copy(), record.T_zone_C.copy()
+    u[2] = np.where(rng.random(n) < 0.02, 1.0, 0.0)
+    felt = np.convolve(warmer, 0.15 * 0.9 ** np.arange(40))[:n]
+    T[2, 1:] = 20.0 + 0.1 * (record.T_out_C[1:] - 3.0) + felt
+    power_W = FULL_W * (u[0] + u[1]) + 2500.0 * np.isin(np.arange(n) % 96, (24, 25, 82, 83)) + 900.0 + 600.0 * warmer
+    spoiled = replace(record, u=u, T_zone_C=T, power_W=np.maximum(power_W, 0.0)[None])
+    kinds = [found.kind for found in remarks(spoiled, layout)]
+    assert "level is no level" not in kinds
+    assert "meter holds another load" in kinds
+
+
 def test_gaps_are_no_fault_and_hide_none():
     lost = np.random.default_rng(2).random(CLEAN.n_steps) < 0.03
     holed = replace(CLEAN, u=np.where(lost, np.nan, CLEAN.u), heat_W=np.where(lost, np.nan, CLEAN.heat_W))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -167,3 +168,31 @@ def test_noise_that_modes_share_in_an_hour_can_be_had_in_a_quarter() -> None:
     still = np.full(5, 20.0)
     forecast = RcFreeResponse(quarter).forecast(still, history_of(still, step_s=900.0), boundary_of(4, 3, step_s=900.0))
     assert np.isfinite(forecast.quantiles_C).all()
+
+
+def test_a_record_that_grows_is_forecast_as_if_anew_at_no_more_cost() -> None:
+    """A filter of each length of a record was built in each step of a run: after two weeks 30 ms of 40 a forecast."""
+    params, rng = two_modes(process_sd_K=0.1, sensor_sd_K=0.05), np.random.default_rng(3)
+    n = 1500
+    outdoor, T = np.cumsum(0.3 * rng.standard_normal(n + AHEAD)), 20.0 + np.cumsum(0.1 * rng.standard_normal(n))
+    T[rng.uniform(size=n) < 0.1] = np.nan
+    method, spent = RcFreeResponse(params), []
+
+    def forecast(by: RcFreeResponse, k: int, free: np.ndarray) -> np.ndarray:
+        history = history_of(free[:k], T_out_C=outdoor[:k], solar_W_m2=np.zeros(k))
+        boundary = boundary_of(k - 1, AHEAD, T_out_C=outdoor[k - 1 : k + AHEAD], solar_W_m2=np.zeros(AHEAD + 1))
+        began = time.process_time()
+        quantiles = by.forecast(free[:k], history, boundary).quantiles_C
+        spent.append(time.process_time() - began)
+        return quantiles
+
+    # Lengths about the ends of blocks, one shorter than before, and one whose past was corrected.
+    corrected = np.where(np.arange(n) == 100, 25.0, T)
+    for k, free in [(k, T) for k in (2, 64, 65, 66, 128, 129, 300, 200)] + [(201, corrected), (202, T)]:
+        np.testing.assert_array_equal(forecast(method, k, free), forecast(RcFreeResponse(params), k, free), str(k))
+    spent.clear()
+    for k in range(n - 40, n):
+        forecast(method, k, T)
+    for _ in range(40):
+        forecast(method, n - 1, T)
+    assert np.median(spent[:40]) < 4.0 * np.median(spent[40:])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
@@ -13,6 +14,7 @@ from thermoforce_mpc.model.machine.blocked_hours import (
     BlockedHours,
     HourEffects,
     HourSeen,
+    ahead_s,
     called_for,
     each_direction,
     running,
@@ -204,3 +206,16 @@ def test_heating_and_cooling_of_signed_levels_are_seen_apart():
     ]
     ((same, _, sign),) = each_direction(asked, record, -1, signed=False)
     assert (same.tolist(), sign) == (asked.tolist(), -1)
+
+
+def test_a_schedule_goes_by_the_clock_on_the_wall_also_after_it_was_changed():
+    """Nothing comes from 0:00 to 5:00 on the wall: in summer that is an hour sooner, counted from the new year."""
+    new_year = pd.Timestamp("2026-01-01", tz="Europe/Berlin")
+    in_summer = (pd.Timestamp("2026-06-01", tz="Europe/Berlin") - new_year).total_seconds()
+    assert (ahead_s(0.0, new_year), ahead_s(in_summer, new_year), ahead_s(in_summer, None)) == (0.0, HOUR_S, 0.0)
+    winter = BlockedHours.known(range(5), 0.0)
+    assert sorted(winter.moved(-HOUR_S).hours) == [0, 1, 2, 3, 23]
+    assert winter.moved(-HOUR_S).moved(HOUR_S) == winter
+    seen = tuple(HourSeen(day * DAY_S + 20 * HOUR_S, -1.5, 1.5, 0.3) for day in (1, 2))
+    assert list(HourEffects(1, seen).laws) == [19]
+    assert list(HourEffects(1, seen).moved(-HOUR_S).laws) == [18]

@@ -118,9 +118,17 @@ def _from_measurements(options: dict[str, Any]) -> None:
 
     display, config = RunDisplay(), _options(options)
     days = options["data_days"]
+    said: list[str] = []
+
+    def say(line: str) -> None:
+        said.append(line)
+        display.say(line)
+
     try:
-        model, record = model_of_measurements(files, map_file, days=days, config=config, say=display.say)
+        model, record = model_of_measurements(files, map_file, days=days, config=config, say=say)
     except DataError as error:
+        if not said:  # the tables were not read: no probing mends that
+            raise
         raise DataError(f"{error}\n{_PROBE}") from error
     if not may_act(model):
         display.say(_PROBE)
@@ -232,7 +240,8 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
         console.print(f"  {machine} feeds {', '.join(fed) or 'nothing'}", soft_wrap=True)
     certified = f"NOT CERTIFIED: {', '.join(wrong)}" if wrong else "every pair CERTIFIED"
     console.print(f"Certificate: {certified}", soft_wrap=True)
-    from thermoforce_mpc.identification.estimation.regression import BAND, STEP_RESPONSE_H
+    from thermoforce_mpc.data import NORMAL_95
+    from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
     from thermoforce_mpc.whatif.counterfactual import step_response_of
 
     hours = STEP_RESPONSE_H[-1]
@@ -245,7 +254,9 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
             if pair is None:
                 cells.append("no effect")
             elif mean.size:
-                cells.append(f"{mean[-1]:.2f} ({mean[-1] - BAND * sd[-1]:.2f} to {mean[-1] + BAND * sd[-1]:.2f})")
+                cells.append(
+                    f"{mean[-1]:.2f} ({mean[-1] - NORMAL_95 * sd[-1]:.2f} to {mean[-1] + NORMAL_95 * sd[-1]:.2f})"
+                )
             else:
                 cells.append(f"{pair.impulse(round(hours * 3600 / pair.step_s)).sum():.2f}")
         table.add_row(zone, *cells)
@@ -383,11 +394,12 @@ def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Co
     lags_h = [h for h in _LAGS_H if f"step_response_{h}h_sd_K" in uncertainty]
     if not lags_h:
         return
-    from thermoforce_mpc.identification.estimation.regression import BAND
+
+    from thermoforce_mpc.data import NORMAL_95
 
     table = plain_table(["hours later", "expected", "from", "to"])
     for hours in lags_h:
         name = f"step_response_{hours}h"
         mean, sd = sign * uncertainty[f"{name}_K"], uncertainty[f"{name}_sd_K"]
-        table.add_row(str(hours), f"{mean:.2f}", f"{mean - BAND * sd:.2f}", f"{mean + BAND * sd:.2f}")
+        table.add_row(str(hours), f"{mean:.2f}", f"{mean - NORMAL_95 * sd:.2f}", f"{mean + NORMAL_95 * sd:.2f}")
     _titled("Step response of the zone to full actuation, K (90 % band)", table, console)

@@ -35,17 +35,17 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 # houses of 3 to 5 rooms (seeds 64, 777, 8101, 8102, 28 November 2026) are within 0.31 of it after 8 h, 0.63 after 24 h
 # and 0.78 after 48 h.
 _THEIRS = 0.55
-# From this relative standard deviation of the effect on, a neighbour is named.
+# From this relative standard deviation of the effect on, a neighbour is named. Of words only; by judgement.
 _NAMED = 0.1
 # Time constant of disturbances by which levels are whitened, h; 1 and 24 give the same within 0.02.
 _FADES_H = DISTURBANCE_H[1]
 # What six hours at full level give more or less than the law of metered heat says, over what windows of the record do:
 # 2.1 in the 8 of 15 generated houses with a heat meter whose heat falls.
 _HELD = 2.0
-# From this relative standard deviation on it is noted.
+# From this relative standard deviation on it is noted. Of words only; by judgement.
 _NOTED = 0.05
 # Relative standard deviation of the heat of full level where nothing near it was seen and no heat metered: what a level
-# gives may sag, or be switched by a machine that cycles.
+# gives may sag, or be switched by a machine that cycles. By judgement.
 _UNSEEN_LEVEL_SD = 0.6
 
 

@@ -7,23 +7,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H, Effect, in_steps
 from thermoforce_mpc.model.card import TOGETHER_SD, UNTOLD_SD
+from thermoforce_mpc.model.machine.load import LEVEL_EDGE
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel, ZoneModel
 
-# A neighbour's effect below this after a day at full level, K, is none.
+# A neighbour's effect below this after a day at full level, K, is none. By judgement.
 _LEAST_EFFECT_K = 0.02
 # Share of the most from which a step is one of those with the most; share of what levels stand for that is all of it,
 # which is 0.89 in the cold week of `house:5rooms`, whose machine is at its limit, and 1.09 in mild weather; and the
 # weather in which a machine that was never at a limit feeds all circuits, °C (of 12 kW, the one of
 # `office:3rooms:771300` has 12.6 by this rule and 7 by what three days of probing at 6 to 14 °C took).
 _NEAR_MOST, _GIVEN, _ALL_FED_C = 0.85, 0.97, 0.0
+# What full level of one of several actuators takes by the meter of their machine: prior standard deviation as a share
+# of equal shares (radiators of a home differ by a factor of two to three), how long an error lasts, s (hot water,
+# defrosting), measured time from which the meter is asked, s, and the least share beside the largest. By judgement.
+_SHARES_SD, _ERRORS_LAST_S, _LEAST_S, _LEAST_SHARE = 0.7, 3.0 * HOUR_S, 2.0 * DAY_S, 0.1
 
 
 def others_of(layout: Layout, a: int, config: IdentificationConfig) -> list[int]:
@@ -91,7 +96,7 @@ def assembled(
 
 def _not_apart(names: Sequence[str], zone: str, together_sd: float) -> str:
     """A note on actuators whose effect on a zone the record does not tell."""
-    told = f"the record does not tell what {' and '.join(names)} does to {zone}"
+    told = f"the record does not tell what {' and '.join(names)} {'do' if len(names) > 1 else 'does'} to {zone}"
     if not together_sd < UNTOLD_SD:
         return told
     return f"{told}: with all others together known to ± {100 * together_sd:.0f} %, apart not"
@@ -125,6 +130,47 @@ def with_metered_shares(layout: Layout, heat_inputs: Sequence[HeatInput], histor
         for a in fed:
             shares[a] = min(_full_W(heat_inputs[a], T_out_C) / most_W, 1.0)
     return replace(layout, shares=tuple(shares))
+
+
+def with_shares_by_power(layout: Layout, histories: Sequence[Record]) -> Layout:
+    """`layout` with the shares of actuators on one machine of which nothing is known, by what its power says of them.
+
+    Power is taken as linear in the levels, with a part while one is open; equal shares are the prior, so that valves
+    which move together keep them. The shares sum to 1: all open is the level 1 of the machine.
+    """
+    shares = list(layout.shares)
+    for m in range(len(layout.names.machines)):
+        fed = layout.fed_by(m)
+        if len(fed) < 2 or any(shares[a] for a in fed):
+            continue
+        u = np.concatenate([h.u[fed] for h in histories], axis=1)
+        power_W = np.concatenate([h.power_W[m] for h in histories])
+        of_each = _power_of_each(np.abs(u), power_W, histories[0].step_s)
+        for a, share in zip(fed, of_each / of_each.sum(), strict=True):
+            shares[a] = float(share)
+    return replace(layout, shares=tuple(shares))
+
+
+def _power_of_each(u: Array, power_W: Array, step_s: float) -> Array:
+    """What full level of each actuator takes of its machine, from levels `u` (A, n) and its power (n,); above 0."""
+    equal = np.ones(len(u))
+    known = np.isfinite(power_W) & np.isfinite(u).all(axis=0)
+    if known.sum() * step_s < _LEAST_S or not u[:, known].sum() > 0.0:
+        return equal
+    levels, W = u[:, known].T, power_W[known]
+    is_on = (levels > LEVEL_EDGE).any(axis=1).astype(np.float64)
+    together = np.column_stack([np.ones(len(W)), is_on, levels.sum(axis=1)])
+    (_, _, each_W), _, _, _ = np.linalg.lstsq(together, W, rcond=None)
+    if not each_W > 0.0:
+        return equal
+    # Errors last for hours: so many steps count as one.
+    error_W = float(np.std(W)) * np.sqrt(max(1.0, _ERRORS_LAST_S / step_s))
+    from scipy.optimize import lsq_linear
+
+    prior = np.hstack([np.zeros((len(u), 2)), np.eye(len(u)) / (_SHARES_SD * each_W)])
+    rows = np.vstack([np.column_stack([np.ones(len(W)), is_on, levels]) / error_W, prior])
+    found = lsq_linear(rows, np.append(W / error_W, np.full(len(u), 1.0 / _SHARES_SD)), bounds=(0.0, np.inf)).x[2:]
+    return np.asarray(np.maximum(found, _LEAST_SHARE * found.max()))
 
 
 def _full_W(heat_input: HeatInput, T_out_C: float) -> float:

@@ -16,7 +16,7 @@ from thermoforce_mpc.model.machine.other_load import OtherLoad, other_load, own_
 from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
-# Least share of steps with measured heat or power.
+# Least share of steps with measured heat or power. By judgement.
 _MEASURED = 0.5
 # Loads to try below which a shared machine cycles, as shares of its capacity; 1: its power is proportional to the load.
 _CYCLES_BELOW = (0.02, *np.linspace(0.1, 0.6, 11).round(2).tolist(), 1.0)

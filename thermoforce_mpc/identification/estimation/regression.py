@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data import HOUR_S, NORMAL_95, Array, Record
 from thermoforce_mpc.data.series import lagged
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH, MOST_ROWS, Pair
@@ -28,10 +28,8 @@ EFFECT_H = 8
 """The one of these hours by which an effect is judged, h."""
 DISTURBANCE_H = (1.0, 6.0, 48.0)
 """Time constants of what disturbs a room besides weather and actuators, h."""
-BAND = 1.645
-"""Half width of a 90 % band of a normal distribution, standard deviations."""
 
-# Largest standard deviation of a logarithm that counts.
+# Largest standard deviation of a logarithm that counts. By judgement: beyond, the sign is all that is known.
 _MOST_OF_LOGARITHM = 1.5
 
 
@@ -90,13 +88,13 @@ class Effect:
         """The step response and its standard deviations by name, K.
 
         `level_sd` is the relative standard deviation of the heat of a level, which adds to them. `of_logarithm`: that
-        of the logarithm is meant, so that a band of `BAND` reaches as far below as it must above.
+        of the logarithm is meant, so that a band of `NORMAL_95` reaches as far below as it must above.
         """
         out: dict[str, float] = {}
         for hours, mean_K, sd_K in zip(STEP_RESPONSE_H, self.step_K, self.sd_K, strict=True):
             both_K = float(np.hypot(sd_K, level_sd * mean_K))
             if of_logarithm and mean_K > 0.0:
-                both_K = float(mean_K * np.expm1(BAND * min(both_K / mean_K, _MOST_OF_LOGARITHM)) / BAND)
+                both_K = float(mean_K * np.expm1(NORMAL_95 * min(both_K / mean_K, _MOST_OF_LOGARITHM)) / NORMAL_95)
             out[f"step_response_{hours}h_K"] = float(mean_K)
             out[f"step_response_{hours}h_sd_K"] = both_K
         return out
@@ -106,7 +104,8 @@ HELD_OUT_SHARE = 0.25
 """Share of the rows of a run, or of the start times of pairs, that is held out."""
 # Share of the rows before these that is as many.
 _SHARE_BEFORE = HELD_OUT_SHARE / (1.0 - HELD_OUT_SHARE)
-# Share of the heat of its level below which an actuator, one of several, was not given all of it.
+# Share of the heat of its level below which an actuator, one of several, was not given all of it. By judgement; as
+# `_LACKING` of `controllers.mpc.margins`.
 _SERVED = 0.8
 
 

@@ -26,19 +26,20 @@ from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, feature_matrix
 
-# A held-out comparison decides at this probability (Student's t, one-sided), if the RMS is below this share.
+# A held-out comparison decides at this probability (Student's t, one-sided), if the RMS is below this share. The usual
+# level; the share is by judgement: less is not worth a network.
 _SIGNIFICANT, _RELEVANT = 0.95, 0.98
 # Lower limit of the features' scale: °C, °C, W/m², 1. A third more changes effects by 0.2 %, and with them the on/off
 # decisions of a day of `generated:4242:1` (cost + 3.3 %, nothing on the heat pump; `benchmarks.constants`, 2026-11-28).
 _LEAST_SCALE = np.array([5.0, 8.0, 150.0, 0.5])
 # Largest output bias of the network: beyond it m(x) is at an end of its range.
 _LARGEST_BIAS = 5.0
-# Fixed share of heat up to which it counts as in proportion to the level.
+# Fixed share of heat up to which it counts as in proportion to the level. By judgement.
 _PROPORTIONAL = 0.1
 # Change of the heat of full level per K outdoors from which it is that of a heating curve: the circuits of
 # `office:3rooms:771300` have 0.066, the machine of `bestest_hydronic_heat_pump` 0.024 (2026-11-28).
 _STEEP_1_K = 0.04
-# Share of the steps on from which levels below full are not mere trials.
+# Share of the steps on from which levels below full are not mere trials. By judgement.
 _OFTEN = 0.25
 # Step, s, and horizon, h, of plans by default.
 _PLAN_STEP_S, _PLAN_H = 900.0, 48.0

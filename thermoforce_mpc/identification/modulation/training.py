@@ -30,6 +30,7 @@ _MOST = 0.99
 # Prior standard deviation of m(x) around its start: smaller where measured heat includes the dependence on T_out. A
 # third more changes effects by 0.2 % (drawn house) and 0.02 % (heat pump, metered; `benchmarks.constants`, 2026-11-28).
 _MODULATION_SD, _MODULATION_SD_METERED = 0.15, 0.02
+# The usual start of Adam for networks of this size.
 _LEARNING_RATE = 0.01  # of Adam
 # L-BFGS: history size; convergence tolerances of the gradient's largest element and of the loss's relative change.
 _MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-9

@@ -32,7 +32,7 @@ RESPONSE_H = np.array(
 # generated houses after 7 and 10 days of probing, the error beyond what their parameters explain. A third more changes
 # bands by 13 and 2 %, cost by 0.15 % at most (`benchmarks.constants`, 2026-11-28).
 _STRUCTURE_SD, _LAYERS_H = 0.045, 12.0
-# A part of a run with fewer readings says nothing.
+# A part of a run with fewer readings says nothing. By judgement.
 _LEAST_READINGS = 8
 
 

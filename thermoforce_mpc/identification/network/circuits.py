@@ -28,7 +28,8 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # Level about which plans are linearised: that which holds a room over a season.
 _USUAL_LEVEL = 0.3
-# Share of the largest heat of an hour from which the machine counts as at its limit.
+# Share of the largest heat of an hour from which the machine counts as at its limit. By judgement, as the number of
+# steps.
 _AT_LIMIT = 0.9
 # Steps from which the heat of a circuit is found.
 _LEAST_STEPS = 12

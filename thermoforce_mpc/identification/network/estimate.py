@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
 # Before the first reading, K: the room is about what it reads, its structure and emitters may be elsewhere. A third
-# more for emitters changes what the card says by 3 % at most.
+# more for emitters changes what the card says by 3 % at most. The structure's and the envelope's are by judgement.
 _START_SD_K = {ROOM: 1.0, STRUCTURE: 2.0, ENVELOPE: 5.0}
 _EMITTER_START_SD_K = 5.0
 # What a few nodes do not follow from one reading to the next, K: without it, readings of a simulator without noise make
@@ -33,9 +33,11 @@ _MODEL_SD_K = 0.02
 # Search: the longest step that is trusted and the first one, in prior standard deviations; the gain expected of a step
 # at which it ends, nats; most steps; the largest slope by a standard deviation at which one near a fit ends, nats.
 _MOST_STEP, _FIRST_STEP, _LEAST_GAIN, _MOST_STEPS, _FLAT = 2.0, 1.0, 1e-4, 200, 1e-2
-# Starts, in prior standard deviations of a parameter.
+# Starts, in prior standard deviations of a parameter. By judgement: more heat, and a lighter structure, are the other
+# likely maxima.
 _STARTS: tuple[dict[str, float], ...] = ({}, {"heat_0": 1.0}, {"C_structure": 0.7})
 # Shares of the expected gain below which a step is refused, and shorter ones, or from which longer ones, are trusted.
+# The usual shares of trust regions (Nocedal and Wright 2006, 4.1).
 _REFUSED, _SHORTER, _LONGER = 0.1, 0.25, 0.75
 # Least cosine between what a curvature missed and the way at which it is corrected (Nocedal and Wright 2006, 6.2).
 _LEAST_ALONG = 1e-8
@@ -69,7 +71,8 @@ class RoomRun:
     weight: float = 1.0
 
 
-# Share of the disturbances that is left in the difference of two runs.
+# Share of the disturbances that is left in the difference of two runs. By judgement: two runs of one weather share most
+# of it.
 _PAIR_SHARE = 0.1
 
 

@@ -14,7 +14,7 @@ from thermoforce_mpc.identification.network.building import BuildingFit
 from thermoforce_mpc.identification.network.estimate import start_K2
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 
-# What actuators did before a record began moves all nodes alike, K.
+# What actuators did before a record began moves all nodes alike, K. By judgement: nothing is known.
 _BEFORE_SD_K = 20.0
 # Least standard deviation of a mode at the start, K: what is less is not seen.
 _LEAST_SD_K = 1e-3

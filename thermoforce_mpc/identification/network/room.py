@@ -64,7 +64,8 @@ EMITTER_PRIORS: dict[str, Prior] = {
     "H_emitter": Prior(6.0, 0.8),
     "heat_structure": Prior(0.15, 1.0),
 }
-# Metered heat over floor area says the heat of full level but for the meter and the area.
+# Metered heat over floor area says the heat of full level but for the meter and the area. By judgement (2026-11-25), as
+# the standard deviations below.
 METERED_LOG_SD = 0.15
 # Of all measured neighbours, between which the medians are divided: inside walls and floors of 1 to 2 m² and, without
 # both films, 1.4 to 4 W/m²K (EN ISO 6946); air through a door or two, 5 W/K closed and up to 100 open (Brown and

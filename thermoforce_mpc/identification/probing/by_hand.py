@@ -18,7 +18,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.probing.design import choose, expected_rise_K
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
 
-# Longest schedule, days.
+# Longest schedule, days. By judgement, as the rest: what people may be asked for.
 _MOST_DAYS = 7
 # Holding times by hand, h, and draws that are compared a day.
 _HOLDS_H, _CANDIDATES = (1, 2, 3, 4, 6), 24

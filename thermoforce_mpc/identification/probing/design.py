@@ -19,11 +19,12 @@ from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 
 # Step of the derivative with respect to ln τ.
 _STEP = 0.02
-# Assumed mean level that holds the zone temperature, until the record is long enough.
+# Assumed mean level that holds the zone temperature, until the record is long enough. Of the order of draws only; by
+# judgement.
 _HOLDING_SHARE = 0.3
 # Record length, steps, from which its mean level is used instead.
 _KNOWN_FROM = 48
-# Distance of the rows, h: the response to an action takes hours.
+# Distance of the rows, h: the response to an action takes hours. By judgement.
 _ROW_H = 1.0
 # The house that probing expects, one heated through its floor, where effects are the last to show: time constants, h,
 # of emitter, room against structure and structure against outdoors; [slope K/h, G_2 K, rate G_3/τ_3 K/h]; relative

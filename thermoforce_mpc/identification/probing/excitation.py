@@ -16,7 +16,8 @@ EXCURSION_K = 1.5
 """Distance from the centre of the excursions at which the machine is on, or off, K."""
 # Change of the probability of on per K from the centre, 1/K, and least probability of on (and of off).
 _LEAN_PER_K, _LEAST_SHARE = 0.35, 0.05
-# Distance of room set-points from the zone temperature when they are drawn, K: enough to set a loop to work.
+# Distance of room set-points from the zone temperature when they are drawn, K: enough to set a loop to work. Set on
+# `bestest_air`, as the shares below (2026-11-22).
 _NEAREST_K, _FARTHEST_K = 0.5, 3.0
 # Least distance between heating and cooling set-point, K: loops that overlap would work against each other.
 _APART_K = 0.5

@@ -48,11 +48,14 @@ from thermoforce_mpc.scenario.settings import StrictModel
 
 # Horizon over which the tightest comfort bound is taken, so that the zone can meet the occupied bounds.
 _BAND_AHEAD_S = DAY_S
-# Share of the steps between two choices of draws below which an actuator was hardly used.
+# Share of the steps between two choices of draws below which an actuator was hardly used. A bedroom that neighbours
+# keep warm was heated in 0.05 of the steps, and its model was a guess (2026-11-22).
 _IDLE_SHARE = 0.1
-# Time between two choices of draws, h, and centre of the excursions inside the tightest bound ahead, K.
+# Time between two choices of draws, h, and centre of the excursions inside the tightest bound ahead, K. By judgement:
+# twice a day.
 _BLOCK_H, _INSIDE_K = 12.0, 0.5
-# How much tighter a bound is that begins, K; mean level from which an hour counts as tried, on how many days.
+# How much tighter a bound is that begins, K; mean level from which an hour counts as tried, on how many days. As
+# `_SET_BACK_K` of `controllers.mpc.margins`; the others by judgement.
 _SET_BACK_K, _TRIED, _TRIES, _DAY_H = 0.5, 0.5, 2, 24
 
 

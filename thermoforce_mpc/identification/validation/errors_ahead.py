@@ -24,14 +24,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, NORMAL_90, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
 from thermoforce_mpc.identification.estimation.regression import RegressionData, in_steps
 from thermoforce_mpc.identification.estimation.rest import Rest, rest_of
-from thermoforce_mpc.model.free_response.checks import NORMAL_90
 from thermoforce_mpc.model.free_response.rc import RcParameters
-from thermoforce_mpc.model.machine.blocked_hours import HourSeen
+from thermoforce_mpc.model.machine.blocked_hours import HourSeen, ahead_s
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
@@ -220,7 +219,8 @@ def hours_seen(fold: Fold, operator: OperatorParameters, gain_sd: float) -> list
         of_hour = np.array([float(impulse @ e.drive[row : row + steps]) for row in e.rows[starts]])
         usual = NORMAL_90 * _MAD_SD * float(np.median(np.abs(errors)))
         promise = np.hypot(max(usual, _LEAST_PROMISE_K), NORMAL_90 * gain_sd * of_hour)
-        found += [HourSeen(*map(float, row)) for row in zip(time_s[targets], errors, of_hour, promise, strict=True)]
+        clock_s = time_s[targets] + ahead_s(float(time_s[-1]), e.histories[0].origin)  # of a schedule on the wall
+        found += [HourSeen(*map(float, row)) for row in zip(clock_s, errors, of_hour, promise, strict=True)]
     return found
 
 

@@ -28,7 +28,8 @@ from thermoforce_mpc.model.thermal_model import ZoneModel
 # Least log odds that the actuator acts: of 84 random houses with the levels of another one, 2 had more
 # (`python -m benchmarks.zones.placebo` for houses of rooms).
 _LEAST_LOG_ODDS = 5.0
-# Relative standard deviation of the effect of a day from which a model is called uncertain.
+# Relative standard deviation of the effect of a day from which a model is called uncertain. Of words only; by
+# judgement.
 _UNCERTAIN = 0.15
 _ACTS_NOT = "nothing in the record shows that the actuator does anything to the room"
 _NO_LEVEL = "what was recorded as the actuator's level does not say what it did"

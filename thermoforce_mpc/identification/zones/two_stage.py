@@ -27,10 +27,10 @@ MIN_OFF_STEPS = 24
 MIN_ON_STEPS = 6
 # Scaling of the first stage's four columns to equal size.
 SCALE = np.array([1.0, 1.0, 1e-3, 1.0])
-# What a model of first order does not follow in a step, and the temperature before the first reading, K.
+# What a model of first order does not follow in a step, and the temperature before the first reading, K. By judgement.
 _LEAST_SD_K = 0.02
 _START_SD_K = 10.0
-# Bound of e, the constant gains from ground and people, K/h.
+# Bound of e, the constant gains from ground and people, K/h. By judgement.
 _CONSTANT_K_PER_H = 3.0
 
 

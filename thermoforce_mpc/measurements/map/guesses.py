@@ -229,7 +229,7 @@ _WORDS: dict[str, tuple[str, str]] = {
         "efficiency filter serial seq sequence line year month day hour minute weekday holiday lat lon "
         "signalstrength staubsauger drucker phone motionsensor bewegungsmelder people persons personen starts "
         "hours betriebsstunden days license quality flags flag rev kitchenlights plug socket steckdose "
-        "stopcontact prise "
+        "stopcontact prise vpd "
         "finestra ventana porta puerta luce luz vento viento pioggia lluvia pressione presion batteria bateria "
         "fonster vindu vindue ikkuna dorr ovi lys ljus valo tuuli nederbord nedbor luftryck lufttrykk lufttryk "
         "ilmanpaine "
@@ -277,6 +277,7 @@ _UNITS = {
     "kw/m²": "kW/m²", "kw/m2": "kW/m²", "hz": "Hz", "ppm": "ppm", "hpa": "hPa", "pa": "Pa", "lx": "lx", "v": "V",
     "a": "A", "l/h": "l/h", "m³": "m³", "m3": "m³", "m³/h": "m³/h", "cfm": "cfm", "m/s": "m/s", "km/h": "km/h",
     "eur/kwh": "per kWh", "€/kwh": "per kWh", "ct/kwh": "cent per kWh", "cent/kwh": "cent per kWh",
+    "kwhs": "kWh", "watts": "W",
     "eur/mwh": "per MWh", "€/mwh": "per MWh", "usd/kwh": "per kWh", "$/kwh": "per kWh", "°": "°C", "deg": "°C",
 }  # fmt: skip
 # Units at the end of a name, behind a space or underscore.
@@ -315,7 +316,8 @@ def unit_of(name: str) -> str:
     if load:
         return load[1]
     for told in re.findall(r"[\[(]([^\])]*)[\])]", name):
-        if (unit := _UNITS.get(told.strip().lower())) is not None:
+        one_letter = unicodedata.normalize("NFKC", told).strip().lower()  # ℃ is one character
+        if (unit := _UNITS.get(told.strip().lower(), _UNITS.get(one_letter))) is not None:
             return unit
         if price := re.fullmatch(r"(?i)(?:(ct|cents?|c|öre|øre|p|pence)|\w{2,4}|[€$£])/([kM]Wh)", told.strip()):
             return f"{'cent ' if price[1] else ''}per {'kWh' if price[2].lower() == 'kwh' else 'MWh'}"
@@ -342,7 +344,13 @@ def tags(name: str) -> frozenset[str]:
     # T_a and T_i are Ta and Ti.
     of_two = {pair for pair in pairs if len(pair) == 2}
     found |= {tag for tag in ("outdoor", "room", "temperature", "heat", "sun") if not of_two.isdisjoint(_WHOLE[tag])}
+    if found & {"temperature", "humidity"} and _WHOLE["pv"].intersection(words) <= {"export"}:
+        found.discard("pv")  # an export of readings, as files are called, is none of electricity
     return frozenset(found | {tag for pair, tag in _PAIRS.items() if pair in pairs})
+
+
+# A day, with or without a time, in the name of a file.
+_DAY_IN_NAME = re.compile(r"20\d{6}(\d{4}|\d{6})?")
 
 
 def place_of(name: str) -> frozenset[str]:
@@ -351,7 +359,7 @@ def place_of(name: str) -> frozenset[str]:
     kept = [
         word
         for word in words
-        if word.isdigit()
+        if (word.isdigit() and not _DAY_IN_NAME.fullmatch(word))
         or word
         in _WHOLE["room"] - {"t", "ti", "in", "int", "znt", "spt", "rmt", "zn", "zone", "room", "space", "rm", "raum"}
         or (len(word) > 4 and any(part in word for part in _PARTS["room"]))
@@ -384,6 +392,11 @@ _TURNS = ("Hz", "rps", "rpm")
 _HEAT = re.compile(
     r"(?i)^q[_ .-]|qdot|therm|w[aä]e?rme(menge|leist)|heat.?(meter|flow|output)|wmz|qh|^phi|^ph\b|heizleist|chaleur|"
     r"warmte"
+)
+# Temperatures that no thermometer shows: dew point, wet bulb, and what wind and damp make of it.
+_MADE_OF_OTHERS = re.compile(
+    r"\b(dew ?points?|dpt|wet ?bulb|wind ?chill|heat ?index|humidex|feels|felt|taupunkt\w*|gefue?hlte?|dauwpunt|"
+    r"gevoels\w*|point de rosee|ressentie?|punto (de|di) (rocio|rugiada)|dagg ?punkt|dugg ?punkt|kastepiste)\b"
 )
 _IDS = frozenset(("id", "idx", "row", "uuid", "epoch", "unix"))
 _SHORT = ("znt", "spt", "rmt", "sat", "rat", "mat", "dat", "oat", "lwt", "ewt", "degc", "degf")
@@ -449,6 +462,7 @@ class _Look:
         self.unit = unit_of(column.name) or column.unit
         known = np.isfinite(column.values)
         self.time_s, self.values = column.time_s[known], column.values[known]
+        self.words = column.words
         v = self.values
         self.text = column.text or not v.size
         self.least, self.median, self.most = (
@@ -519,6 +533,8 @@ def _guess(look: _Look, fahrenheit: bool) -> Guess:
     """What a signal is: of no use, of the weather or a tariff, what people set, what acts, or a temperature."""
     if look.binary and not look.text and any(_WINDOW.search(word) for word in words_of(look.name)):
         return Guess(look.name, "window", "0-1")
+    if look.text and any("hot water" in tags(word) for word in look.words):
+        return Guess(look.name, "mode")
     if _of_no_use(look):
         return Guess(look.name, "")
     for asked in (_of_weather_and_price, _of_setpoints, _of_what_acts):
@@ -529,8 +545,11 @@ def _guess(look: _Look, fahrenheit: bool) -> Guess:
         return _temperature(look, fahrenheit)
     if t & {"hot water", "water"}:
         return Guess(look.name, "")
-    if t & {"heating machine", "cooling"} and _shares(look) and not look.constant:
-        return Guess(look.name, "level", _share_unit(look))
+    if t & {"heating machine", "cooling"} and not look.constant:
+        if _shares(look):
+            return Guess(look.name, "level", _share_unit(look))
+        if not look.unit and look.least >= 0.0 and not look.counts:
+            return Guess(look.name, "power", "W", "its name says what it is of: is it a power, in W?")
     return _by_values(look, fahrenheit)
 
 
@@ -538,6 +557,8 @@ def _of_no_use(look: _Look) -> bool:
     """Whether a signal is words, the number of a row, or one that no map has a place for."""
     t, words = look.tags, set(words_of(look.name))
     if look.text or look.is_row or (words & _IDS and look.whole):
+        return True
+    if _MADE_OF_OTHERS.search(" ".join(words_of(look.name))):
         return True
     if look.ran:
         return False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,7 +16,7 @@ from thermoforce_mpc.commands.tank import AnyTankCommand
 from thermoforce_mpc.data import J_PER_KWH, ZERO_C_K, Array, Layout, Names
 from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
+from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, Written, WrittenOtherwise
 from thermoforce_mpc.scenario.comfort import OfComfort, OfTankComfort
 from thermoforce_mpc.scenario.settings import StrictModel, read_yaml, validate
 
@@ -254,7 +255,9 @@ class MappedActuator(StrictModel):
         "which it ran",
     )
     off_W: float = Field(0.0, ge=0, description="power while it is off, where no level is measured")
-    share: float = Field(0.0, ge=0, le=1, description="share of its machine's capacity at full level")
+    share: float = Field(
+        0.0, ge=0, le=1, description="share of its machine's capacity at full level; 0: as its power tells of each"
+    )
     command: AnyCommand | None = Field(
         None, description="what can be set in its place: setpoint, curve_offset, flow_temperature, sg_ready or enable"
     )
@@ -276,6 +279,11 @@ class MappedMachine(StrictModel):
 
     power: OfPower | None = Field(None, description="electric power, or that of the gas; without it nothing is planned")
     return_water: OfTemperature | None = None
+    hot_water: OfLevel | None = Field(
+        None,
+        description="on or 1 while it heats water for taps, as a mode with csv.words says: what it takes then is not "
+        "counted to the rooms",
+    )
     price: OfPrice | None = Field(None, description="price of its energy per kWh, or a column")
     command: AnyCommand | None = Field(
         None, description="one command for all that it feeds, as an offset of its heating curve"
@@ -320,6 +328,11 @@ class MeasurementMap(StrictModel):
     time: TimeStampRules = TimeStampRules()
     csv: CsvFormat = CsvFormat()
     table: TableForm = TableForm()
+    files: dict[str, WrittenOtherwise] = Field(
+        default_factory=dict,
+        description="files that are written otherwise, by name or pattern, as of the sensors of another maker",
+        examples=[{"netatmo*.csv": {"csv": {"skip_lines": 2}}}],
+    )
     step: str | None = Field(
         None, description="step of the record, such as 15min; default: the usual distance of the rows, 15 min to 1 h"
     )
@@ -340,6 +353,12 @@ class MeasurementMap(StrictModel):
     machines: dict[str, MappedMachine] = Field(default_factory=dict)
     hot_water: MappedTank | None = Field(None, description="a tank that one of the machines heats too")
     forecast: ForecastMap = ForecastMap()
+
+    def written(self, path: Path) -> Written:
+        """How a file of the building is written."""
+        usual = Written(time=self.time, csv=self.csv, table=self.table)
+        told = self.files.get(path.name) or next((f for p, f in self.files.items() if fnmatch(path.name, p)), None)
+        return usual if told is None else told.of(usual)
 
     @field_validator("step")
     @classmethod
@@ -415,6 +434,10 @@ class MeasurementMap(StrictModel):
         """Raise `ValueError` where the tank has no machine or clock, or shares a column with something else."""
         if tank.machine is None and len(self.machines) != 1:
             raise ValueError(f"hot_water.machine: say which one heats it, of {', '.join(self.machines) or 'machines'}")
+        if (twice := self.machines.get(self.tank_machine)) is not None and twice.hot_water is not None:
+            raise ValueError(
+                f"hot_water.charging is the place of machines.{self.tank_machine}.hot_water: name it there"
+            )
         if tank.machine is not None and tank.machine not in self.machines:
             raise ValueError(
                 f"hot_water.machine: there is no '{tank.machine}'; there are {', '.join(self.machines) or 'none'}"

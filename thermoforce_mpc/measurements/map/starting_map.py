@@ -25,7 +25,13 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     raw_table,
     unit_of_cells,
 )
-from thermoforce_mpc.measurements.tables.recognition import Recognised, recognised, told_beside, units_of_points
+from thermoforce_mpc.measurements.tables.recognition import (
+    Recognised,
+    recognised,
+    told_beside,
+    units_of_points,
+    written_alike,
+)
 
 # Rows of a file that are looked at where its columns are signals, and readings of a signal where rows are readings.
 _ROWS, _READINGS = 20_000, 5_000
@@ -46,6 +52,8 @@ _LANGUAGES = {
     "fr": "exterieur|chambre|salon|puissance|vanne|consigne|cuisine|sejour|horodat|ensoleil|chauffage",
     "nl": "buiten|kamer|temperatuur|vermogen|klep|keuken|verbruik|tijd|straling|vocht|badkamer",
 }
+# Words of what a meter tells of an interval beside its mean, and of what is not billed.
+_OF_INTERVALS = frozenset(("max", "min", "peak", "aprt", "apparent", "reactive", "react", "fund", "ret", "returned"))
 _PUT_LAST = re.compile(r"pump|pomp|fan|relay|switch|status|stat$|enable", re.I)
 
 
@@ -55,19 +63,28 @@ def starting_map(files: str | Path | Sequence[str | Path]) -> str:
     Raises `DataError` where a file cannot be read, or nothing in it looks like a temperature.
     """
     paths = found_files([files] if isinstance(files, str | Path) else list(files))
-    taken = recognised(paths)
-    columns = _columns(taken)
+    kinds = [recognised(of_kind) for of_kind in written_alike(paths)]
+    read = [_columns(kind) for kind in kinds]
+    for k, kind in enumerate(kinds):
+        others = {column.name for j, other in enumerate(read) if j != k for column in other}
+        if kind.table.point is None and kind.table.by_file is None and others & {column.name for column in read[k]}:
+            # The same names in files of another kind are of other rooms.
+            kinds[k] = replace(kind, table=kind.table.model_copy(update={"by_file": "prefix"}))
+            read[k] = _columns(kinds[k])
+    columns = list({column.name: column for of_kind in read for column in of_kind}.values())
     found = guesses(columns)
-    used = {guess.name for guess in found if guess.role}
-    words = dict.fromkeys(word for column in columns if column.name in used for word in column.words)
-    taken = replace(taken, csv=taken.csv.model_copy(update={"missing": tuple(words)[:_MOST_MISSING]}))
+    used = {guess.name for guess in found if guess.role not in ("", "mode")}
+    for k, kind in enumerate(kinds):
+        words = dict.fromkeys(word for column in read[k] if column.name in used for word in column.words)
+        kinds[k] = replace(kind, csv=kind.csv.model_copy(update={"missing": tuple(words)[:_MOST_MISSING]}))
+    taken = kinds[0]
     if not any(guess.role in ("zone", "outdoor") for guess in found):
         names = ", ".join(column.name for column in columns[:20]) + (", …" if len(columns) > 20 else "")
         raise DataError(
             f"{paths[0]}: taken for {taken.words}; none of {names} looks like a temperature of a room or outdoors: "
             "write the map by hand"
         )
-    return _Text(taken, columns, found).written()
+    return _Text(paths, kinds, columns, found).written()
 
 
 def _columns(taken: Recognised) -> list[Column]:
@@ -111,7 +128,7 @@ def _columns(taken: Recognised) -> list[Column]:
                 below = next((u for u in (unit_of(f"({units.get(name, '').strip('()[]')})"),) if u), "")
                 unit = unit_of(name) or unit_of_cells(head[name], taken.csv.decimal) or below
                 by = 1.0 / divisors.get(name, 1.0)
-                found[key] = Column(key, time_s, numbers * by, words, unit, by, () if words else texts)
+                found[key] = Column(key, time_s, numbers * by, words, unit, by, texts)
     return list(found.values())
 
 
@@ -138,26 +155,31 @@ def _seconds(table: RawTable, clock: TimeStampRules) -> np.ndarray:
 class _Text:
     """The lines of a map."""
 
-    def __init__(self, taken: Recognised, columns: Sequence[Column], found: Sequence[Guess]) -> None:
-        self.taken, self.found = taken, list(found)
+    def __init__(
+        self, paths: Sequence[Path], kinds: Sequence[Recognised], columns: Sequence[Column], found: Sequence[Guess]
+    ) -> None:
+        self.paths, self.taken, self.others, self.found = paths, kinds[0], kinds[1:], list(found)
         self.column = {column.name: column for column in columns}
         self.used: set[str] = set()
+        modes = self.of("mode")
+        self.mode = modes[0] if len(modes) == 1 else None
 
     def of(self, *roles: str) -> list[Guess]:
         """Guesses of these roles, the sure ones first."""
         return sorted((g for g in self.found if g.role in roles), key=lambda g: (roles.index(g.role), not g.sure))
 
     def written(self) -> str:
-        names = ", ".join(path.name for path in self.taken.paths[:4]) + (" …" if len(self.taken.paths) > 4 else "")
-        quoted = " ".join(f"'{p.name}'" if " " in p.name else p.name for p in self.taken.paths[:4])
+        names = ", ".join(path.name for path in self.paths[:4]) + (" …" if len(self.paths) > 4 else "")
+        quoted = " ".join(f"'{p.name}'" if " " in p.name else p.name for p in self.paths)
+        words = "; ".join(dict.fromkeys(kind.words for kind in (self.taken, *self.others)))
         signals = f", {len(self.found)} signals" if len(self.found) > 1 else ""
         lines = [
-            f"# Map of {names}, taken for: {self.taken.words}{signals}. Guessed from names and values: check every "
-            "line,",
+            f"# Map of {names}, taken for: {words}{signals}. Guessed from names and values: check every line,",
             f"# above all those with {_CHECK.strip(': ')}, then",
             f"#   tf-mpc data check {quoted} --map map.yaml",
             *self._time(),
             *self._files(),
+            *self._written_otherwise(),
             "# site: {latitude: 50.8, longitude: 4.4}  # for an estimate of the sun",
             *self._weather(),
             *self._zones(),
@@ -220,25 +242,44 @@ class _Text:
         best = max(counts, key=lambda code: counts[code])
         return _ZONES[best if counts[best] > 0 else "en"]
 
+    def _written_otherwise(self) -> list[str]:
+        """Lines of the files that are not written as the first one is."""
+        lines = ["files:  # those that are written otherwise than the lines above say"] if self.others else []
+        for kind in self.others:
+            clock = kind.clock
+            told = [f"column: {_value(clock.column)}"] if clock.column is not None else []
+            told += [
+                f"{key}: {_value(getattr(clock, key))}"
+                for key in ("unit", "since", "year", "zone")
+                if getattr(clock, key)
+            ]
+            note = kind.notes["time"]
+            if clock.zone is None and self.taken.clock.zone is not None:
+                told.append(f"zone: {self._of_language()}")
+                note = "; ".join(part for part in ("the zone", note) if part)
+            if kind.notes["time"].startswith("?"):
+                told.append("format: FILL IN" if "stamps such" in note else "since: FILL IN")
+            elif clock.format is not None:
+                told.append(f"format: '{clock.format}'")
+            form = f"csv: {{{', '.join(_told(kind.csv))}}}, " if kind.csv != self.taken.csv else ""
+            table = f", table: {{{', '.join(_told(kind.table))}}}" if kind.table != self.taken.table else ""
+            how = f"{{{form}time: {{{', '.join(told)}}}{table}}}"
+            lines += [f"  {_quoted(path.name)}: {how}{_comment(note.removeprefix('? '))}" for path in kind.paths]
+        return lines
+
     def _files(self) -> list[str]:
         form, table, lines = self.taken.csv, self.taken.table, []
-        options = {
-            "separator": form.separator, "decimal": form.decimal, "encoding": form.encoding,
-            "skip_lines": form.skip_lines,
-            "skip_after": form.skip_after, "comment": form.comment, "missing": form.missing,
-        }  # fmt: skip
-        other = [f"{key}: {_value(value)}" for key, value in options.items() if value != getattr(CsvFormat(), key)]
+        other = _told(form)
+        if self.mode is not None:
+            words = self.column[self.mode.name].words
+            numbers = [f"{_quoted(word)}: {int('hot water' in tags(word))}" for word in words]
+            other.append(f"words: {{{', '.join(numbers)}}}")
         if other:
             note = self.taken.notes["csv"][2:] or ("words for an empty cell?" if form.missing else "")
             lines.append(f"csv: {{{', '.join(other)}}}{_comment(note)}")
         if numbered := self.taken.notes["names"]:
             lines.append(f"# {_CHECK}{numbered}")
-        told = [
-            f"{key}: {_value(getattr(table, key))}"
-            for key in ("point", "value", "by_file", "status")
-            if getattr(table, key) != getattr(TableForm(), key)
-        ]
-        if told:
+        if told := _told(table):
             lines.append(f"table: {{{', '.join(told)}}}")
         return lines
 
@@ -344,6 +385,8 @@ class _Text:
                     "    # power: {column: ..., unit: W}  # without it nothing can be planned; without a meter take"
                 )
                 lines.append("    #   the column of the level, with factor: the W of a reading of 1")
+            if len(machines) == 1 and self.mode is not None:
+                lines.append(f"    hot_water: {self._signal(self.mode)}  # while it heats water for taps (csv.words)")
             lines.append(f"    price: {cost}  # per kWh, a number or a column")
         return lines
 
@@ -393,6 +436,13 @@ class _Text:
                 if ours:
                     best = max(ours, key=lambda g: (self._worth(g), len(g.place & self.zones[zone].place), g.sure))
                     found[self._unique(_name(best.name), found)] = (zone, best, None)
+            alone = [zone for zone in zones if not any(zone == taken for taken, _, _ in found.values())]
+            of_no_zone = [
+                g for g in candidates
+                if "valve" in tags(g.name) and not any(g == one or self._match(g, z) for z, one, _ in found.values())
+            ]  # fmt: skip
+            if len(alone) == len(of_no_zone) == 1 and found:
+                found[self._unique(_name(of_no_zone[0].name), found)] = (alone[0], of_no_zone[0], None)
         if found:
             return found
         powers = self.of("power")
@@ -441,6 +491,7 @@ class _Text:
         def worth(guess: Guess) -> tuple[float, ...]:
             t = tags(guess.name)
             return (
+                _OF_INTERVALS.isdisjoint(words_of(guess.name)),
                 "heating machine" in t,
                 not any(self._match(guess, zone) for zone in self.zones),
                 guess.sure,
@@ -463,6 +514,13 @@ class _Text:
         t = tags(guess.name)
         warms = bool(re.search(r"(?i)heat|htg|heiz|hw|warm|chauff|radiat|boiler|burner|verwarm", guess.name))
         return "cooling" if "cooling" in t and not warms else "heating"
+
+
+def _told(form: CsvFormat | TableForm) -> list[str]:
+    """Keys and values of a form that are not the usual ones."""
+    usual = type(form)()
+    keys = [key for key in type(form).model_fields if key != "bad"]
+    return [f"{key}: {_value(getattr(form, key))}" for key in keys if getattr(form, key) != getattr(usual, key)]
 
 
 def _median_over_time(column: Column, unit: str) -> float:

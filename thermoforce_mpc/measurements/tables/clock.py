@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -201,7 +202,8 @@ def plain(text: pd.Series, form: str | None = None) -> pd.Series:
         first = str(text.iloc[0])
     if re.search(r"(?i)[ap]\.\s?m\b", first):
         text = text.str.replace(r"(?i)\b([ap])\.\s?m\.?", r"\1M", regex=True)
-    if not form or not re.search("%[aA]", form):
+    whole = "\n".join(text.tolist())  # one look at all tells what few have: a log has hundreds of thousands
+    if (not form or not re.search("%[aA]", form)) and re.search(r"(?m)^\s*[A-Za-z]", whole):
         text = text.str.replace(_DAY_OF_WEEK, "", regex=True)
         first = str(text.iloc[0])
     if re.search(r"[A-Za-zäéûô]{3,}", first):
@@ -210,7 +212,7 @@ def plain(text: pd.Series, form: str | None = None) -> pd.Series:
         for word in words:
             if (other := _in_digits(word, form)) is not None:
                 text = text.str.replace(rf"\b{word}\b\.?" if other.isalpha() else rf" ?\b{word}\b", other, regex=True)
-    late = text.str.contains(r"[ T]24:00(?::00)?", regex=True)
+    late = text.str.contains(r"[ T]24:00(?::00)?", regex=True) if "24:00" in whole else np.zeros(len(text), dtype=bool)
     if late.any():
         days = pd.to_datetime(text[late].str.extract(r"(\d{4}-\d{2}-\d{2})", expand=False), errors="coerce")
         known = days[days.notna()]
@@ -343,7 +345,7 @@ class Timed:
 
     `columns` (n,) stand at `index` (n,), but for those with instants of their `own`, of which each row is a reading:
     NaN says there that the signal was not available from then on. `beside`: first readings of signals that the map does
-    not name, where each row is one reading.
+    not name, where each row is one reading. `marks`: the end of an interval that the stamps of a column mark, by file.
     """
 
     index: pd.DatetimeIndex
@@ -351,6 +353,7 @@ class Timed:
     notes: tuple[str, ...] = field(default=())
     own: dict[str, pd.DatetimeIndex] = field(default_factory=dict)
     beside: dict[str, Array] = field(default_factory=dict)
+    marks: dict[str, Literal["start", "end"]] = field(default_factory=dict)
 
     def at(self, name: str) -> pd.DatetimeIndex:
         """The instants of a column."""
@@ -374,10 +377,12 @@ def timed(tables: Sequence[RawTable], clock: TimeStampRules, now: pd.Timestamp |
     does not exist, and for zones that differ.
     """
     notes: list[str] = []
-    stamps = [
-        _instants_of_readings(t, clock, notes, now) if t.codes is not None else instants(t, clock, notes, now)
-        for t in tables
-    ]
+    stamps = []
+    for table in tables:
+        read = _instants_of_readings if table.codes is not None else instants
+        at = read(table, table.clock or clock, notes, now)
+        stamps.append(at.dt.tz_convert(clock.zone) if clock.zone is not None and at.dt.tz is not None else at)
+    marks = {name: table.clock.marks for table in tables if table.clock is not None for name in table.names}
     has = [stamp.dt.tz is not None for stamp in stamps]
     if len(set(has)) > 1:
         naive, aware = tables[has.index(False)].name, tables[has.index(True)].name
@@ -396,12 +401,13 @@ def timed(tables: Sequence[RawTable], clock: TimeStampRules, now: pd.Timestamp |
         if table.codes is None:
             alike.setdefault(tuple(table.columns), []).append(i)
     parts = [
-        _after_one_another([tables[i] for i in of], [stamps[i] for i in of], clock, notes) for of in alike.values()
+        _after_one_another([tables[i] for i in of], [stamps[i] for i in of], tables[of[0]].clock or clock, notes)
+        for of in alike.values()
     ]
     if len(parts) == 1 and len(alike) and all(table.codes is None for table in tables):
         index, columns = parts[0]
         _check_years(index, tables[0].name)
-        return Timed(index, columns, tuple(notes))
+        return Timed(index, columns, tuple(notes), marks=marks)
     found: dict[str, list[tuple[pd.DatetimeIndex, Array]]] = {}
     for index, columns in parts:
         for name, values in columns.items():
@@ -415,10 +421,8 @@ def timed(tables: Sequence[RawTable], clock: TimeStampRules, now: pd.Timestamp |
     own: dict[str, pd.DatetimeIndex] = {}
     columns = {}
     for name, pieces in found.items():
-        index = pd.DatetimeIndex(np.concatenate([one.as_unit("ns") for one, _ in pieces]), tz="UTC") if has[0] else (
-            pd.DatetimeIndex(np.concatenate([one.as_unit("ns") for one, _ in pieces]))
-        )  # fmt: skip
-        index = index.tz_convert(stamps[0].dt.tz) if has[0] else index
+        index = pd.DatetimeIndex(np.concatenate([one.as_unit("ns").asi8 for one, _ in pieces]))
+        index = index.tz_localize("UTC").tz_convert(stamps[0].dt.tz) if has[0] else index
         values = np.concatenate([one for _, one in pieces])
         order = np.lexsort((np.isfinite(values), index.asi8))
         order = order[np.append(np.diff(index.asi8[order]) > 0, True)]  # of two at one instant the later reading counts
@@ -437,7 +441,7 @@ def timed(tables: Sequence[RawTable], clock: TimeStampRules, now: pd.Timestamp |
         raise DataError(f"{tables[0].name}: the columns of the map hold no reading")
     _check_years(union, tables[0].name)
     beside = {name: values for table in tables for name, values in table.beside.items() if name not in own}
-    return Timed(union, columns, tuple(notes), own, beside)
+    return Timed(union, columns, tuple(notes), own, beside, marks)
 
 
 def _instants_of_readings(

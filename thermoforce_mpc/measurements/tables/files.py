@@ -29,7 +29,7 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import check_regular, pyarrow_for
 from thermoforce_mpc.measurements.tables.clock import instants
-from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
+from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, Written
 from thermoforce_mpc.measurements.tables.raw_table import (
     MISSING,
     RawTable,
@@ -38,6 +38,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     of_one_signal,
     raw_table,
     readings_table,
+    with_numbers,
 )
 
 Stamps: TypeAlias = str | tuple[str, ...] | None
@@ -57,6 +58,12 @@ _MAGIC = {
     b"\x1f\x8b": "packed (gzip): name it .csv.gz", b"BZh": "packed (bzip2): name it .csv.bz2",
     b"\xfd7zXZ": "packed (xz): name it .csv.xz", b"\xd0\xcf\x11\xe0": "an old workbook: name it .xls",
 }  # fmt: skip
+# How text begins that is no table, behind a mark of its encoding.
+_NO_TABLE = {
+    re.compile(rb"(\xef\xbb\xbf)?\s*(\[\s*[\[{\"\d-]|\[\s*\]|\{)"): "JSON",
+    re.compile(rb"(?i)(\xef\xbb\xbf)?\s*<(!doctype )?html"): "a page of the web (HTML)",
+    re.compile(rb"(\xef\xbb\xbf)?\s*<[?!a-zA-Z]"): "XML",
+}
 # Rows that are read at once where each is one reading: their text takes ten times the memory of their numbers.
 _ROWS_AT_ONCE = 250_000
 # Readings that are kept of signals outside the map; from a gap of so long in all signals on the logger stood still.
@@ -135,14 +142,9 @@ def named_after(path: Path, form: CsvFormat) -> str:
 
 
 def read_tables(
-    paths: Sequence[Path],
-    stamps: Stamps,
-    wanted: Sequence[str],
-    form: CsvFormat,
-    table: TableForm,
-    notes: list[str],
+    paths: Sequence[Path], wanted: Sequence[str], written: Callable[[Path], Written], notes: list[str]
 ) -> list[RawTable]:
-    """The time stamps (columns `stamps`, by default the first or the index) and `wanted` signals of files.
+    """The time stamps and `wanted` signals of files, each as it is `written`.
 
     A file need not hold all of them; `notes` is told of one that holds none. Raises `DataError`, with column and line,
     for one that cannot be read, is empty, or holds text in one, and where one of `wanted` is in no file.
@@ -151,6 +153,7 @@ def read_tables(
     known: dict[str, None] = {}
     for path in paths:
         found: list[RawTable] = []
+        form, table, stamps = (of := written(path)).csv, of.table, of.time.column
         for part in _parts(path, form):
             if table.point is not None:
                 found += _of_readings(part, stamps, wanted, form, table)
@@ -161,7 +164,7 @@ def read_tables(
                 found += _of_columns(part, stamps, wanted, column_of, form, table)
         if not found and len(paths) > 1:
             notes.append(f"{path}: holds none of the columns of the map: left out")
-        tables += [one for one in found if len(one.stamps)]
+        tables += [replace(one, clock=of.time) for one in found if len(one.stamps)]
     for key in wanted:
         known_column(key, pd.Index(list(known)), str(paths[0]))
     if not tables:
@@ -224,27 +227,22 @@ def all_readings(
     }
 
 
-def check_columns(
-    paths: Sequence[str | Path], stamps: Stamps, wanted: Sequence[str], form: CsvFormat, table: TableForm
-) -> None:
+def check_columns(paths: Sequence[str | Path], wanted: Sequence[str], written: Callable[[Path], Written]) -> None:
     """Refuse files that lack a column or are too large; raises `DataError` as `found_files` and `read_tables`.
 
     Where each row is one reading the signals are known only when all is read.
     """
-    found = found_files(paths)
-    if table.point is not None:
-        of_readings = (table.point,) if isinstance(table.point, str) else table.point
-        for path in found:
-            for key in of_readings:
-                known_column(key, pd.Index(_parts(path, form, scan=False)[0].names), str(path))
-        return
-    known = dict.fromkeys(
-        name
-        for path in found
-        for part in _parts(path, form, scan=False)
-        for name in _signals(part, stamps, form, table)
-    )
-    for key in wanted:
+    found, known, all_known = found_files(paths), dict[str, None](), True
+    for path in found:
+        form, table, stamps = (of := written(path)).csv, of.table, of.time.column
+        parts = _parts(path, form, scan=False)
+        if table.point is not None:
+            for key in (table.point,) if isinstance(table.point, str) else table.point:
+                known_column(key, pd.Index(parts[0].names), str(path))
+            all_known = False
+        else:
+            known |= dict.fromkeys(name for part in parts for name in _signals(part, stamps, form, table))
+    for key in wanted if all_known else ():
         known_column(key, pd.Index(list(known)), str(found[0]))
 
 
@@ -277,10 +275,23 @@ class _Part:
 def _parts(path: Path, form: CsvFormat, *, scan: bool = True) -> list[_Part]:
     suffix = path.suffix.lower()
     if suffix in PARQUET:
-        return [_parquet(path)]
-    if suffix in _WORKBOOKS:
-        return [_workbook(path, form)]
-    return _csv(path, form, scan=scan)
+        parts = [_parquet(path)]
+    elif suffix in _WORKBOOKS:
+        parts = [_workbook(path, form)]
+    else:
+        parts = _csv(path, form, scan=scan)
+    return [replace(part, frames=partial(_numbered, part.frames, form)) for part in parts] if form.words else parts
+
+
+def _numbered(
+    frames: Callable[[Sequence[str] | None, int | None], Iterator[tuple[pd.DataFrame, Lines]]],
+    form: CsvFormat,
+    columns: Sequence[str] | None,
+    rows: int | None,
+) -> Iterator[tuple[pd.DataFrame, Lines]]:
+    """Frames of a part of a file, with numbers in the place of words."""
+    for df, line in frames(columns, rows):
+        yield with_numbers(df, form.words, form.decimal), line
 
 
 def _of_readings(
@@ -670,6 +681,11 @@ def _check_text(path: Path, start: bytes) -> None:
         raise DataError(f"{path}: is no table but {what}")
     if start[:2] not in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) and start[:1000].count(b"\0") > 20:
         raise DataError(f"{path}: is no text: a table is CSV, Parquet or a workbook")
+    if what := next((what for begins, what in _NO_TABLE.items() if begins.match(start)), ""):
+        raise DataError(
+            f"{path}: is {what}, no table: export it as CSV, a line of column names and then one of readings for each "
+            "time; in Python `read_measurements` takes a data frame"
+        )
 
 
 def sample(path: Path) -> tuple[str, list[str]]:

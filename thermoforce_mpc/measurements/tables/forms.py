@@ -72,6 +72,13 @@ class TimeStampRules(StrictModel):
                 raise ValueError("no such time zone; use a name such as Europe/Brussels, Etc/GMT-1 or UTC") from error
         return value
 
+    @field_validator("format")
+    @classmethod
+    def _filled_in(cls, value: str | None) -> str | None:
+        if value is not None and "%" not in value:
+            raise ValueError(f"'{value}' has no %: write how a stamp looks, such as '%d.%m.%Y %H:%M'")
+        return value
+
     @model_validator(mode="after")
     def _numbers_count_from(self) -> TimeStampRules:
         if (self.unit is None) != (self.since is None):
@@ -117,6 +124,10 @@ class CsvFormat(StrictModel):
     encoding: str = "utf-8"
     skip_lines: int = Field(0, ge=0, description="lines before the line of column names")
     missing: tuple[str, ...] = Field((), description="texts that stand for an empty cell besides NaN, n/a and the like")
+    words: dict[str, float] = Field(
+        {},
+        description="numbers of words besides on and off, as of an operating mode: {dhw: 1, heating: 0}",
+    )
     skip_after: int = Field(0, ge=0, description="lines between that of column names and the first row, as of units")
     comment: str | None = Field(
         "#", min_length=1, description="lines that begin with this are left out; null: none are"
@@ -155,3 +166,28 @@ class TableForm(StrictModel):
         if self.by_file == "point" and self.value is None:
             raise ValueError("by_file: point needs value: the column of the readings")
         return self
+
+
+class Written(StrictModel):
+    """How a file is written: its stamps, its cells, and where the names of signals stand."""
+
+    time: TimeStampRules = TimeStampRules()
+    csv: CsvFormat = CsvFormat()
+    table: TableForm = TableForm()
+
+
+class WrittenOtherwise(StrictModel):
+    """Where files differ from what a map says of all; a key that is given holds in the place of the map's whole one."""
+
+    time: TimeStampRules | None = Field(None, description="the zone is that of the map, where it names none")
+    csv: CsvFormat | None = None
+    table: TableForm | None = None
+
+    def of(self, usual: Written) -> Written:
+        """How these files are written, where others are as `usual`."""
+        time = self.time or usual.time
+        return Written(
+            time=time.model_copy(update={"zone": time.zone or usual.time.zone}),
+            csv=self.csv or usual.csv,
+            table=self.table or usual.table,
+        )

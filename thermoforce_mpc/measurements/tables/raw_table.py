@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.tables.forms import TableForm
+from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules
 from thermoforce_mpc.scenario.settings import suggestion
 
 # Words of a column that says on or off, in the languages of the maps.
@@ -57,6 +57,7 @@ class RawTable:
     lines of all rows (n,). Where each row is one reading, `points` names the signals and `codes` (n,) says whose a
     row's is; the one column is named ''. `beside`: first readings of other signals; `outages`: from when to when
     nothing at all was stored, where the stamps are instants; `wordy`: words that signals hold, with how many.
+    `clock`: how its stamps are read, where that is not as the map says of all.
     """
 
     name: str
@@ -68,6 +69,7 @@ class RawTable:
     beside: dict[str, Array] = field(default_factory=dict)
     outages: tuple[tuple[pd.Timestamp, pd.Timestamp], ...] = ()
     wordy: dict[str, dict[str, int]] = field(default_factory=dict)
+    clock: TimeStampRules | None = None
 
     def where(self, row: int) -> str:
         """Name of the file and place of a row in it."""
@@ -277,6 +279,22 @@ def as_numbers(column: pd.Series, decimal: str = ".") -> pd.Series:
     With the mark ',' a point is none of a number: it may stand between thousands.
     """
     return pd.Series(_with_texts(column, decimal)[0], index=column.index)
+
+
+def with_numbers(df: pd.DataFrame, words: Mapping[str, float], decimal: str = ".") -> pd.DataFrame:
+    """A data frame with numbers, as text, in the place of `words`, whatever their case, in its columns of text."""
+    if not words:
+        return df
+    numbers = {word.strip().lower(): f"{number:.10g}".replace(".", decimal) for word, number in words.items()}
+    out = df.copy(deep=False)
+    for key in df.columns:
+        if pd.api.types.is_numeric_dtype(df[key]) or pd.api.types.is_datetime64_any_dtype(df[key]):
+            continue
+        codes, cells = pd.factorize(df[key].astype(object))
+        to = [numbers.get(str(cell).strip().lower(), cell) for cell in cells]
+        if to != list(cells):
+            out[key] = pd.Series(np.array([*to, None], dtype=object)[codes], index=df.index, dtype=object)
+    return out
 
 
 def _with_texts(

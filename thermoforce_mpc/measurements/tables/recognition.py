@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from zoneinfo import available_timezones
 
 import numpy as np
 import pandas as pd
@@ -22,6 +23,7 @@ from thermoforce_mpc.measurements.tables.files import (
     header_of,
     is_text,
     named_after,
+    reading,
     sample,
     workbook_lines,
 )
@@ -38,6 +40,8 @@ from thermoforce_mpc.measurements.tables.raw_table import (
 ROWS = 2000
 """Rows of a table that are looked at."""
 _LINES, _MOST_HEAD, _MOST_PAIRS = 400, 60, 50
+# From so many columns on that are called as times are, these are the times of a table.
+_LEAST_TIMES_ASIDE = 4
 # Headers of columns, by what they hold, in the languages of the maps.
 _TIME = re.compile(
     r"(?i)^(<>)?(date|time|datetime|date[ /_-]*time|time "
@@ -93,7 +97,7 @@ _DAYS = (
 _CLOCKS = (
     "%H:%M", "%H:%M:%S", "%H:%M:%S.%f", "%I:%M %p", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M%p", "%I:%M:%S%p", "%H.%M",
     "%Hh%M",
-    "%H:%M:%S:%f", "%Hh", "%H%M%S", "%H%M",
+    "%H:%M:%S:%f", "%H:%M:%S,%f", "%Hh", "%H%M%S", "%H%M",
 )  # fmt: skip
 # Zones of clocks by what they are called.
 _CALLED = (
@@ -151,6 +155,82 @@ def units_of_points(head: pd.DataFrame, table: TableForm, decimal: str) -> dict[
     return out
 
 
+def written_alike(paths: Sequence[Path]) -> list[list[Path]]:
+    """Files of one building by how they are written, in the order of the first of each kind; raises as `recognised`."""
+    if len(paths) == 1:
+        return [list(paths)]
+    kinds: list[tuple[Recognised, list[Path]]] = []
+    for path in paths:
+        form = guessed_form(path)
+        head = head_of(path, _LINES, form)
+        for first, of_kind in kinds:
+            if _alike(first, path, form, head):
+                of_kind.append(path)
+                break
+        else:
+            kinds.append((recognised([path]), [path]))
+    return [of_kind for _, of_kind in kinds]
+
+
+def _alike(first: Recognised, path: Path, form: CsvFormat, head: pd.DataFrame) -> bool:
+    """Whether a file with some `head` rows, which seems to have `form`, is read as another one is written."""
+    if head.empty or (form != first.csv and not _same_cells(path, form, first.csv, head)):
+        return False
+    columns, told = [str(name) for name in head.columns], first.clock.column
+    stamps = (told,) if isinstance(told, str) else told or ()
+    points, values = (
+        (one,) if isinstance(one, str) else one for one in (first.table.point or (), first.table.value or ())
+    )
+    if points and not {*points, *stamps, *values[:1]} <= set(columns):
+        return False
+    if not points:
+        if not set(stamps) <= set(columns):  # the first column, whatever it is called
+            was_first = len(stamps) == 1 and stamps[0] == str(head_of(first.paths[0], 1, first.csv).columns[0])
+            stamps = tuple(columns[:1]) if was_first else ()
+        others = [name for name in columns if name not in stamps and not _dated(head[name])]
+        if not stamps or _of_readings(head, others, set(stamps)) is not None:
+            return False
+    return _same_clock(first.clock, head, stamps)
+
+
+def _same_cells(path: Path, form: CsvFormat, other: CsvFormat, head: pd.DataFrame) -> bool:
+    """Whether the `head` rows of a file, by `form`, are the same by another one."""
+    try:
+        by_other = head_of(path, _LINES, other)
+    except DataError:
+        return False
+    if list(by_other.columns) != list(head.columns) or len(by_other) != len(head):
+        return False
+    return all(
+        np.array_equal(as_numbers(head[c], form.decimal), as_numbers(by_other[c], other.decimal), equal_nan=True)
+        for c in head.columns[1:]
+    )
+
+
+def _same_clock(clock: TimeStampRules, head: pd.DataFrame, stamps: Sequence[str]) -> bool:
+    """Whether the columns `stamps` of a table are read by `clock`."""
+    at = head[stamps[0]]
+    if pd.api.types.is_numeric_dtype(at):
+        theirs, _ = _counted_clock(at)
+        return len(stamps) == 1 and clock.unit is not None and (theirs.unit, theirs.since) == (clock.unit, clock.since)
+    if clock.unit is not None or pd.api.types.is_datetime64_any_dtype(at):
+        return clock.unit is None and clock.format is None and clock.year is None
+    if len(stamps) > 1:
+        at = at.astype(str).str.strip() + " " + head[stamps[1]].astype(str).str.strip()
+    as_written = at.dropna().astype(str)
+    if as_written.empty:
+        return False
+    if clock.year is not None:
+        return bool(as_written.str.fullmatch(_NO_YEAR).all())
+    text = plain(as_written)
+    told = _zone(text if with_offset(text).any() else as_written.iloc[:1], as_written.iloc[0])
+    if (told or _zone_of_header(" ".join(stamps))) != clock.zone:
+        return False
+    if clock.format is None:
+        return bool(text.str.match(ISO).all())
+    return _fits_all(text, clock.format)
+
+
 def recognised(paths: Sequence[Path]) -> Recognised:
     """What files of one building are taken for; raises `DataError` for one that is no table."""
     forms = [guessed_form(path) for path in paths]
@@ -162,6 +242,8 @@ def recognised(paths: Sequence[Path]) -> Recognised:
     notes = {"csv": f"? {', '.join(others[:3])} seem to be written otherwise" if others else ""}
     notes["names"] = _numbered(paths[0], form)
     head = heads[0]
+    for path, one in zip(paths, heads, strict=True):
+        _check_layout(path, one)
     column, clock, notes["time"] = _clock(head, paths[0])
     same = all(not column or set(column) <= set(map(str, one.columns)) for one in heads)
     first = len(column) == 1 and all(str(one.columns[0]) == column[0] for one in heads)
@@ -171,6 +253,26 @@ def recognised(paths: Sequence[Path]) -> Recognised:
     of_stamps = set(column or [str(head.columns[0])])
     table, words = _form_of(paths, heads, of_stamps, form)
     return Recognised(tuple(paths), form, table, clock, words, notes)
+
+
+def _check_layout(path: Path, head: pd.DataFrame) -> None:
+    """Refuse a table of lines that nothing parts, and one whose times stand side by side."""
+    names = [str(name) for name in head.columns]
+    if len(names) == 1 and not isinstance(head.index, pd.DatetimeIndex):
+        raise DataError(
+            f"{path}: nothing parts the cells of its lines ({names[0][:60]!r}): a table has commas, semicolons, "
+            "tabs or | between them (csv.separator for another mark) and a line of column names; of a log take the "
+            "export as CSV"
+        )
+    times = [name for name in names if _stamp(name)]
+    if len(times) >= _LEAST_TIMES_ASIDE and len(times) > len(names) / 2:
+        first = len(names) - len(times)
+        raise DataError(
+            f"{path}: its times stand side by side as names of columns ({times[0]}, {times[1]}, …) and each row is a "
+            "signal, as Home Assistant's energy dashboard writes it. Turn it round: python -c \"import pandas; "
+            f"t = pandas.read_csv('{path.name}'); t = t.set_index(t.columns[0]).iloc[:, {first - 1}:].T; "
+            "t.to_csv('turned.csv', index_label='time')\""
+        )
 
 
 def _numbered(path: Path, form: CsvFormat) -> str:
@@ -202,7 +304,8 @@ def guessed_form(path: Path) -> CsvFormat:
             f"{path}: is InfluxDB's line protocol, no table: export it as CSV, by influx query '...' --raw, or "
             "influx -execute '...' -format csv"
         )
-    skip, separator, comment = _header_at(lines)
+    with reading(path):
+        skip, separator, comment = _header_at(lines)
     rows = [line for line in lines[skip + 1 :] if line.strip() and not (comment and line.startswith(comment))]
     header = next((line for line in lines[skip:] if line.strip() and not (comment and line.startswith(comment))), "")
     after = _after_header(lines, skip, separator, comment) if rows and comment else 0
@@ -388,6 +491,8 @@ def _stamp_format(text: pd.Series) -> tuple[str | None, str]:
     """The `strptime` format of stamps, None for ISO 8601, and a note where another fits as well."""
     sample_of = text if len(text) <= 500 else text.iloc[:: len(text) // 500]
     as_iso = bool(ISO.match(str(text.iloc[0])))
+    if as_iso:  # tables joined end to end have lines of their headers between
+        sample_of = sample_of[sample_of.str.contains(r"\d{2}:?\d{2}", regex=True)]
     if as_iso and pd.to_datetime(sample_of, format="ISO8601", utc=True, errors="coerce").notna().all():
         return None, ""
     fitting = []
@@ -453,7 +558,10 @@ def _zone(stamps: pd.Series, as_written: str = "") -> str | None:
 
 
 def _zone_of_header(name: str) -> str | None:
-    """The zone that the header of the stamps tells, as 'Date/time UTC' or 'Date Time, GMT+01:00'; None for others."""
+    """The zone that the header of the stamps tells, as "Time UTC", "GMT+01:00", "(Europe/Paris)"; None for others."""
+    named = re.search(r"\b[A-Z][A-Za-z]+/[A-Z][A-Za-z_]+(/[A-Z][A-Za-z_]+)?", name)
+    if named and named[0] in available_timezones():
+        return named[0]
     told = re.search(r"\b(?:GMT|UTC)\s?([+-]\d{1,2})(?::?00)?\b", name)
     if told:
         return _all_year(float(told[1]))

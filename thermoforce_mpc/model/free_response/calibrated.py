@@ -23,13 +23,15 @@ from thermoforce_mpc.model.free_response.checks import checked_free
 from thermoforce_mpc.model.free_response.following import Computed, following
 from thermoforce_mpc.protocols import FreeResponse
 
+# Share of values that a band promises to hold, and hours of forecasts that it is fitted to: six days are those of a
+# weather (`bench free-response`, 2026-11-21).
 _INSIDE = 0.8
 _WINDOW_S = 6 * DAY_S
 # Forecasts issued within an hour are nearly identical: one per hour is stored.
 _EVERY_S = HOUR_S
 # Edges of the groups of lead times that share a width, h.
 _LEAD_EDGES_H = (1.0, 2.0, 6.0, 12.0, 18.0, 24.0)
-# Least number of hourly values of a group before its width is scaled.
+# Least number of hourly values of a group before its width is scaled. By judgement: a day.
 _LEAST_VALUES = 24
 # Adaptation gain: change of the log width per hour and unit of deviation from nominal coverage: 10 % wider if all
 # values of a group are outside, 2 % narrower if none is. At long lead times the error is known later and the same gain
@@ -38,6 +40,8 @@ _LEAST_VALUES = 24
 _STEERING, _STEERING_LEAD_H, _FURTHEST_H = 0.12, 12.0, 48.0
 _STEERING_OF_GROUP = tuple(_STEERING * min(1.0, _STEERING_LEAD_H / lead_h) for lead_h in (*_LEAD_EDGES_H, _FURTHEST_H))
 _GROUPS = len(_STEERING_OF_GROUP)
+# Logarithm of the width by steering, and factor of the width by the window: by judgement, a third to three times and a
+# quarter to five times.
 _STEERING_RANGE = (-1.1, 1.1)
 _SCALE_RANGE = (0.25, 5.0)
 

@@ -10,8 +10,6 @@ from thermoforce_mpc.data import Array, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 
 LEVELS = np.arange(1, 10) / 10.0
-# 0.9 quantile of the normal distribution: half-width of an 80 % band over its standard deviation.
-NORMAL_90 = 1.2816
 
 # Tolerated crossing of neighbouring quantiles by rounding, K.
 _ROUNDING_K = 1e-6

@@ -39,14 +39,17 @@ class Persistence:
         return FreeForecast(LEVELS, quantiles_from_errors(np.full(n, last), errors), "persistence")
 
 
-# Time constants from room air to massive structure, h.
+# Time constants from room air to massive structure, h. By judgement, a factor of three apart; a third more changes the
+# cost of a day by 1e-5 (`benchmarks.constants`, 2026-11-28).
 TIME_CONSTANTS_H = np.array([0.5, 2.0, 6.0, 20.0, 60.0, 200.0])
 SHORTEST_HISTORY_S = DAY_S
 # Correlation times of the errors, h: the first is better if the model is nearly right, the second if it is not, and
 # their mean nearly always. Chosen on free runs of EnergyPlus and of the embedded plant that no table of the
 # documentation uses.
 DISTURBANCES_H = (None, 24.0)
-# Weights of the priors, relative to one data row with an error of 1 K; the data have hundreds of rows.
+# Weights of the priors, relative to one data row with an error of 1 K; the data have hundreds of rows. By judgement
+# (`bench free-response`, 2026-11-21); a third more of each moves nothing on a cold day of the heat pump
+# (`benchmarks.constants`, 2026-11-28).
 _RIDGE_WEATHER = 0.1
 _RIDGE_WAVE = 1.0
 _RIDGE_START = 0.01

@@ -9,7 +9,8 @@ control-free history, skipping missing values; its covariance gives the quantile
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
+from hashlib import blake2b
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,6 +41,10 @@ _SQUARE_W_M2 = 300.0
 # Least eigenvalue of a covariance, as a share of its largest element: rounding.
 _ROUNDING = 1e-6
 
+
+# Steps that the filter is built for. A record is filtered in blocks of them: a filter of its own length would be built
+# anew in each step of a run, which took most of a forecast (20 ms of 25 with a record of two weeks, 2026-11-28).
+_BLOCK = 64
 
 # Least pole, that of a mode which is over within a step.
 _FASTEST = 1e-12
@@ -129,31 +134,46 @@ def weather_inputs(time_s: Array, T_out_C: Array, solar_W_m2: Array) -> Array:
 
 
 class RcFreeResponse:
-    """`FreeResponse` by the grey-box model: filter the control-free history, then simulate the weather forecast."""
+    """`FreeResponse` by the grey-box model: filter the control-free history, then simulate the weather forecast.
+
+    What it keeps of a call saves work where the next record is the same one, grown; it changes no result.
+    """
 
     name = "rc"
 
     def __init__(self, params: RcParameters) -> None:
-        self._params = params
+        self._at_step = {params.step_s: params}
+        self._last: dict[float, _Filtered] = {}
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises `DataError` for no finite value or gaps in the weather."""
-        from scipy.special import ndtri
-
         free_C = checked_free(free_C, history)
-        past = self._params.resampled(history.step_s if history.n_steps else boundary.step_s)
+        past = self._resampled(history.step_s if history.n_steps else boundary.step_s)
         drive = past.drive(history.time_s, history.T_out_C, history.solar_W_m2)
         if not np.isfinite(drive).all():
             raise DataError("weather of the history has values that are not finite")
-        mean, covariance = _filtered(past, drive, free_C)
-        ahead = self._params.resampled(boundary.step_s)
+        self._last[past.step_s] = last = _filtered(past, drive, free_C, self._last.get(past.step_s))
+        ahead = self._resampled(boundary.step_s)
         drive = ahead.drive(boundary.time_s, boundary.T_out_C, boundary.solar_W_m2)
         if not np.isfinite(drive).all():
             raise DataError("weather forecast has values that are not finite")
-        center, variance = _simulated(ahead, drive, mean, covariance)
-        quantiles = center + ndtri(LEVELS)[:, None] * np.sqrt(variance)
+        center, variance = _simulated(ahead, drive, last.mean, last.covariance)
+        quantiles = center + _normal_scores()[:, None] * np.sqrt(variance)
         note = f"linear free model of order {ahead.order}, weather-driven"
         return FreeForecast(levels=LEVELS, quantiles_C=quantiles, note=note)
+
+    def _resampled(self, step_s: float) -> RcParameters:
+        if step_s not in self._at_step:
+            first = next(iter(self._at_step.values()))
+            self._at_step = {first.step_s: first, step_s: first.resampled(step_s)}
+        return self._at_step[step_s]
+
+
+@cache
+def _normal_scores() -> Array:
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri(LEVELS))
 
 
 def _simulated(params: RcParameters, drive: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
@@ -164,26 +184,59 @@ def _simulated(params: RcParameters, drive: Array, mean: Array, covariance: Arra
     return first_order(params.poles, drive, mean).sum(axis=1), variances.sum(axis=1)
 
 
-def _filtered(params: RcParameters, drive: Array, free_C: Array) -> tuple[Array, Array]:
-    """Mean (q,) and covariance (q, q) of the modes at the last of `free_C` (n + 1,), by each that is known."""
+@dataclass(frozen=True)
+class _Filtered:
+    """The modes, mean (q,) and covariance (q, q), at the last reading of a record, and what they rest on.
+
+    `digests`: of the steps of each whole block, which take no memory where a process plans for many; `states` (blocks,
+    q + q²): mean and covariance before each block.
+    """
+
+    mean: Array
+    covariance: Array
+    digests: tuple[bytes, ...]
+    states: Array
+
+
+def _filtered(params: RcParameters, drive: Array, free_C: Array, before: _Filtered | None = None) -> _Filtered:
+    """The modes at the last of `free_C` (n + 1,), by each that is known.
+
+    From the first block on in which something differs from `before`, of the same parameters.
+    """
     q, n = params.order, len(drive)
-    mean = params.beginning(drive) if n else np.zeros(q)
-    # The last step goes nowhere: it stays where its reading has brought the modes.
-    reading = np.array([params.sensor_sd_K**2])
-    stays = [np.ones(q), np.zeros(q * q), reading]
-    moves = [params.poles, params.process_K2.ravel(), reading]
     known = np.isfinite(free_C)
-    given = np.column_stack([known, np.where(known, free_C, 0.0), np.vstack([drive.reshape(n, q), np.zeros(q)])])
-    of_step = np.repeat([np.concatenate(moves), np.concatenate(stays)], [n, 1], axis=0)
-    begin = np.concatenate([mean, params.start_K2.ravel()])
-    last = _filter(q, n + 1)(begin, np.hstack([given, of_step]).ravel())[0].reshape(n + 1, -1)[-1]
-    return last[:q].copy(), last[q:].reshape(q, q).copy()
+    # Of each step whether it has a reading, that reading, and the drive of the modes.
+    of_steps = np.zeros((n + 1, 2 + q))
+    of_steps[:, 0], of_steps[:, 1], of_steps[:n, 2:] = known, np.where(known, free_C, 0.0), drive
+    begin = np.concatenate([params.beginning(drive) if n else np.zeros(q), params.start_K2.ravel()])
+    blocks, same = -(-(n + 1) // _BLOCK), 0
+    states = np.empty((blocks, begin.size))
+    # The last step of a record goes nowhere, so that its block is another in a longer one.
+    whole = of_steps[: n // _BLOCK * _BLOCK].reshape(-1, _BLOCK, 2 + q)
+    digests = tuple(blake2b(block.tobytes(), digest_size=16).digest() for block in whole)
+    if before is not None and np.array_equal(begin, before.states[0]):
+        pairs = enumerate(zip(digests, before.digests, strict=False))
+        same = next((i for i, (now, then) in pairs if now != then), min(len(digests), len(before.digests)))
+        states[: same + 1] = before.states[: same + 1]
+    states[0] = begin
+    first = same * _BLOCK
+    # The last step stays where its reading has brought the modes, and so do those that fill a block.
+    steps = np.zeros((blocks * _BLOCK - first, 2 + q + q + q * q + 1))
+    steps[: n + 1 - first, : 2 + q] = of_steps[first:]
+    steps[: n - first, 2 + q : 2 + 2 * q], steps[n - first :, 2 + q : 2 + 2 * q] = params.poles, 1.0
+    steps[: n - first, 2 + 2 * q : -1], steps[:, -1] = params.process_K2.ravel(), params.sensor_sd_K**2
+    last, of_block = states[same], _filter(q)
+    for i, block in enumerate(steps.reshape(blocks - same, -1), start=same):
+        states[i] = last
+        last = of_block(last, block)[0][-last.size :].copy()
+    return _Filtered(last[:q], last[q:].reshape(q, q), digests, states)
 
 
 @lru_cache(16)
-def _filter(q: int, n: int) -> Buffered:
-    """A Kalman filter of q modes over n steps: mean and covariance before, and of each step whether it has a reading,
-    that reading, what drives the modes, poles, process noise and the reading's, → mean and covariance after each.
+def _filter(q: int) -> Buffered:
+    """A Kalman filter of q modes over the steps of a block: mean and covariance before, and of each step whether it has
+    a reading, that reading, what drives the modes, poles, process noise and the reading's, → mean and covariance after
+    each.
 
     By CasADi, which a controller holds: numba would take 90 MB of a process that compiles nothing else.
     """
@@ -199,4 +252,4 @@ def _filter(q: int, n: int) -> Buffered:
     after = ca.mtimes(poles, poles.T) * (covariance - ca.mtimes(gain, with_sum.T)) + process
     of_step = ca.veccat(known, reading, drive, poles, process, noise)
     moved = ca.veccat(poles * seen + drive, after)
-    return Buffered(ca.Function("filter", [ca.veccat(mean, covariance), of_step], [moved]).mapaccum(n))
+    return Buffered(ca.Function("filter", [ca.veccat(mean, covariance), of_step], [moved]).mapaccum(_BLOCK))

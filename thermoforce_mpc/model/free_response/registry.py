@@ -109,8 +109,7 @@ def build_free_response(name: str, *, rc: RcParameters | None = None, **options:
 
     Raises `ConfigError` for an unknown name or option, or no linear free part, and `BackboneError` by the weights.
     """
-    check_free_response(name, options)
-    build = find_free_response(name)
+    build = check_free_response(name, options)
     return build(rc=rc, **options) if "rc" in inspect.signature(build).parameters else build(**options)
 
 
@@ -132,9 +131,10 @@ def may_be_file(name: str, key: str, value: object) -> bool:
     return key == "backbone" if name in REGISTRY.own else value != options_of(find_free_response(name)).get(key)
 
 
-def check_free_response(name: str, options: dict[str, Any]) -> None:
-    """Check a name and its options without loading weights; raises `ConfigError` naming what is allowed."""
-    allowed = options_of(find_free_response(name))
+def check_free_response(name: str, options: dict[str, Any]) -> Callable[..., FreeResponse]:
+    """What makes a free response of these options, loading no weights; raises `ConfigError` naming what is allowed."""
+    build = find_free_response(name)
+    allowed = options_of(build)
     for key, value in options.items():
         if key not in allowed:
             raise ConfigError(
@@ -144,3 +144,4 @@ def check_free_response(name: str, options: dict[str, Any]) -> None:
         # A quoted string such as "off" would be truthy.
         if key == "calibrate" and not isinstance(value, bool):
             raise ConfigError(f"free response '{name}': calibrate is {value!r}, write true or false")
+    return build

@@ -24,12 +24,13 @@ from thermoforce_mpc.protocols import FreeResponse
 
 # Lead times at which a forecast is compared with the record, h.
 _LEADS_H = (0.25, 1.0, 6.0, 24.0)
-# A change is ordinary within this many times the largest of the record over the same time, plus this, K.
+# A change is ordinary within this many times the largest of the record over the same time, plus this, K. By judgement
+# (2026-11-22): forecasts must be both, out of the ordinary and far from that model.
 _TIMES_RECORD, _BEYOND_RECORD_K = 1.5, 1.0
 # Largest difference from the linear weather model of a forecast whose change is not ordinary, K. Errors of healthy
 # forecasters two days ahead stay below 4 K on the records of docs/evidence/free-responses.md.
 _FROM_WEATHER_MODEL_K = 5.0
-# The same where the record is too short for that model: from the last temperature, K.
+# The same where the record is too short for that model: from the last temperature, K. By judgement, as the two below.
 _FROM_LAST_K = 20.0
 # Widest half of a forecast's interval, as a multiple of the change that is allowed.
 _WIDEST = 3.0

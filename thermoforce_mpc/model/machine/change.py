@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 
-# Means over so many hours are compared; of a day there must be as many, and so many days at least.
-_PART_H, _LEAST_DAYS = 3.0, 6
+# Means over so many hours are compared; of a day there must be as many, and so many days at least. By judgement: loops
+# answer within three hours, and a week has each day.
+COMPARED_H, _LEAST_DAYS = 3.0, 6
 _DRAWS, _SEED = 100, 64
 UNKNOWN = 1.0
 """Standard error, as a share, of a change of which the record says nothing."""
-# Error of a change, as a share, from which its law may be as wrong as the demand of the rooms says.
+# Error of a change, as a share, from which its law may be as wrong as the demand of the rooms says. By judgement.
 _AS_WRONG = 0.3
 
 
@@ -44,7 +45,7 @@ class Share:
 def share_of_change(expected_W: Array, measured_W: Array, record: Record) -> Share:
     """What part of the change that the law expects (n,) was `measured_W` (n,), W, over the steps of `record`."""
     step_h = record.step_s / HOUR_S
-    together = max(1, round(_PART_H / step_h))
+    together = max(1, round(COMPARED_H / step_h))
     n = expected_W.size // together * together
     if not n:
         return Share(1.0, UNKNOWN)
@@ -60,7 +61,7 @@ def share_of_change(expected_W: Array, measured_W: Array, record: Record) -> Sha
     days = np.unique(day[known])
     if days.size < _LEAST_DAYS or np.ptp(x[known]) < 1e-3 * max(float(np.abs(x[known]).max()), 1.0):
         return Share(1.0, UNKNOWN)
-    part = np.floor(begin_s % DAY_S / (_PART_H * HOUR_S)).astype(np.intp)
+    part = np.floor(begin_s % DAY_S / (COMPARED_H * HOUR_S)).astype(np.intp)
     of_day = (part[:, None] == np.unique(part)).astype(np.float64)
     others = np.column_stack([of_day, T_out, sun])
 

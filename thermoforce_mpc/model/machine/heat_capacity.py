@@ -25,9 +25,10 @@ from thermoforce_mpc.model.machine.load import (
     usable_steps,
 )
 
-# Correlation time of the residuals, h: heated components cool over hours, so steps are not independent.
+# Correlation time of the residuals, h: heated components cool over hours, so steps are not independent. By judgement.
 _RESIDUAL_CORRELATION_H = 3.0
-# Prior odds: of the first type against each other type, and of modulated against cycled intermediate levels.
+# Prior odds: of the first type against each other type, and of modulated against cycled intermediate levels. By
+# judgement: what machines of a kind share is wrong for one in twenty.
 _FIRST_KIND, _LEVELS_ARE_RUN = 20.0, 10.0
 
 

@@ -31,12 +31,14 @@ LEVEL_EDGE = 0.02
 NEARLY_FULL = 0.9
 # Lower bound of the end values, W, above zero so that rounding cannot make a load negative.
 LEAST_W = 1e-3
-# Least number of intermediate samples to separate the fixed and the proportional part.
+# Least number of intermediate samples to separate the fixed and the proportional part. By judgement, as the numbers of
+# steps below.
 _MIN_LEVELS = 3
 _MIN_STEPS, LEAST_RUNNING = 10, 5
-# Standard deviation of a step's error as a share of full load (dynamics inside the step, model error).
+# Standard deviation of a step's error as a share of full load (dynamics inside the step, model error). By judgement.
 RESIDUAL_SCALE = 0.02
-# Extrapolation of the affine law beyond the outdoor temperatures of the data, K; beyond, its value is held.
+# Extrapolation of the affine law beyond the outdoor temperatures of the data, K; beyond, its value is held. By
+# judgement: probing of mild days is used on cold ones.
 TRUST_K = 15.0
 
 
@@ -202,7 +204,7 @@ class EndValues:
         )
 
 
-# Largest correlation of the errors of two steps that is believed.
+# Largest correlation of the errors of two steps that is believed. By judgement: 8 h at 15 min.
 _MOST_CORRELATED = 0.97
 
 

@@ -17,19 +17,21 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE, error_of_a_step
 
-# Least mean of such a load as a share of full power: below, it is a standby or an error of the meter.
+# Least mean of such a load as a share of full power: below, it is a standby or an error of the meter. By judgement.
 _LEAST_SHARE = 0.03
-# Steps that the machine must have been off, and hours before which a step off still shows what ran before, h.
+# Steps that the machine must have been off, and hours before which a step off still shows what ran before, h. By
+# judgement: three hours.
 _LEAST_STEPS, _AFTER_H = 12, 0.25
 HOURS = 24
 """Hours of a day."""
 
 # Prior standard deviations as shares of the mean: from one hour of the day to the next, and per K outdoors. Errors of a
-# step have this share.
+# step have this share. By judgement.
 _BY_HOUR, _PER_K, _ERROR = 0.3, 0.03, 0.2
-# Share of its mean from which the error counts as unexplained.
+# Share of its mean from which the error counts as unexplained. By judgement.
 _UNEXPLAINED = 0.5
-# What fades with this time constant, h, once the machine is off, and the share of the mean from which it is its own.
+# What fades with this time constant, h, once the machine is off, and the share of the mean from which it is its own. By
+# judgement.
 _FADES_H, _FADES_SHARE, _SURE_SD = 3.0, 0.3, 3.0
 # Share of the load that the meter may lack, hour by hour, while the machine is on. A house whose SG-Ready blocks its
 # machine shows it off for a few hours, in which its hot water was 836 W at 8 and 24 W at 23: on a line between them

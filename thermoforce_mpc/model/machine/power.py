@@ -49,18 +49,20 @@ from thermoforce_mpc.model.machine.other_load import OtherLoad
 # Times that are tried, s. A floor takes longer than the last but one: there no step of a plan warms its own water.
 WATER_S = (0.25 * HOUR_S, 0.5 * HOUR_S, HOUR_S, 2.0 * HOUR_S, 6.0 * HOUR_S)
 LONGEST_S = 2.0 * HOUR_S
-# Share of the error of a power without it that may be left: else something else than the water makes most of it.
+# Share of the error of a power without it that may be left: else something else than the water makes most of it. By
+# judgement, as the next.
 MOST_LEFT = 0.6
 # Error over that with the measured return water up to which it stands for that: a plan sees the level, not the water.
 AS_GOOD = 1.5
 # Warmth at which levels are compared: that of a machine that gives half its heat.
 COMPARED_AT = 0.5
-# Least number of running steps with a measured return temperature to identify κ.
+# Least number of running steps with a measured return temperature to identify κ. By judgement: five hours of operation.
 _LEAST_STEPS = 20
 # 1 K of lift changes a heat pump's efficiency by 2 to 3 %, partly through the heat instead of the power.
 _PRIOR_PER_K, _PRIOR_SD_PER_K = 0.01, 0.01
+# By judgement: twice what the law above gives.
 _BOUNDS_PER_K = (-0.02, 0.05)
-# Extrapolation beyond the return temperatures of the data, K.
+# Extrapolation beyond the return temperatures of the data, K. By judgement.
 _TRUST_K = 5.0
 
 
@@ -393,13 +395,15 @@ def _with_prior(design: Array, load_W: Array, prior: Array, full_W: float, runni
 # days of data leave uncertain: an exponent of a radiator that is wrong by 0.2 looks like a fixed part of 8 %.
 SWITCH_FROM = 0.1
 # Excess of the cost of heat over that of full level, and over that of the cheapest level, up to which a lower one is
-# taken all the same: it moves a room less.
+# taken all the same: it moves a room less. By judgement: as exact as the cost of heat is known (`_COST_SD` of
+# `effects.level_laws`).
 _SAME_AS_FULL, _SAME_AS_CHEAPEST = 0.03, 0.02
 # Names on the model card (`ModelCard.uncertainty`).
 _COST, _COST_SD = "cost_of_heat_at_level_", "cost_of_heat_sd_at_level_"
 _HEAT, _HEAT_SD = "heat_per_level_at_level_", "heat_per_level_sd_at_level_"
 # Share of full power by which a middle level is above the line from the lowest to full level where a machine is at its
 # limit; a fixed part, and water that gets hotter, leave none. Power that a low level takes already: no fixed part is.
+# By judgement.
 _BENT, _FLAT = 0.1, 0.7
 # Weight of full level, which is 1 by definition, in the fit of the shape.
 _EXACT = 1e3

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cache
-from typing import TypeVar
+from functools import cache, cached_property
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -91,9 +91,13 @@ class ExportedGain:
 
 
 class Buffered:
-    """A function that is evaluated into arrays of its own, without copies; one call at a time."""
+    """A function that is evaluated into arrays of its own, without copies; one call at a time.
+
+    `function`: that one; `places`: the numbers of its inputs by name.
+    """
 
     def __init__(self, function: ca.Function) -> None:
+        self.function, self.places = function, {name: i for i, name in enumerate(function.name_in())}
         self._sizes = [function.nnz_in(i) for i in range(function.n_in())]
         self._out = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         self._buffer, self._run = function.buffer()
@@ -109,6 +113,20 @@ class Buffered:
             self._buffer.set_arg(i, memoryview(argument))  # type: ignore[call-arg,arg-type]
         self._run()
         return self._out
+
+    def named(self, **arguments: Array) -> dict[str, NDArray[np.float64]]:
+        """The same by names of inputs, of which others are 0, and of outputs."""
+        out = self(*(arguments.get(name, self._zeros[name]) for name in self.places))
+        return dict(zip(self.function.name_out(), out, strict=True))
+
+    @cached_property
+    def _zeros(self) -> dict[str, Array]:
+        return {name: np.zeros(self._sizes[i]) for name, i in self.places.items()}
+
+    @property
+    def stats(self) -> dict[str, Any]:
+        """What a solver says of its last call."""
+        return dict(self._buffer.stats())
 
 
 def modulation_function(params: OperatorParameters) -> ca.Function:

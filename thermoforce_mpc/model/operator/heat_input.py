@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -85,7 +86,7 @@ class HeatInput:
         low, high = sorted(float(self.outdoor_factor(T)) for T in self.T_out_range_C)
         return low, high
 
-    @property
+    @cached_property
     def reference_W(self) -> float:
         """Heat of full level at `reference_C`, W; 1 where heat was not measured."""
         return 1.0 if self.law is None else float(self.law(np.asarray(1.0), np.asarray(self.reference_C)))

@@ -52,6 +52,19 @@ def test_a_fast_zone_keeps_more_for_each_thing_that_a_plan_cannot_see():
     assert reserve_K(cooling, BLOCKS, card()) == reserve_K(fast, BLOCKS, card())
 
 
+def test_the_swing_is_that_of_the_longest_cycle_that_minimum_times_ask_for():
+    """It is on for 0.35 of a cycle: 35 of 100 min, off for 65."""
+
+    def of(**times) -> float:
+        return reserve_K(operator(0.7), Actuation(ActuationConfig(mode="duty", block_s=60.0, **times)), card())
+
+    least = of(min_on_s=2100.0, min_off_s=0.0)
+    assert 0.0 < least < 0.15
+    assert of(min_on_s=4200.0, min_off_s=0.0) == pytest.approx(2.0 * least)
+    assert of(min_on_s=0.0, min_off_s=3900.0) == pytest.approx(least)
+    assert of(min_on_s=0.0, min_off_s=0.0) == pytest.approx(least * 120.0 / 6000.0), "two blocks"
+
+
 def test_it_is_bounded_whatever_the_model_says():
     assert reserve_K(operator(40.0), BLOCKS, card(5.0)) == 0.3
     assert reserve_K(operator(40.0), BLOCKS, card(float("nan"))) == 0.3

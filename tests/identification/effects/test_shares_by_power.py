@@ -1,0 +1,55 @@
+"""Shares of actuators on one machine of which nothing is known but its power."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from thermoforce_mpc.data import Layout, Names, Record
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.effects.couplings import with_shares_by_power
+from thermoforce_mpc.identification.effects.meters import power_of_machine
+
+NAMES = Names(("living", "bedroom", "bath"), ("a", "b", "c"), ("heat_pump",))
+LAYOUT = Layout(NAMES, (1, 1, 1), (0, 1, 2), (0, 0, 0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (45.0, 25.0, 12.0))
+
+
+def record_of(u, power_W):
+    n = u.shape[1]
+    nothing = np.full((1, n), np.nan)
+    return Record(
+        900.0 * np.arange(n + 1), np.full((3, n + 1), 20.0), np.zeros(n + 1), np.zeros(n + 1), u, power_W[None],
+        np.full((3, n), np.nan), nothing, names=LAYOUT.names,
+    )  # fmt: skip
+
+
+def test_valves_on_one_machine_share_it_by_what_its_power_says_of_each():
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.random((3, 14 * 8)), 12, axis=1)  # two weeks, held for three hours
+    taken_W = 40.0 + np.array([900.0, 300.0, 300.0]) @ u + 50.0 * rng.standard_normal(u.shape[1])
+    shares = with_shares_by_power(LAYOUT, [record_of(u, taken_W)]).shares
+    np.testing.assert_allclose(shares, (0.6, 0.2, 0.2), atol=0.04)
+    together = np.tile(u[:1], (3, 1))
+    shares = with_shares_by_power(LAYOUT, [record_of(together, 1500.0 * together[0])]).shares
+    np.testing.assert_allclose(shares, np.full(3, 1 / 3), atol=0.01)
+    not_metered = record_of(u, np.full(u.shape[1], np.nan))
+    np.testing.assert_allclose(with_shares_by_power(LAYOUT, [not_metered]).shares, np.full(3, 1 / 3))
+    given = replace(LAYOUT, shares=(0.5, 0.3, 0.2))
+    assert with_shares_by_power(given, [record_of(u, taken_W)]).shares == given.shares
+
+
+def test_three_open_valves_take_more_than_one():
+    """Where shares are not given, one valve is not the whole machine."""
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.random((3, 14 * 8)), 12, axis=1)
+    record = record_of(u, np.array([500.0, 500.0, 500.0]) @ u)
+    layout = with_shares_by_power(LAYOUT, [record])
+    power = power_of_machine([record], IdentificationConfig(), layout, 0)
+    weights = layout.weights
+    one, all_of_them = (
+        power.of_actuators(level, weights, np.zeros(1))[0] for level in (np.eye(3)[:, :1], np.ones((3, 1)))
+    )
+    assert one == pytest.approx(500.0, rel=0.1)
+    assert all_of_them == pytest.approx(1500.0, rel=0.05)
