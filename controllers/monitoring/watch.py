@@ -62,6 +62,7 @@ from thermoforce_mpc.model.machine.blocked_hours import (
     HourSeen,
     ahead_s,
     each_direction,
+    hour_ends,
     running,
     said,
 )
@@ -841,7 +842,7 @@ class Watch:
 
     def _with_blocked_hours(self, state: WatchState, history: Record) -> WatchState:
         """The state with what the last hour told of blocked hours; news of them only, in the first step as it is."""
-        if not self.config.blocked_hours or not history.n_steps:
+        if not self.config.blocked_hours or not hour_ends(history):
             return replace(state, news=state.news if not state.asked else "")
         time_s, levels = np.reshape(state.asked, (-1, 2)).T
         clock_s = ahead_s(float(history.time_s[-1]), history.origin)
