@@ -135,7 +135,7 @@ def _run(setting: Setting, troubles: tuple[Trouble, ...], seed: int, most_Kh: fl
             ):
                 allowed = limits_of(controller, setting.testcase.area_m2, 0.0)
                 u_min = setting.testcase.layout.u_min
-                plant.noted("loop", lambda: {"controller": controller.name})
+                plant.noted("loop", {"controller": controller.name})
                 run_closed_loop(
                     plant,
                     controller,

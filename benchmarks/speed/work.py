@@ -70,7 +70,7 @@ def _parts(days: float) -> dict[str, list[float]]:
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
     from thermoforce_mpc.plants.testcases import load_testcase
 
-    time.perf_counter = time.process_time
+    time.perf_counter = time.process_time  # an earlier checkout's bench does not
     identify_on = _either("experiment.identifying", "simulation.models.identifying").identify_on
     run_timed = import_module("benchmarks.controller.steps").run_timed
     testcase = load_testcase(_TESTCASE)

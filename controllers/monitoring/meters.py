@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from pydantic import Field
@@ -129,7 +130,7 @@ class Meters:
             after.append(state)
         return tuple(after), MeterFindings("; ".join(why), "; ".join(news), newly_stuck)
 
-    @property
+    @cached_property
     def _points(self) -> list[tuple[str, int]]:
         names = self.layout.names
         acting = [(name, row) for name in ("power_W", "heat_W") for row in range(names.rows(name))]

@@ -158,10 +158,10 @@ class Sensor:
         """
         now_s, raw = float(history.time_s[-1]), history.T_zone_C[z]
         if self.config.enabled:
-            implausible = implausible_zone(raw, history.time_s, (self.config.lowest_C, self.config.highest_C))
             new = history.time_s > state.seen_s
             # The first record is validated by its limits alone.
             if math.isinf(state.seen_s):
+                implausible = implausible_zone(raw, history.time_s, (self.config.lowest_C, self.config.highest_C))
                 state = _reject(state, history.time_s[implausible & new])
             else:
                 outside = (raw < self.config.lowest_C) | (raw > self.config.highest_C) | np.isinf(raw)
@@ -228,8 +228,11 @@ class Sensor:
 
     def _jump_reason(self, record: _ZoneRecord, y: float) -> str:
         predicted_C, half_K = record.predicted(record.time_s.size - 1)
+        # What is always believed needs no look at the record.
+        if not math.isfinite(predicted_C) or abs(y - predicted_C) <= self.config.jump_K:
+            return ""
         valid = np.flatnonzero(np.isfinite(record.T_C[:-1]))
-        if not valid.size or not math.isfinite(predicted_C):
+        if not valid.size:
             return ""
         limit_K, off_K = self._limit_K(record, half_K), y - predicted_C
         if abs(off_K) <= limit_K:
@@ -241,6 +244,8 @@ class Sensor:
 
     def _frozen_reason(self, record: _ZoneRecord, y: float) -> tuple[int, str]:
         """How many readings repeat the one before, and why the sensor is frozen; empty where it may not be."""
+        if record.T_C.size > 1 and record.T_C[-2] != y:
+            return 0, ""
         same = np.equal(record.T_C, y)
         repeated = int(same.size if same.all() else np.argmin(same[::-1])) - 1
         if repeated * record.step_s < self.config.frozen_h * HOUR_S - 1.0:

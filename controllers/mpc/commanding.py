@@ -418,9 +418,12 @@ class CommandedPlan:
         for one in self.beside:
             if not np.array_equal(own[one.first], usual[one.first]):
                 moved = float((beside.cost + beside.after - beside_alone.cost - beside_alone.after)[0])
-                sd = one.meter.beyond_sd(moved, problem.price_per_kWh[one.m], one.hour, problem.step_s)
+                alone_cost = float(cost_alone[0])
+                sd = one.meter.beyond_sd(moved, alone_cost, problem.price_per_kWh[one.m], one.hour, problem.step_s)
                 saved = saved + sd * _standard(len(z), 1, rng)[:, 0]
-        low, high = np.quantile(saved[1:], _QUANTILES)
+        # The draws tell how wide, not where: levels that end at 0 and 1 shift them all to one side of the likeliest
+        # house, and what came true lay on the other (`bench commands`, houses 9502 and 9501, 2026-11-28).
+        low, high = saved[0] + np.quantile(saved[1:], _QUANTILES) - np.median(saved[1:])
 
         outside = [self.boundary.outside_K(one.T_bounds_C[:, 1:]).sum(axis=1) * step_h for one in (with_plan, alone)]
         comfort = float((problem.weights.comfort * (outside[1] - outside[0])).sum())

@@ -593,9 +593,9 @@ class MarginRules:
 
     def could_begin_earlier(self, history: Record) -> NDArray[np.bool_]:
         """Whether what protects the lower and the upper bound of each zone had more to give in the last 12 h (2, Z)."""
-        last = history.last(min(history.n_steps, round(_BEFORE_H * HOUR_S / self._step_s)))
-        used = np.nan_to_num(last.u, nan=1.0).mean(axis=1) if last.n_steps else np.ones(len(self._layout.home))
-        return self._had_more(used)
+        steps = min(history.n_steps, round(_BEFORE_H * HOUR_S / self._step_s))
+        u = history.u[:, history.n_steps - steps :]
+        return self._had_more(np.nan_to_num(u, nan=1.0).mean(axis=1) if steps else np.ones(len(self._layout.home)))
 
     def _had_more(self, used: Array) -> NDArray[np.bool_]:
         """Whether what protects the lower and the upper bound of each zone had more to give (2, Z) at levels (A,).

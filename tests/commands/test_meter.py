@@ -78,7 +78,7 @@ def test_its_bands_hold_what_days_take():
         z = np.random.default_rng(seed).standard_normal((200, meter.mean.size))
         cost = np.array([day(told, meter, meter.drawn(one[None]))[0] @ price for one in z])
         cost -= day(np.full(24, 2.0), meter)[0] @ price
-        beyond = meter.beyond_sd(float(np.median(cost)), price * 1000.0, HOURS, 3600.0)
+        beyond = meter.beyond_sd(float(np.median(cost)), 0.0, price * 1000.0, HOURS, 3600.0)
         scatter = beyond * np.random.default_rng(9).standard_normal(200)
         low, high = np.quantile(cost + scatter, [0.05, 0.95])
         inside += low <= (truth[0] - truth[1]) @ price <= high

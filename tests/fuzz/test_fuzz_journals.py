@@ -24,7 +24,7 @@ from thermoforce_mpc.records.journal import NAME, JournalError, read_journal
 
 def run(book: RunBook) -> None:
     plant = book.connect()
-    plant.noted("loop", lambda: {"controller": "thermostat"})
+    plant.noted("loop", {"controller": "thermostat"})
     run_closed_loop(plant, Thermostat(), Period("test", 10 * DAY_S, 3600.0, DAY_S), keeper=plant)
 
 

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -365,8 +364,7 @@ def _execute(
             models |= {one.name: model for one in experiment.contestants if one.chosen.needs_model}
         elif book and isinstance(plant, JournaledPlant):
             # Probing has journals of its own: the journal of the run has the models, which are what comes of it.
-            find = partial(identify_all, experiment.contestants, plant.inside, display, book.folder)
-            identified = kept_models(plant, book.folder, find)
+            identified = kept_models(experiment.contestants, plant, display, book.folder)
         else:
             identified = identify_all(experiment.contestants, plant, display)
         models |= {who: found.acts_on for who, found in identified.items()}
@@ -404,7 +402,7 @@ def _follow(setting: Setting, controller: Controller, display: RunDisplay, steps
     plant = setting.plant
     keeper = plant if isinstance(plant, JournaledPlant) else None
     if keeper:
-        keeper.noted("loop", lambda: {"controller": controller.name})
+        keeper.noted("loop", {"controller": controller.name})
     kpis = keeper.kpis_so_far if keeper else plant.kpis
     with display.loop(controller.name, setting.period, kpis, setting.experiment.testcase.currency) as progress:
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -120,9 +120,9 @@ def _origin_of(zone: ZoneModel) -> dict[str, Any]:
 
 
 def kept_models(
-    plant: JournaledPlant, folder: Path, find: Callable[[], Mapping[str, IdentifiedModel]]
+    contestants: Sequence[Contestant], plant: JournaledPlant, display: RunDisplay, folder: Path
 ) -> dict[str, IdentifiedModel]:
-    """The models that `find` finds, saved in the run folder and noted in its journal; or those noted there.
+    """The models of `identify_all`, saved in the run folder and noted in its journal; or those noted there.
 
     Either way they are read back from the folder, so that a resumed run uses the very same.
 
@@ -130,7 +130,9 @@ def kept_models(
         ArtifactError: a model in the folder was changed since.
         StorageError: it cannot be written.
     """
-    noted = plant.noted("models", lambda: _save_models(folder, find()))
+    noted = plant.next_told("models")
+    if noted is None:
+        noted = plant.noted("models", _save_models(folder, identify_all(contestants, plant.inside, display, folder)))
     from thermoforce_mpc.model.saved import JSON_NAME
     from thermoforce_mpc.model.thermal_model import load_model
 

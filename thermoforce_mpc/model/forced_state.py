@@ -158,7 +158,9 @@ def followed(
     rows = [state.forced_K[:, :, -1]]
     for t in range(n_known - 1, history.n_steps):
         before, heat = rows[-1], heat_drive(operator, history, t, t + 1)[:, 0]
-        free_C = control_free(held_C(history.T_zone_C[:, : t + 1])[:, -1], before.sum(axis=(1, 2)))
+        T_C = history.T_zone_C[:, t]
+        T_C = T_C if np.isfinite(T_C).all() else held_C(history.T_zone_C[:, : t + 1])[:, -1]
+        free_C = control_free(T_C, before.sum(axis=(1, 2)))
         features = feature_matrix(free_C, history.T_out_C[t], history.solar_W_m2[t], history.time_s[t])
         rows.append(operator.advance(before, operator.modulated(heat, features, before)))
     forced_K = np.concatenate([state.forced_K, np.stack(rows[1:], axis=2)], axis=2)

@@ -161,13 +161,16 @@ class RecordedPlant:
         """Close the plant."""
         self.inside.close()
 
-    def noted(self, kind: str, make: Callable[[], Json]) -> Mapping[str, Any]:
-        """Record a fact of the run that `make` finds out, or give that of the journal."""
-        if self._entries:
-            return self._next_entry(kind, {}).content
-        content = make()
-        self._journal.write(kind, content)
-        return content
+    def next_told(self, kind: str) -> Mapping[str, Any] | None:
+        """The fact that the journal tells next; None where it has to be found out, and `noted`."""
+        return self._next_entry(kind, {}).content if self._entries else None
+
+    def noted(self, kind: str, content: Json) -> Mapping[str, Any]:
+        """Record a fact of the run, or give that of the journal."""
+        told = self.next_told(kind)
+        if told is None:
+            self._journal.write(kind, content)
+        return content if told is None else told
 
     def _advanced(self, request: Json, call: Callable[[], Json]) -> Mapping[str, Any]:
         return self._answer("advance", request, call, dict)
@@ -454,14 +457,14 @@ def keeping_probing(plant: Plant, path: Path | None, testcase: TestCase, how: Js
     with closing(Journal(path, text, durable=isinstance(plant, OutlivingPlant))) as journal:
         kept = RecordedPlant(plant, journal, text.entries if text else ())
         head = {"format": _PROBING_FORMAT, "version": VERSION, **_building(testcase), "how": how}
-        kept.noted("probing", lambda: {**head, "plant": plain_json(asdict(plant.info))})
+        kept.noted("probing", {**head, "plant": plain_json(asdict(plant.info))})
         yield kept
 
 
 def note_end(kept: Plant, why: str) -> None:
     """Note in the journal, where there is one, that the probing has ended."""
     if isinstance(kept, RecordedPlant):
-        kept.noted("end", lambda: {"why": why})
+        kept.noted("end", {"why": why})
 
 
 def _building(testcase: TestCase) -> Json:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import statistics
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -30,10 +32,19 @@ def test_parts_add_up_to_the_step_without_the_plant():
     assert sum(share for name, share in shares.items() if name not in ("plant", WHOLE)) == pytest.approx(100.0)
 
 
-def test_a_loop_is_timed_with_its_journal():
+class Waits(Thermostat):
+    """It waits while others use the processor."""
+
+    def plan(self, observation, state=None):
+        time.sleep(0.03)
+        return super().plan(observation, state)
+
+
+def test_a_loop_is_timed_with_its_journal_by_processor():
     with EmbeddedPlant(synthetic_weather()) as plant:
         period = replace(plant.period("peak_heat_day"), scored_s=2 * HOUR_S, warmup_s=HOUR_S)
-        result, parts = run_timed(plant, Thermostat(), period)
+        result, parts = run_timed(plant, Waits(), period)
+    assert statistics.median(parts["controller, rest"]) < 0.02
     assert {len(values) for values in parts.values()} == {len(result.steps) - 1}
     assert min(parts["journal"]) > 0.0
     assert min(parts["loop, rest"]) >= 0.0

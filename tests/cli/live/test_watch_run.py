@@ -37,7 +37,7 @@ def run(folder, plant, model, hours: float = 12):
     folder.mkdir(exist_ok=True)
     book = RunBook.begin(folder, experiment_on(plant), ["tf-mpc", "run"])
     journaled = book.connect()
-    journaled.noted("loop", lambda: {"controller": "thermoforce_mpc"})
+    journaled.noted("loop", {"controller": "thermoforce_mpc"})
     controller = ThermoForceMPC(model, MPCConfig(**OPTIONS))
     result = run_closed_loop(
         journaled, controller, Period("test", 10 * DAY_S, hours * HOUR_S, 2 * DAY_S), keeper=journaled
@@ -182,7 +182,7 @@ def test_a_finished_run_shows_its_controller_and_names_the_baselines(tmp_path):
     book = RunBook.begin(tmp_path, experiment_on(SimpleHouse()), ["tf-mpc", "run"])
     journaled = book.connect()
     for name in ("thermoforce_mpc", "thermostat"):
-        journaled.noted("loop", lambda name=name: {"controller": name})
+        journaled.noted("loop", {"controller": name})
         controller = ThermoForceMPC(simple_model(), MPCConfig(**OPTIONS))
         run_closed_loop(journaled, controller, Period("test", 10 * DAY_S, 2 * HOUR_S, 2 * DAY_S), keeper=journaled)
     book.journal.close()

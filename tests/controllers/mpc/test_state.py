@@ -12,6 +12,7 @@ from faults import FAILED, ChangedSolver
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
+from controllers.monitoring.watch import WatchState
 from controllers.mpc.acting import NoModelController
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
@@ -166,6 +167,17 @@ def test_the_peak_of_a_run_is_that_of_the_steps_that_it_made():
     assert peak_W(np.nan, MPCState(now_s - HOUR_S, peak_W=3500.0)) == 3500.0
     unknown = Observation(replace(record, power_W=np.full((1, record.n_steps), np.nan)), ahead)
     assert MPCState(now_s).peak_after(unknown, "month") == 0.0
+
+
+def test_after_a_plan_that_did_not_act_its_own_request_alone_is_not_known():
+    asked = ((0.0, 0.5), (3600.0, 0.7), (7200.0, 0.2))
+    state = MPCState(0.0, watch=(WatchState(asked=asked), WatchState()), actuation=(ActuationState(on=True),) * 2)
+    kept = state.not_followed()
+    assert kept.watch[0].asked[:2] == asked[:2]
+    assert kept.watch[0].asked[2][0] == 7200.0
+    assert np.isnan(kept.watch[0].asked[2][1])
+    assert (len(kept.watch[0].asked), kept.watch[1].asked) == (3, ())
+    assert all(one.native for one in kept.actuation)
 
 
 def after(u: list[float]) -> tuple[np.ndarray, float]:

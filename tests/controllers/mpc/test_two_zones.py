@@ -512,3 +512,24 @@ def test_cooling_of_a_zone_costs_its_share_of_the_machine():
     heating_W = 6000.0 * np.array([0.75, 0.25]) @ np.maximum(plan.u, 0.0)
     T_out_C = warm.forecast(24 * HOUR_S, HOUR_S).T_out_C[:-1]
     np.testing.assert_allclose(plan.power_W[0], heating_W + level * (2000.0 + 10.0 * T_out_C), rtol=1e-6, atol=0.1)
+
+
+@pytest.mark.parametrize(("lowest_level", "cycles"), [(1.0, False), (0.4, True)])
+def test_a_shared_machine_cycles_in_plans_below_the_load_of_its_law(lowest_level, cycles):
+    model = two_model(shared=True)
+    load = replace(model.power[0].load, lowest_level=lowest_level)
+    model = replace(model, power=(replace(model.power[0], load=load),), shares=(0.3, 0.3))
+    controller = ThermoForceMPC(model, MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    assert bool(controller.solver.model.structure.part_load) is cycles
+
+
+def test_nothing_is_asked_for_in_hours_in_which_nothing_comes():
+    """Of one actuator alone: the other one's hours are its own."""
+    model, blocked = two_model(), (2, 3, 4)
+    card = replace(model.cards[RADIATOR], blocked_hours=blocked)
+    model = replace(model, cards=(card, model.cards[FLOOR]))
+    plan = mpc(model).plan(two_observation(24, TwoHouses(SimpleHouse(18.0), SimpleHouse(18.0))))
+    assert plan.u[RADIATOR, list(blocked)] == pytest.approx(0.0, abs=1e-6)
+    free = [hour for hour in range(7) if hour not in blocked]
+    assert (plan.u[RADIATOR, free] > 0.01).any()
+    assert (plan.u[FLOOR, list(blocked)] > 0.01).any()

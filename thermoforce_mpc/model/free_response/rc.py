@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from hashlib import blake2b
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -187,13 +188,13 @@ def _simulated(params: RcParameters, drive: Array, mean: Array, covariance: Arra
 class _Filtered:
     """The modes, mean (q,) and covariance (q, q), at the last reading of a record, and what they rest on.
 
-    `of_steps` (n + 1, 2 + q): of each step whether it has a reading, that reading, and the drive of the modes; `states`
-    (blocks, q + q²): mean and covariance before each block of steps.
+    `digests`: of the steps of each whole block, which take no memory where a process plans for many; `states` (blocks,
+    q + q²): mean and covariance before each block.
     """
 
     mean: Array
     covariance: Array
-    of_steps: Array
+    digests: tuple[bytes, ...]
     states: Array
 
 
@@ -204,16 +205,18 @@ def _filtered(params: RcParameters, drive: Array, free_C: Array, before: _Filter
     """
     q, n = params.order, len(drive)
     known = np.isfinite(free_C)
+    # Of each step whether it has a reading, that reading, and the drive of the modes.
     of_steps = np.zeros((n + 1, 2 + q))
     of_steps[:, 0], of_steps[:, 1], of_steps[:n, 2:] = known, np.where(known, free_C, 0.0), drive
     begin = np.concatenate([params.beginning(drive) if n else np.zeros(q), params.start_K2.ravel()])
     blocks, same = -(-(n + 1) // _BLOCK), 0
     states = np.empty((blocks, begin.size))
+    # The last step of a record goes nowhere, so that its block is another in a longer one.
+    whole = of_steps[: n // _BLOCK * _BLOCK].reshape(-1, _BLOCK, 2 + q)
+    digests = tuple(blake2b(block.tobytes(), digest_size=16).digest() for block in whole)
     if before is not None and np.array_equal(begin, before.states[0]):
-        # The last step of a record goes nowhere, so that its block is another in a longer one.
-        length = min(n, len(before.of_steps) - 1)
-        differs = np.flatnonzero((of_steps[:length] != before.of_steps[:length]).any(axis=1))
-        same = (int(differs[0]) if differs.size else length) // _BLOCK
+        pairs = enumerate(zip(digests, before.digests, strict=False))
+        same = next((i for i, (now, then) in pairs if now != then), min(len(digests), len(before.digests)))
         states[: same + 1] = before.states[: same + 1]
     states[0] = begin
     first = same * _BLOCK
@@ -226,7 +229,7 @@ def _filtered(params: RcParameters, drive: Array, free_C: Array, before: _Filter
     for i, block in enumerate(steps.reshape(blocks - same, -1), start=same):
         states[i] = last
         last = of_block(last, block)[0][-last.size :].copy()
-    return _Filtered(last[:q], last[q:].reshape(q, q), of_steps, states)
+    return _Filtered(last[:q], last[q:].reshape(q, q), digests, states)
 
 
 @lru_cache(16)

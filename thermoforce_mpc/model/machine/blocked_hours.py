@@ -106,9 +106,9 @@ class BlockedHours:
         `asked`: (start of the step s, mean level) of the last plans, NaN for native control; `sign`: of the actuator.
         An hour with a step whose level is not known (NaN) tells nothing.
         """
-        now, steps = float(history.time_s[-1]), max(1, round(HOUR_S / history.step_s)) if history.n_steps else 0
-        if not steps or history.n_steps < steps or now % HOUR_S > 1.0:
+        if not hour_ends(history):
             return self
+        now, steps = float(history.time_s[-1]), _steps_of_an_hour(history)
         last = history.last(steps)
         got, hour = float(np.mean(np.abs(last.u[0]))), _hour(float(last.time_s[0]))
         levels = [level for time_s, level in asked if time_s >= last.time_s[0] - 1.0]
@@ -150,6 +150,17 @@ class BlockedHours:
 # tell what is usual. Set with the fault of `bench detectors` in which a machine stands and reports its level
 # (2026-11-28).
 _RUNS, _STANDS, _USUAL_STEPS = 0.25, 0.05, 8
+
+
+def _steps_of_an_hour(record: Record) -> int:
+    return max(1, round(HOUR_S / record.step_s))
+
+
+def hour_ends(record: Record) -> bool:
+    """Whether an hour of the day ends with the last step of a record that holds all of it."""
+    if not record.n_steps or float(record.time_s[-1]) % HOUR_S > 1.0:
+        return False
+    return record.n_steps >= _steps_of_an_hour(record)
 
 
 def running(record: Record) -> Record:

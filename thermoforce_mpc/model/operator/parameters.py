@@ -212,10 +212,19 @@ class OperatorParameters:
     def impulse(self, n_steps: int) -> Array:
         """The impulse response Σ g_i a_i^(k−1), k = 1 … `n_steps`, to one step of v = m = 1, (n_steps,), K.
 
-        It has one sign; rounding errors beyond zero are clipped.
+        It has one sign; rounding errors beyond zero are clipped. The longest one asked for is kept.
         """
-        response = (self.gains[:, None] * self.poles[:, None] ** np.arange(n_steps)).sum(axis=0)
-        return np.asarray(self.sign * np.maximum(self.sign * response, 0.0))
+        kept = self._impulse
+        if not kept or kept[0].size < n_steps:
+            response = (self.gains[:, None] * self.poles[:, None] ** np.arange(n_steps)).sum(axis=0)
+            longest = self.sign * np.maximum(self.sign * response, 0.0)
+            longest.setflags(write=False)
+            kept[:] = [longest]
+        return np.asarray(kept[0][:n_steps])
+
+    @cached_property
+    def _impulse(self) -> list[Array]:
+        return []
 
     @cached_property
     def constant_modulation(self) -> float | None:

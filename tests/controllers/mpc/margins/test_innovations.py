@@ -93,3 +93,22 @@ def test_plans_do_not_count_with_levels_that_give_nothing(metered, most):
     plan = mpc.plan(observation, limited)
     assert float(plan.u.max()) == pytest.approx(most, abs=1e-4)
     assert plan.blocks[0].u == (1.0,), "where a plan wants all, all is asked for"
+
+
+@pytest.mark.parametrize(("share", "unused"), [(1.0, 0.0), (0.7, 0.15)])
+def test_a_machine_that_ends_below_its_level_is_seen_in_the_step_in_which_it_does(share, unused):
+    options = {"step_s": None, "horizon_h": 24.0, "actuation": {"mode": "modulating", "lowest_level": 0.0}}
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(**options), free_response=OutdoorResponse())
+    house = SimpleHouse(T_start_C=14.0)
+    house.reset(10 * DAY_S, 2 * HOUR_S)
+    plan = mpc.plan(Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S)))
+    assert plan.u[0, 0] == pytest.approx(1.0, abs=1e-3)
+    house.advance(1.0, HOUR_S)
+    record = house.past(HOUR_S)
+    power_W, T_zone_C = record.power_W.copy(), record.T_zone_C.copy()
+    power_W[0, -1] *= share
+    T_zone_C[0, -1] -= 0.3 if share < 1.0 else 0.0
+    seen = Observation(replace(record, power_W=power_W, T_zone_C=T_zone_C), house.forecast(mpc.horizon_s, HOUR_S))
+    after = mpc.plan(seen, plan.state).state
+    assert isinstance(after, MPCState)
+    assert after.margins.unused == pytest.approx([unused], abs=1e-6)

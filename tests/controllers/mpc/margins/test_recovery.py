@@ -111,12 +111,15 @@ def test_the_uncertainty_of_the_effect_is_kept_of_what_a_zone_has_to_come():
     np.testing.assert_array_equal(kept.upper_C, plain.upper_C)
 
 
-def test_of_a_zone_that_is_cooled_it_is_kept_below_the_upper_bound():
+def cooled_model() -> ThermalModel:
     zone = simple_model().only
-    operator = replace(zone.operator, gains=-zone.operator.gains, sign=-1)
-    known = replace(zone.card, competence=Competence(True, effect_K=-5.0, effect_sd_K=0.5))
-    cooled = [ThermalModel.of_zone(replace(zone, operator=operator, card=card)) for card in (zone.card, known)]
-    plain, kept = (problem(None, model=model, at_C=33.0) for model in cooled)
+    return ThermalModel.of_zone(replace(zone, operator=replace(zone.operator, gains=-zone.operator.gains, sign=-1)))
+
+
+def test_of_a_zone_that_is_cooled_it_is_kept_below_the_upper_bound():
+    model = cooled_model()
+    card = replace(model.only.card, competence=Competence(True, effect_K=-5.0, effect_sd_K=0.5))
+    plain, kept = (problem(None, model=one, at_C=33.0) for one in (model, replace(model, cards=(card,))))
     house = SimpleHouse(33.0)
     house.reset(10 * DAY_S, DAY_S)
     expected = np.zeros(24)
@@ -160,17 +163,21 @@ def test_a_controller_learns_it_at_the_step_that_ends_where_the_bound_begins():
     assert found[21] == found[20] == pytest.approx([missing_K, 0.0])
 
 
-def test_a_reading_is_judged_by_the_bound_of_its_instant_not_by_that_which_begins_next():
-    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
-    house, state = SimpleHouse(T_start_C=20.0), None
+@pytest.mark.parametrize(("at_C", "beyond"), [(20.0, lambda T: T < 20.9), (27.0, lambda T: T > 24.1)])
+def test_a_reading_is_judged_by_the_bound_of_its_instant_not_by_that_which_begins_next(at_C, beyond):
+    """At 18 and 19 h neither of the bounds of 20 h holds, whichever of them an actuator protects."""
+    model = simple_model() if at_C < 22.0 else cooled_model()
+    mpc = ThermoForceMPC(model, MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    house, state = SimpleHouse(T_start_C=at_C), None
     house.reset(10 * DAY_S + 18 * HOUR_S, 0.0)
     for _ in range(2):
-        plan = mpc.plan(Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S)), state)
-        state = plan.state
-        assert house.T < 20.9, "below the bound of 20 h"
+        ahead = house.forecast(mpc.horizon_s, HOUR_S)
+        assert beyond(house.T)
+        assert ahead.lower_C[0, 0] < house.T < ahead.upper_C[0, 0]
+        state = mpc.plan(Observation(house.past(HOUR_S), ahead), state).state
         house.advance(0.8, HOUR_S)
     assert isinstance(state, MPCState)
-    assert state.margins.learned.reserve_K[0, 0] == 0.0
+    np.testing.assert_array_equal(state.margins.learned.reserve_K, 0.0)
 
 
 def test_after_hours_at_full_level_it_learns_nothing():
