@@ -318,8 +318,8 @@ def _anothers_sensor(found: BuiltCase, case: PanelCase) -> BuiltCase:
 
 
 def _moved_sensor(found: BuiltCase, case: PanelCase) -> BuiltCase:
-    """From the third day on, for a day, the zone sensor reads 2 K more, every second case less, and late."""
-    from_s, off_K = found.period.start_s + _AFTER_S, _MOVED_K * (-1.0) ** case.number
+    """From the third day on, for a day, the zone sensor reads 2 K more, and late."""
+    from_s = found.period.start_s + _AFTER_S
     last: dict[str, Any] = {}
 
     def shows(measurement: Measurement) -> Measurement:
@@ -329,7 +329,7 @@ def _moved_sensor(found: BuiltCase, case: PanelCase) -> BuiltCase:
             return measurement
         before_C = last.get("C", measurement.T_zone_C)
         share = 1.0 - np.exp(-(now_s - last.get("s", from_s)) / _MOVED_LAG_S)
-        last.update(s=now_s, C=before_C + share * (measurement.T_zone_C + off_K - before_C))
+        last.update(s=now_s, C=before_C + share * (measurement.T_zone_C + _MOVED_K - before_C))
         return replace(measurement, T_zone_C=last["C"])
 
     return replace(found, plant=MeddledPlant(found.plant, shows))

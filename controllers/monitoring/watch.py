@@ -22,8 +22,10 @@ Two direct checks are faster: levels measured against levels requested, and heat
 A sensor that is moved makes one large error, however often it is looked at: tails that allow it once see nothing more
 in it. What is rare is what comes after. The free forecast takes an error for heat, which leaves a room again or goes on
 coming, and so the next errors say which; a reading that was shifted goes on as predicted from where it is, while
-everything that was predicted before stays wrong by the same amount (`level_shift`). No promise stands behind this; its
-false alarms are counted (`bench detectors`).
+everything that was predicted before stays wrong by the same amount (`level_shift`). Only a zone that reads warmer than
+it is, cooling: colder, is claimed, where people are left without heat: the other way round an open window or a plant's
+own schedule that blows cold air for an hour look alike, and native control helps against neither. No promise stands
+behind this; its false alarms are counted (`bench detectors`).
 
 What a watch tests of a model: the size of the effect of acting, levels against requests, meters against the machine.
 
@@ -707,10 +709,10 @@ class Watch:
             return Judged.of(rows[(rows[:, 1] == lead) & ~self._differing(state.hours, rows[:, 0], lead)])
 
         shift_K = level_shift(at(last), at(0))
-        if not shift_K:
+        if not shift_K * self._model.operator.sign > 0.0:
             return ""
         hours = self.leads[-1] * self.step_s / HOUR_S
-        side, or_else = ("more", "a load came to stay") if shift_K > 0 else ("less", "a window stands open")
+        side, or_else = ("more", "a load came to stay") if shift_K > 0 else ("less", "cold air comes from elsewhere")
         return (
             f"the zone reads {abs(shift_K):.1f} K {side} than predicted {hours:g} h ahead, and moves as predicted from"
             f" there: its sensor may have been moved (look at it), or {or_else}"
