@@ -113,8 +113,8 @@ def _of_meter(
         "meter holds another load",
         where,
         f"{says}, and what flows beside warms no room",
-        "take the other load (hot water, the household) off, meter it apart, name a mode that says when it is hot water "
-        "(hot_water of the machine), or the standing load as off_W",
+        "take the other load (hot water, the household) off, meter it apart, name a mode of hot water (hot_water of "
+        "the machine), or the standing load as off_W",
         float(np.sqrt(rows.sum() * max(1.0 - share, 0.0))),
     )
 
