@@ -239,7 +239,7 @@ def commands_command(seed: int, houses: int, days: int, engine: Opening, quick: 
 
     \b
     Example:
-      tf-mpc bench commands --seed 100 --houses 6 --days 7 --workers 2
+      tf-mpc bench commands --seed 100 --houses 6 --days 7 --jobs 2
     """
     from benchmarks.commands.bench import run_commands_bench
 
@@ -266,7 +266,7 @@ def hot_water_command(
 
     \b
     Example:
-      tf-mpc bench hot-water --seed 300 --houses 4 --days 3 --workers 2
+      tf-mpc bench hot-water --seed 300 --houses 4 --days 3 --jobs 2
     """
     from benchmarks.commands.tank import run_tank_bench
 
