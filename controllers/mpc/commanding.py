@@ -398,8 +398,8 @@ class CommandedPlan:
         as_asked = 1.0 + demand * (by_demand - 1.0)
         cost, energy = cost * as_asked, energy * as_asked
         # What is used more and what is used less are at other levels and other hours: each errs by itself.
-        moved = np.subtract(*(one[0].energy_cost.reshape(-1, problem.n_steps).sum(axis=0) for one in found))
-        of_parts = np.add.reduceat(moved, np.arange(0, moved.size, max(1, round(COMPARED_H / step_h))))
+        change = found[0][0].energy_cost - found[1][0].energy_cost
+        of_parts = np.add.reduceat(change, np.arange(0, change.size, max(1, round(COMPARED_H / step_h))))
         more, less = np.maximum(of_parts, 0.0).sum(), np.maximum(-of_parts, 0.0).sum()
         by_levels = power_spread * (less * z[:, A + 1] - more * z[:, A + 2])
         # What commands do on the meter beside that; what follows after the plan counts as heat that is stored does.

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.commands.command import Command, StepwiseCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data.series import first_order
 
 # How fast what follows a command follows, s: water and buffers; a tank from one charge to the next.
 _LAGS_S = (1.5 * HOUR_S, 8.0 * HOUR_S)
@@ -285,12 +286,10 @@ def _following(
 def _lagged(signals: Array, step_s: float, lag_s: float, before: Array) -> tuple[Array, Array]:
     """Means over steps of what follows `signals` (K, S, n) within `lag_s`, from `before` (K, S) on, and at the end."""
     left = float(np.exp(-step_s / lag_s))
-    mean, y = np.empty(signals.shape), before
-    for k in range(signals.shape[-1]):
-        x = signals[..., k]
-        mean[..., k] = x + (y - x) * lag_s / step_s * (1.0 - left)
-        y = x + (y - x) * left
-    return mean, y
+    before = np.broadcast_to(before, signals.shape[:-1])
+    ends = first_order(np.array([left]), (1.0 - left) * signals[..., None], before[..., None])[..., 0]
+    begins = np.concatenate([before[..., None], ends[..., :-1]], axis=-1)
+    return signals + (begins - signals) * lag_s / step_s * (1.0 - left), ends[..., -1]
 
 
 def _of_a_step(error: Array) -> float:
