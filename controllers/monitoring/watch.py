@@ -57,7 +57,9 @@ from pydantic import Field
 from controllers.monitoring.single_actuator import SingleActuatorContext
 from controllers.monitoring.zone_sensors import SensorConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_90, Array, Record
+from thermoforce_mpc.data.limits import SENSOR_STEP_K
 from thermoforce_mpc.model.machine.blocked_hours import (
+    FORGETS_S,
     BlockedHours,
     Directions,
     HourEffects,
@@ -137,8 +139,8 @@ class WatchConfig(StrictModel):
         description="plan without hours of the day in which nothing comes, whatever is asked for, and with what acting "
         "does in hours in which predictions miss its effect",
     )
-    # Promises of errors below this at 1 h, and √6 times this at 6 h, are not held to, K: the resolution of sensors.
-    least_K: ClassVar[float] = 0.1
+    # Promises of errors below this at 1 h, and √6 times this at 6 h, are not held to, K.
+    least_K: ClassVar[float] = SENSOR_STEP_K
     # A band counts with at most this many times the median band of the last week: calibration widens it after errors.
     widest: ClassVar[float] = 1.25
     # Heat or power this many times more or less than modelled and than before is a fault.
@@ -462,9 +464,6 @@ _USUAL_DAYS, _KEPT_H = 7, 72.0
 # room, and a heating curve of 25 K over 20 K.
 _PER_K = {"T_zone_C": 0.04, "T_out_C": 0.05}
 _MOST_UNKNOWN = 0.6
-# How fast what a prediction missed may leave a zone again, s, as air and furniture do (chosen like `_FORGETS_S` of
-# `blocked_hours`).
-_FORGOTTEN_S = 3 * HOUR_S
 # What full level does in so many hours, on a model's card.
 _STEP_RESPONSE = re.compile(r"step_response_(\d{1,4})h_K")
 # Hourly comparisons of meters before a change can be seen. By judgement, half a day of operation.
@@ -472,8 +471,8 @@ _LEAST_RATIOS = 12
 # Share of predictions inside their band, and share of those expected that came due, to hand control back. By judgement:
 # bands promise 0.8.
 _INSIDE, _JUDGED = 0.7, 0.75
-# A second alarm within this time after a return doubles the wait, up to the limit; h. By judgement (2026-11-22).
-_RELAPSE_H, _LONGEST_WAIT_H = 48.0, 48.0
+# A second alarm within this time after a return doubles the wait, up to as much; h. By judgement (2026-11-22).
+_RELAPSE_H = 48.0
 # Shortest time of standing back after a shift, h: as long as steady readings of a sensor that jumped are not believed.
 _SHIFTED_H = SensorConfig.return_h
 # Most of its effect that acting may do more than predicted as an error of the gain. In `office:3rooms:641100` the first
@@ -592,7 +591,7 @@ class Watch:
             tracks.append(Track("the model as identified", ScaledModel(self._model), _without_force(in_use.predictor)))
         relapse = now - state.returned_s < _RELAPSE_H * HOUR_S
         shortest_h = _SHIFTED_H if shifted else self.config.return_h
-        wait_h = min(max(2 * state.wait_h, shortest_h), _LONGEST_WAIT_H) if relapse else shortest_h
+        wait_h = min(max(2 * state.wait_h, shortest_h), _RELAPSE_H) if relapse else shortest_h
         return replace(state, tracks=tuple(tracks), alarm=fault, of_levels=bool(unfollowed), since_s=now, wait_h=wait_h)
 
     def record_request(self, state: WatchState, time_s: float, level: float) -> WatchState:
@@ -920,7 +919,7 @@ def _rebound_K(track: Track, issued_s: float, error_K: float) -> float:
     """What of the errors an hour ahead before a prediction an error to the other side may give back, K."""
     rows = Judged.of(track.judged[(track.judged[:, 1] == 0) & (track.judged[:, 0] <= issued_s + 1.0)])
     opposite_K = np.maximum(-math.copysign(1.0, error_K) * rows.error_K, 0.0)
-    return float(np.max(opposite_K * np.exp((rows.time_s - issued_s) / _FORGOTTEN_S), initial=0.0))
+    return float(np.max(opposite_K * np.exp((rows.time_s - issued_s) / FORGETS_S), initial=0.0))
 
 
 def _without_force(state: PredictorState | None) -> PredictorState:

@@ -129,10 +129,9 @@ class DeadlineConfig(StrictModel):
 
     forecast_s: float = Field(60.0, gt=0, description="free forecasts of all zones of a step, s")
     # Solve of a step, s: thrice the longest that a solver of ours takes by its own limit, so that only one that hangs
-    # meets it.
+    # meets it. A look for sun on the zone sensors, at night, may take as long.
     solve_s: ClassVar[float] = 60.0
-    # Look for sun on the zone sensors, at night, s.
-    look_s: ClassVar[float] = 60.0
+    look_s: ClassVar[float] = solve_s
 
 
 class MoveBlockingConfig(StrictModel):

@@ -20,7 +20,7 @@ from controllers.actuation.actuator import Actuation, ActuationConfig, Actuation
 from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError, check_later, checked_state
 from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
-from thermoforce_mpc.scenario.comfort import Comfort
+from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K, Comfort
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.testcase import TestCase
 
@@ -31,7 +31,10 @@ class PIConfig(StrictModel):
     kp: float = Field(1.0, gt=0, le=100, description="proportional gain, level per kelvin")
     ti_s: float = Field(10800.0, ge=60, description="integral time, s")
     offset_K: float = Field(
-        0.3, ge=-5, le=10, description="set-point above the lower comfort bound (cooling: below the upper), K"
+        THERMOSTAT_INSIDE_K,
+        ge=-5,
+        le=10,
+        description="set-point above the lower comfort bound (cooling: below the upper), K",
     )
     lead_h: float = Field(
         2.0, ge=0, le=24, description="lead time with which a tighter bound is followed in advance, h"

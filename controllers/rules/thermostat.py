@@ -11,12 +11,9 @@ from pydantic import Field
 
 from controllers.checks import check_names, checked_state
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Layout, Observation, Plan, PlanStatus
-from thermoforce_mpc.scenario.comfort import Comfort
+from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K, Comfort
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.testcase import TestCase
-
-# Distance of a set-point from the bound, K: that of the defaults from BOPTEST's bounds. By judgement.
-_INSIDE_K = 0.3
 
 
 class Setback(StrictModel):
@@ -93,8 +90,8 @@ def thermostat_for(testcase: TestCase, comfort: Comfort | None, options: Mapping
 def _set_points(comfort: Comfort, layout: Layout) -> dict[str, Any]:
     """Set-points inside the strictest bounds of each zone: a thermostat cannot heat ahead of a bound that rises."""
     bounds_C = comfort.strictest_C(layout.names.zones)
-    heating = [round(lower + _INSIDE_K, 2) for lower, _ in bounds_C]
-    cooling = [round(upper - _INSIDE_K, 2) for _, upper in bounds_C]
+    heating = [round(lower + THERMOSTAT_INSIDE_K, 2) for lower, _ in bounds_C]
+    cooling = [round(upper - THERMOSTAT_INSIDE_K, 2) for _, upper in bounds_C]
     acting = zip(layout.names.actuators, layout.home, layout.signs, strict=True)
     set_points = {name: (heating if sign > 0 else cooling)[home] for name, home, sign in acting}
     return {"setpoints_C": set_points, "cooling_setpoint_C": max(*heating, min(cooling))}

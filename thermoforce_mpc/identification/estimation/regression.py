@@ -20,6 +20,7 @@ from thermoforce_mpc.data import HOUR_S, NORMAL_95, Array, Record
 from thermoforce_mpc.data.series import lagged
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH, MOST_ROWS, Pair
+from thermoforce_mpc.model.machine.load import LACKING
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # Times after a step to full level at which the response and its standard deviation are stored, h.
@@ -104,9 +105,6 @@ HELD_OUT_SHARE = 0.25
 """Share of the rows of a run, or of the start times of pairs, that is held out."""
 # Share of the rows before these that is as many.
 _SHARE_BEFORE = HELD_OUT_SHARE / (1.0 - HELD_OUT_SHARE)
-# Share of the heat of its level below which an actuator, one of several, was not given all of it. By judgement; as
-# `_LACKING` of `controllers.mpc.margins`.
-_SERVED = 0.8
 
 
 @dataclass(frozen=True)
@@ -184,7 +182,7 @@ def _drive(history: Record, i: int, heat_input: HeatInput) -> Array:
     if len(history.u) == 1 or heat_input.law is None:
         return drive
     metered = heat_input.of_meter(np.abs(history.heat_W[i]), T_out_C)
-    return np.where(metered < _SERVED * drive, metered, drive)
+    return np.where(metered < LACKING * drive, metered, drive)
 
 
 def pair_regression(pair: Pair, heat_input: HeatInput) -> RegressionData:

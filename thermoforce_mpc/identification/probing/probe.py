@@ -30,6 +30,8 @@ from thermoforce_mpc.data import (
     PlanStatus,
     Record,
 )
+from thermoforce_mpc.data.boundary import SET_BACK_K
+from thermoforce_mpc.data.clock import DAY_H
 from thermoforce_mpc.data.series import interpolated
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.probing.design import choose
@@ -54,9 +56,8 @@ _IDLE_SHARE = 0.1
 # Time between two choices of draws, h, and centre of the excursions inside the tightest bound ahead, K. By judgement:
 # twice a day.
 _BLOCK_H, _INSIDE_K = 12.0, 0.5
-# How much tighter a bound is that begins, K; mean level from which an hour counts as tried, on how many days. As
-# `_SET_BACK_K` of `controllers.mpc.margins`; the others by judgement.
-_SET_BACK_K, _TRIED, _TRIES, _DAY_H = 0.5, 0.5, 2, 24
+# Mean level from which an hour counts as tried, on how many days; by judgement.
+_TRIED, _TRIES = 0.5, 2
 
 
 class ProbingConfig(StrictModel):
@@ -349,8 +350,8 @@ class _Levels:
         shows on two days only (`machine.blocked_hours.HourEffects`). The first day is left to the draws.
         """
         tight_C = band.lower_C[0] if self._sign > 0 else -band.upper_C[0]
-        begins = np.diff(tight_C) > _SET_BACK_K
-        if begins.size < _DAY_H or not (begins[0] or begins[_DAY_H - 1]) or not record.n_steps:
+        begins = np.diff(tight_C) > SET_BACK_K
+        if begins.size < DAY_H or not (begins[0] or begins[DAY_H - 1]) or not record.n_steps:
             return False
         day, hour = np.divmod(record.time_s[:-1] + 1.0, DAY_S)
         today, now = divmod(float(record.time_s[-1]) + 1.0, DAY_S)
