@@ -58,6 +58,7 @@ from controllers.monitoring.single_actuator import SingleActuatorContext
 from controllers.monitoring.zone_sensors import SensorConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_90, Array, Record
 from thermoforce_mpc.data.limits import SENSOR_STEP_K
+from thermoforce_mpc.model.card import JUDGED_H
 from thermoforce_mpc.model.machine.blocked_hours import (
     FORGETS_S,
     BlockedHours,
@@ -132,7 +133,7 @@ class WatchConfig(StrictModel):
         True,
         description="hand control back while predictions are worse than promised or actuator or machine do not follow",
     )
-    # Largest probability of an alarm in 30 days while errors are as promised.
+    # Largest probability of an alarm in 30 days while errors are as promised: the usual level of tests.
     false_alarm: ClassVar[float] = 0.05
     blocked_hours: bool = Field(
         True,
@@ -143,7 +144,8 @@ class WatchConfig(StrictModel):
     least_K: ClassVar[float] = SENSOR_STEP_K
     # A band counts with at most this many times the median band of the last week: calibration widens it after errors.
     widest: ClassVar[float] = 1.25
-    # Heat or power this many times more or less than modelled and than before is a fault.
+    # Heat or power this many times more or less than modelled and than before is a fault. By judgement: laws of level
+    # and weather are not wrong by a third, and machines at half of `bench faults` are (2026-11-22).
     machine_factor: ClassVar[float] = 1.35
     # Control returns after predictions were as promised for this long, h: two forecasts of 6 h.
     return_h: ClassVar[float] = 12.0
@@ -186,6 +188,7 @@ class Judged(NamedTuple):
         return cls(*rows.T)
 
 
+# Nothing was judged yet: empty tables, so that a new state costs nothing.
 _NONE_JUDGED, _NO_BANDS = np.empty((0, len(Judged._fields))), np.empty((0, 0))
 
 
@@ -251,7 +254,7 @@ class WatchState:
 # Length of the record and time between two tests, h. A machine at half its heat is seen in a day (`bench faults`,
 # 2026-11-22); a day has as much of the morning as of the night.
 WINDOW_H, EVERY_H = 24.0, 6.0
-# Time in which all tests together have the stated probability of a false alarm, s.
+# Time in which all tests together have the probability `false_alarm`, s.
 _MONTH_S = 30 * DAY_S
 # Least share of the effect that is missing in a fault: smaller ones are errors of the gain, for adaptation. Set with
 # `bench faults` (machine at half, 2026-11-22).
@@ -310,7 +313,7 @@ def level_shift(long: Judged, short: Judged) -> float:
     if not (long.time_s.size and short.time_s.size and short.time_s[-1] == long.time_s[-1]):
         return 0.0
     ago_h = (long.time_s[-1] - long.time_s) / HOUR_S
-    last, before_K = ago_h < _SHIFT_HOURS - 0.5, np.abs(long.error_K[ago_h > LEADS_H[-1] - 0.5])
+    last, before_K = ago_h < _SHIFT_HOURS - 0.5, np.abs(long.error_K[ago_h > JUDGED_H[-1] - 0.5])
     if np.count_nonzero(last) < _SHIFT_HOURS or before_K.size < _SHIFT_BEFORE:
         return 0.0
     shift = float(long.error_K[last].mean())
@@ -329,13 +332,13 @@ _SAME = 0.1
 # `bench faults` (2026-11-22).
 _DIFFERENT_H, _DIFFERENT_SHARE = 1.0, 0.25
 _WINDOWS_H = (6.0, 24.0)
-# Hours of requested levels that are compared.
+# Hours of requested levels that are compared: the longest of `_WINDOWS_H`.
 LEVELS_H = _WINDOWS_H[-1]
 # Full-load hours that a comparison of meters needs. By judgement (2026-11-22).
 _RUNNING_H = 1.5
 
 
-# Levels tried to find the one that gives a measured heat.
+# Levels tried to find the one that gives a measured heat: four times as fine as differences count (`_SAME`).
 _LEVELS = np.linspace(0.0, 1.0, 41)
 
 
@@ -451,7 +454,6 @@ def _paired_levels(requests: Sequence[tuple[float, float]], history: Record) -> 
     return requested[known], measured[known], index[known]
 
 
-LEADS_H = (1.0, 6.0)
 # 0.9 quantile of Student's t with 2 degrees of freedom.
 _T2_90 = 1.8856
 # Smallest probability that counts: one error alone has an e-value of at most 158. By judgement: far below the watch's
@@ -507,7 +509,7 @@ class Watch:
         self._signed, self._shared = model.operator.heat_input.u_min < 0.0, shared
         self._machine_factor = config.machine_factor ** (2 if shared else 1)
         self.step_s = model.operator.step_s
-        leads = [max(1, round(lead * HOUR_S / self.step_s)) for lead in LEADS_H]
+        leads = [max(1, round(lead * HOUR_S / self.step_s)) for lead in JUDGED_H]
         self.leads = tuple(n for n in dict.fromkeys(leads) if n <= n_steps)
         self.every = max(1, round(HOUR_S / self.step_s))
         per_month = _MONTH_S / (self.every * self.step_s)
@@ -700,7 +702,7 @@ class Watch:
     def _shifted(self, state: WatchState, now: float) -> str:
         """What the predictions that came due until now, the last of them made since the last return, say of a shift."""
         rows, last = state.tracks[0].judged, len(self.leads) - 1
-        made = now - state.returned_s >= (LEADS_H[-1] + _SHIFT_HOURS) * HOUR_S
+        made = now - state.returned_s >= (JUDGED_H[-1] + _SHIFT_HOURS) * HOUR_S
         if not (made and last and len(rows) and rows[-1, 0] > now - 0.5 * self.step_s):
             return ""
 
@@ -738,7 +740,7 @@ class Watch:
         now = float(history.time_s[-1])
         if not self.due(now):
             return "", state
-        last_s = now - LEADS_H[-1] * HOUR_S
+        last_s = now - JUDGED_H[-1] * HOUR_S
         recent = [item for item in state.asked if item[0] >= last_s and not state.hours.over(item[0], self.step_s)]
         for way in state.blocked:
             recent = list(way.outside(recent))
@@ -746,13 +748,13 @@ class Watch:
         if comparison is None:
             return "", state
         meter, ratio = comparison
-        before = [value for time_s, value in state.ratios if now - time_s > LEADS_H[-1] * HOUR_S]
+        before = [value for time_s, value in state.ratios if now - time_s > JUDGED_H[-1] * HOUR_S]
         ratios = tuple(item for item in state.ratios if now - item[0] <= _USUAL_DAYS * DAY_S)
         state = replace(state, ratios=(*ratios, (now, ratio)))
         # A map that never fitted this machine is no change of the machine.
         if len(before) < _LEAST_RATIOS:
             return "", state
-        last = history.last(min(history.n_steps, round(LEADS_H[-1] * HOUR_S / self.step_s)))
+        last = history.last(min(history.n_steps, round(JUDGED_H[-1] * HOUR_S / self.step_s)))
         limit = self._machine_factor * (1.0 + self._beyond_identified(last))
         change = ratio / max(float(np.median(before)), 1e-6)
         # A model that was adapted to the machine does not show how the machine was at first.

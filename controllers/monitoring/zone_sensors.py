@@ -27,6 +27,7 @@ from pydantic import Field
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.data.limits import RULES, SENSOR_STEP_K
+from thermoforce_mpc.model.card import JUDGED_H
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.screening import implausible_zone
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -38,7 +39,7 @@ class SensorConfig(StrictModel):
     """Which readings of a zone sensor are believed."""
 
     enabled: bool = Field(True, description="judge the readings of zone sensors by the model")
-    # Readings below and above are not believed, °C.
+    # Readings below and above are not believed, °C: range and reason stand in `data.limits`.
     lowest_C: ClassVar[float] = _RULE.range[0]
     highest_C: ClassVar[float] = _RULE.range[1]
     # Distance from the prediction within which a reading is always believed, K; more where the record changes by more
@@ -49,9 +50,10 @@ class SensorConfig(StrictModel):
         gt=0,
         description="shortest time after which a reading that repeats itself may be a stuck sensor, h",
     )
-    # Time for which the model stands in for readings that are not believed, h.
-    bridge_h: ClassVar[float] = 6.0
-    # Time after which steady readings are believed again, wherever they are, h.
+    # Time for which the model stands in for readings that are not believed, h: it is judged no further ahead.
+    bridge_h: ClassVar[float] = JUDGED_H[-1]
+    # Time after which steady readings are believed again, wherever they are, h: a sensor that is right then has seen
+    # all of a day.
     return_h: ClassVar[float] = 24.0
 
 

@@ -23,6 +23,7 @@ class Setback(StrictModel):
     to_hour: float = Field(
         ge=0, le=24, description="hour of day at which it ends; earlier than from_hour: on the next day"
     )
+    # Of BOPTEST's schedules, since these have no other.
     weekend_days: tuple[int, ...] = Field((4, 5), description="days of the year modulo 7 without setback (BOPTEST)")
 
     def active(self, time_s: float) -> bool:
@@ -38,16 +39,20 @@ class Setback(StrictModel):
 class ThermostatConfig(StrictModel):
     """Options of the on/off thermostat. Defaults are the reference thermostat of this test case."""
 
+    # As far inside BOPTEST's bounds of 21 and 24 °C as `THERMOSTAT_INSIDE_K`.
     setpoint_C: float = Field(21.3, ge=0, le=40, description="centre of the dead band, °C")
     setpoints_C: dict[str, float] = Field(
         default_factory=dict,
         description="centre of the dead band of single actuators, by name, °C; `setpoint_C` otherwise",
     )
+    # See `setpoint_C`.
     cooling_setpoint_C: float = Field(
         23.7, ge=0, le=40, description="set-point of cooling where the plant's own loops heat and cool a zone, °C"
     )
+    # A sensor's step to either side (`SENSOR_STEP_K` of `data.limits`): less would be its rounding.
     deadband_K: float = Field(0.1, gt=0, le=5, description="half-width of the dead band, K")
     level: float = Field(1.0, gt=0, le=1, description="level while on")
+    # As plans are made, so that they can be compared.
     step_s: float = Field(900.0, ge=60, le=86400, description="control step, s")
     min_on_s: float = Field(0.0, ge=0, le=86400, description="shortest time for which a machine stays on, s")
     min_off_s: float = Field(0.0, ge=0, le=86400, description="shortest time for which it stays off, s")

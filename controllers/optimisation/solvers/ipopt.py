@@ -26,8 +26,11 @@ _CAREFUL = {"mehrotra_algorithm": "no"}
 class IpoptConfig(StrictModel):
     """Options of Ipopt."""
 
+    # Twelve are usual (`tf-mpc bench controller`).
     max_iterations: int = Field(200, ge=1, description="iterations before a solve counts as failed")
+    # Ipopt's own default tolerance.
     tolerance: float = Field(1e-8, gt=0, description="Ipopt's overall tolerance")
+    # A third of `DeadlineConfig.solve_s`: there is time for a second try.
     max_seconds: float = Field(20.0, gt=0, description="wall time before a solve counts as failed, s")
 
 

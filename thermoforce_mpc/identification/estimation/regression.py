@@ -23,12 +23,14 @@ from thermoforce_mpc.identification.estimation.records import LEAD_REACH, MOST_R
 from thermoforce_mpc.model.machine.load import LACKING
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
-# Times after a step to full level at which the response and its standard deviation are stored, h.
+# Times after a step to full level at which the response and its standard deviation are stored, h: twice as long each
+# about, to the horizon of plans.
 STEP_RESPONSE_H: tuple[int, ...] = (1, 2, 4, 8, 12, 24, 48)
 EFFECT_H = 8
-"""The one of these hours by which an effect is judged, h."""
+"""The one of these hours by which an effect is judged, h: a pre-heating lasts as long."""
 DISTURBANCE_H = (1.0, 6.0, 48.0)
-"""Time constants of what disturbs a room besides weather and actuators, h."""
+"""Time constants of what disturbs a room besides weather and actuators, h: people and doors, habits of a day, weather
+that was not measured. A factor of seven apart, between which mixtures of two do."""
 
 # Largest standard deviation of a logarithm that counts. By judgement: beyond, the sign is all that is known.
 _MOST_OF_LOGARITHM = 1.5
@@ -102,8 +104,8 @@ class Effect:
 
 
 HELD_OUT_SHARE = 0.25
-"""Share of the rows of a run, or of the start times of pairs, that is held out."""
-# Share of the rows before these that is as many.
+"""Share of the rows of a run, or of the start times of pairs, that is held out: the usual quarter."""
+# Share of the rows before these that is as many as are held out: what is compared is alike.
 _SHARE_BEFORE = HELD_OUT_SHARE / (1.0 - HELD_OUT_SHARE)
 
 

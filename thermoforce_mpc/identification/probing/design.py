@@ -17,12 +17,12 @@ from thermoforce_mpc.identification.estimation.regression import poles, unit_res
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 
-# Step of the derivative with respect to ln τ.
+# Step of the derivative with respect to ln τ: it is straight over 2 %, and rounding is far smaller.
 _STEP = 0.02
 # Assumed mean level that holds the zone temperature, until the record is long enough. Of the order of draws only; by
 # judgement.
 _HOLDING_SHARE = 0.3
-# Record length, steps, from which its mean level is used instead.
+# Record length, steps, from which its mean level is used instead: half a day, which has a night or a noon.
 _KNOWN_FROM = 48
 # Distance of the rows, h: the response to an action takes hours. By judgement.
 _ROW_H = 1.0
@@ -36,7 +36,8 @@ _TAU_SD, _GAIN_SD = 0.25, np.array([0.1, 2.0, 0.5])
 _FREE_H = (*_TAU_H[1:], 400.0)
 _FREE_SD = dict(zip(INPUTS, (0.3, 0.01, 50.0, 0.01, 0.01, 0.3, 0.3, 0.01), strict=True))
 _START_SD_K = (3.0, 20.0, 50.0, 50.0)
-# Disturbances: standard deviations, K, and time constants, h; noise of a reading, K.
+# Disturbances: standard deviations, K, and time constants, h: doors and people, a day's habits, weather that was not
+# measured; noise of a reading, K.
 _DISTURBANCES, _READING_SD_K = ((0.02, 0.5), (0.2, 3.0), (2.0, 50.0)), 0.01
 
 

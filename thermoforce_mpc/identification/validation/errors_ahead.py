@@ -36,14 +36,16 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 BLOCK_H, LEAST_BLOCKS = 4.0, 4
-"""Length of a block, h, and least number of blocks."""
-# Floor added to squared residuals before the logarithm.
+"""Length of a block, h, in which errors of emitters and air die out, and least number of blocks: of fewer no variance
+is known."""
+# Floor added to squared residuals before the logarithm: errors of 0 by rounding.
 _NOTHING = 1e-9
-# Offset that keeps block numbers of different regressions apart.
+# Offset that keeps block numbers of different regressions apart: four centuries of blocks, so that none meet.
 PER_REGRESSION = 10**6
-# A standard deviation over the median of what is normal without its sign.
+# A standard deviation over the median of what is normal without its sign: 1 over its quantile of 0.75.
 _MAD_SD = 1.4826
-# Quantiles by one-sided probability: polynomials in b, the reach of the autocovariances as a share of the blocks.
+# Quantiles by one-sided probability: polynomials in b, the reach of the autocovariances as a share of the blocks
+# (Kiefer and Vogelsang 2005, Bartlett's weights).
 _FIXED_B: dict[float, tuple[float, float, float, float]] = {
     0.90: (1.2816, 1.3040, 0.5135, -0.3386),
     0.95: (1.6449, 2.1859, 0.3142, -0.3427),

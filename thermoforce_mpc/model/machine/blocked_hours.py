@@ -39,7 +39,7 @@ _MOST, _MOST_STRETCHES = 12, 2
 _AGAIN_DAYS = (0.5, 7.0)
 # Distance of the reading from the set-point from which any loop acts, K: proportional bands and dead bands are less.
 _CALLS_K = 0.5
-# Parts of a step that are looked up each.
+# Parts of a step that are looked up each: of a step of an hour, its quarters, since schedules begin at these.
 _PARTS = 4
 
 
