@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, NORMAL_95, Array, Record
-from thermoforce_mpc.data.series import lagged
+from thermoforce_mpc.data.series import first_order
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH, MOST_ROWS, Pair
 from thermoforce_mpc.model.machine.load import LACKING
@@ -46,7 +46,8 @@ def unit_responses(log_tau: Array, step_s: float, drive: Array, rows: NDArray[np
 
     Row t is the state before step t, starting from zero.
     """
-    lags = np.stack([lagged(drive, pole) for pole in poles(log_tau, step_s)], axis=1)
+    a, zero = poles(log_tau, step_s), np.zeros(log_tau.size)
+    lags = np.vstack([zero, first_order(a, (1.0 - a) * drive[:, None], zero)])
     own, lead = _lags_of_gains(log_tau)
     responses = own * lags + lead * lags[:, :1]
     return np.asarray(responses if rows is None else responses[rows])

@@ -71,7 +71,8 @@ def choose(
     holding = float(history.u[0].mean()) if past >= _KNOWN_FROM else _HOLDING_SHARE
     start_K = sign * (centre_C - float(history.T_zone_C[0, -1]))
     acts = np.ones(n, dtype=bool) if acts is None else acts
-    drawn = [_simulated_levels(excitation.resumed(each), acts, step_s, start_K, holding) for each in candidates]
+    unit = expected_rise_K(np.eye(1, n)[0], step_s)
+    drawn = [_simulated_levels(excitation.resumed(each), acts, unit, start_K, holding) for each in candidates]
     held = [np.where(acts, levels, holding) for levels in drawn]
     worth = [_criterion(np.concatenate([history.u[0], levels]), step_s, whitener, rows) for levels in held]
     best = int(np.argmax(worth))
@@ -134,13 +135,12 @@ def _units(u: Array, step_s: float, tau_h: Array) -> Array:
 
 
 def _simulated_levels(
-    excitation: Excitation, acts: NDArray[np.bool_], step_s: float, start_K: float, holding: float
+    excitation: Excitation, acts: NDArray[np.bool_], unit: Array, start_K: float, holding: float
 ) -> Array:
     """Return the levels of an excitation simulated on the prior mean with constant weather, (n,); NaN where none
-    `acts` (n,).
+    `acts` (n,). `unit` (n + 1,): rise by a first step at full level, K.
     """
     n = acts.size
-    unit = expected_rise_K(np.eye(1, n)[0], step_s)
     levels, rise = np.full(n, np.nan), np.zeros(n + 1)
     for t in range(n):
         if not acts[t]:
