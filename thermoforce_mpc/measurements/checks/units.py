@@ -142,7 +142,7 @@ def _of_ratio(
     if np.unique(heat[both].round(1)).size < _FEW_VALUES * both.sum():
         n = max(round(_WHILE_S / record.step_s), 1)
         heat, power, T_out, time_s = (_in_blocks(one, n) for one in (heat, power, T_out, time_s))
-        on = (power > _ON * _most(power)) & (heat > _ON * _most(heat))
+        on = np.asarray((power > _ON * _most(power)) & (heat > _ON * _most(heat)))
     rows = on & np.isfinite(T_out)
     if rows.sum() < _LEAST_ROWS:
         return []
