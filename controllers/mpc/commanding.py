@@ -619,9 +619,9 @@ class _LoopTables:
     def __init__(self, operator: BuildingOperator, problem: MPCProblem, loops: Mapping[int, CommandedLoop]) -> None:
         maps = [loop.learned.loop for loop in loops.values()]
         self._operator, self._problem, self._loops = operator, problem, loops
-        m = max(one.knots.size for one in maps)
 
         def filled(of: Sequence[Array]) -> Array:
+            m = max(one.size for one in of)
             return np.array([np.append(one, np.full(m - one.size, one[-1])) for one in of])
 
         self._of_loop = (
@@ -631,6 +631,8 @@ class _LoopTables:
             np.array([one.carry for one in maps]),
             np.array([one.knots.size for one in maps], dtype=np.int64),
             *(filled([getattr(one, of) for one in maps]) for of in ("knots", "levels", "uncertain", "spread")),
+            np.array([one.shuts_C.size for one in maps], dtype=np.int64),
+            *(filled([getattr(one, of) for one in maps]) for of in ("shuts_C", "opens")),
         )
         self._per_u, self._per_drive = _per_u(problem), np.ascontiguousarray(operator.gains.sum(axis=2))
 
@@ -691,7 +693,8 @@ def _settle(
     level: np.ndarray, scatter: np.ndarray, asked: np.ndarray, before: np.ndarray, z: np.ndarray, T_C: np.ndarray,
     at_rest_C: np.ndarray, factor: np.ndarray, heat: np.ndarray, per_drive: np.ndarray, per_u: np.ndarray,
     acts: np.ndarray, homes: np.ndarray, zone: np.ndarray, carry: np.ndarray, count: np.ndarray, knots: np.ndarray,
-    levels: np.ndarray, uncertain: np.ndarray, spread: np.ndarray,
+    levels: np.ndarray, uncertain: np.ndarray, spread: np.ndarray, shut_count: np.ndarray, shuts_C: np.ndarray,
+    opens: np.ndarray,
 ) -> None:  # fmt: skip
     """Levels and temperatures of a step that agree, house by house: half way to what the loops answer, again and again.
 
@@ -723,6 +726,7 @@ def _settle(
                     up = _between(x, count[i], knots[i], levels[i])
                     if z[s] != 0.0:
                         up += z[s] * _between(x, count[i], knots[i], uncertain[i])
+                    up *= _between(room, shut_count[i], shuts_C[i], opens[i])
                     mean += min(max(carry[i] * before[s, a] + up, 0.0), 1.0) / n
                 moved[i] = 0.5 * (level[s, a] + mean)
                 worst = max(worst, abs(moved[i] - level[s, a]))
