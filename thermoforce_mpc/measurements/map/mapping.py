@@ -356,7 +356,7 @@ class MeasurementMap(StrictModel):
     step: str | None = Field(
         None, description="step of the record, such as 15min; default: the usual distance of the rows, 15 min to 1 h"
     )
-    coverage: float = Field(0.5, gt=0, le=1, description="share of a step that readings must cover for its mean")
+    coverage: float = Field(0.5, ge=0.01, le=1, description="share of a step that readings must cover for its mean")
     site: Site | None = None
     outdoor: OfTemperature = Field(description="outdoor temperature")
     sun: OfSun | None = Field(
