@@ -240,10 +240,10 @@ class Home:
         return replace(record, u=u, heat_W=np.full_like(record.heat_W, np.nan))
 
     def water_over_rooms_K(self, step_s: float) -> Array:
-        """What the water is above each room (Z, n), K."""
+        """What the water of each circuit, behind its mixer, is above its room (Z, n), K."""
         record = self.plant.past(step_s)
         T_C = 0.5 * (record.T_zone_C[:, 1:] + record.T_zone_C[:, :-1])
-        return np.maximum(self.plant.supply_C(record.time_s) - T_C, 0.0)
+        return np.maximum(self.plant.flow_C(record.time_s) - T_C, 0.0)
 
     def _tuned_curve_K(self) -> float:
         """The shift of the curve with which the neediest room is as warm as with a thermostat of its own."""
@@ -344,9 +344,9 @@ def _days(
 def left_alone_cost(home: Home) -> float:
     """What the two days from now on cost when the house is left alone, currency; `home` lives through them."""
     cost, begin_s = 0.0, float(home.plant.forecast(_STEP_S, _STEP_S).time_s[0])
-    for at_s in np.arange(begin_s, begin_s + _AFTER_S - 1.0, _PART_S):
-        done = home.advance((None,) * ROOMS, _PART_S)
-        cost += float(done.power_W[0]) * _PART_S / J_PER_KWH * float(price_per_kWh(at_s))
+    at_s = np.arange(begin_s, begin_s + _AFTER_S - 1.0, _STEP_S)
+    for price in price_per_kWh(at_s).tolist():
+        cost += float(home.advance((None,) * ROOMS, _STEP_S).power_W[0]) * _STEP_S / J_PER_KWH * price
     return cost
 
 
