@@ -170,6 +170,19 @@ def test_what_an_offset_does_is_read_off_the_water():
     assert by_level > 2.0 * by_water
 
 
+def test_a_level_at_its_end_says_no_more_than_that():
+    """In mild weather lower water than the room's gives what the room's gives: nothing. It was taken for no effect."""
+    rng = np.random.default_rng(2)
+    out, T = 9.0 + 4.0 * np.sin(HOURS / DAY_S) + rng.normal(0.0, 0.5, N + 1), np.full(N + 1, 21.0)
+    offset = np.repeat(rng.choice([-3.0, 0.0, 3.0], N // 4 + 1), 4)[: N + 1]
+    over_K = np.maximum(8.0 - 0.6 * out[:-1] + offset[:-1] + rng.normal(0.0, 0.3, N), 0.0)
+    assert np.mean(over_K[offset[:-1] < 0.0] == 0.0) > 0.4
+    was = CommandRecord(offset, offset[:-1], over_K=over_K)
+    command = CurveOffset(kind="curve_offset", column="x")
+    loop = learn_command(command, was, T, out, np.clip(over_K / 14.0, 0.0, 1.0), HOURS, "curve").loop
+    np.testing.assert_allclose(np.diff(loop.effects) / (1.0 - loop.carry), 3.0 / 14.0, rtol=0.08)
+
+
 def test_states_of_a_contact_have_an_effect_of_their_own_each():
     rng = np.random.default_rng(6)
     out, T = 3.0 + rng.normal(0.0, 1.0, N + 1), np.full(N + 1, 21.0)

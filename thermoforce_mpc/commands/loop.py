@@ -38,6 +38,8 @@ _CARRIES, _AS_GOOD = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0), 1.05
 # What a level leaves of itself at least, where all that a command moves counts: with 1 of c, all for ever.
 _LEAST_LEFT = 0.1
 _BINS, _LEAST_IN_BIN = 24, 8
+# Levels so near to 0 or 1 are there; rounds in which levels at an end and what is fitted are made to agree.
+_AT_END, _ROUNDS = 0.005, 8
 _DRAWS, _SEED = 30, 64
 # Water that is less above the room heats nothing, K. The level of a kelvin of it with an open valve is this quantile of
 # those of hours with heat: in most the valve is open throughout, and a few levels are cut at 1. Least hours of them.
@@ -325,8 +327,6 @@ def _alike_days(value: Array, day: NDArray[np.intp]) -> list[NDArray[np.intp]]:
 
 def _fit(command: Command, rows: NDArray[np.intp], seen: _Signals, carry: float) -> LoopMap:
     """The map with the least squares of one-step errors in `rows`."""
-    from scipy.optimize import nnls
-
     value, T_zone_C, T_out_C = seen.value, seen.T_zone_C, seen.T_out_C
     water = None if command.of_zone == -1.0 else _by_water(seen, rows)
     level, per_K = (seen.u, 0.0) if water is None else (water.level, water.per_K)
@@ -342,7 +342,7 @@ def _fit(command: Command, rows: NDArray[np.intp], seen: _Signals, carry: float)
         # A kelvin of the room is one less of the water above it; a controller with a room sensor takes more.
         less = (1.0 - carry) * per_K
         columns = np.column_stack([rises, *free, np.ones(value.size), -np.ones(value.size)])
-        found, _ = nnls(columns[rows], y + less * T_zone_C[rows])
+        found = _between_ends(columns[rows], y, -less * T_zone_C[rows], carry * level[rows - 1])
         each, weights = found[: rises.shape[1]], list(found[rises.shape[1] :])
         values, effects = np.array(kinds), np.concatenate([[0.0], np.cumsum(each)])[: len(kinds)]
         zone = less + (float(weights.pop(0)) if command.of_zone is None else 0.0)
@@ -357,6 +357,26 @@ def _fit(command: Command, rows: NDArray[np.intp], seen: _Signals, carry: float)
     none = np.zeros(knots.size)
     loop = replace(loop, knots=knots, levels=levels, spread=none, uncertain=none)
     return loop if water is None else replace(loop, shuts_C=water.shuts_C, opens=water.opens)
+
+
+def _between_ends(columns: Array, y: Array, known: Array, carried: Array) -> Array:
+    """Coefficients (k,), none negative, of `columns` (n, k) by least squares of y − `known`, each (n,).
+
+    A level ends at 0 and at 1: one that is there, where `carried` (n,) with the fit is at or beyond it, says no more
+    than that. Counted as it is, it is taken for little effect: an offset of −3 K in mild weather, where water of the
+    curve is no warmer than the room already.
+    """
+    from scipy.optimize import nnls
+
+    level, active = carried + y, np.ones(y.size, dtype=bool)
+    for _ in range(_ROUNDS):
+        found, _ = nnls(columns[active], (y - known)[active])
+        reached = carried + known + columns @ found
+        beyond = ((level <= _AT_END) & (reached <= 0.0)) | ((level >= 1.0 - _AT_END) & (reached >= 1.0))
+        if (~beyond).sum() < _LEAST_IN_BIN * columns.shape[1] or (active == ~beyond).all():
+            break
+        active = ~beyond
+    return np.asarray(found)
 
 
 def _monotone(s: Array, y: Array, *, falls: bool = False) -> tuple[Array, Array]:
