@@ -56,7 +56,7 @@ NOT_BETTER = "commands that were found are not better than leaving the building 
 # Rounds in which level and temperature of a step are made to agree, and levels of a table of their heat.
 _ROUNDS, _CLOSE, _TABLE = 20, 5e-4, 65
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
-# Lead time whose error counts of rooms that are not known, h.
+# Lead time whose error counts of rooms that are not known, h: the longest that is judged.
 _ERROR_H = JUDGED_H[-1]
 # How long an error of the free part lasts, h: weather, sun and people of a day. By judgement.
 _LASTS_H = 12.0

@@ -12,6 +12,7 @@ from thermoforce_mpc.errors import DataError, InputError
 
 HOUR_S = 3600.0
 DAY_S = 86400.0
+DAY_H = 24
 YEAR_S = 365 * DAY_S
 """A year of weather, prices and schedules, s: it has no 29 February, and repeats."""
 

@@ -41,7 +41,7 @@ _PROPORTIONAL = 0.1
 _STEEP_1_K = 0.04
 # Share of the steps on from which levels below full are not mere trials. By judgement.
 _OFTEN = 0.25
-# Step, s, and horizon, h, of plans by default.
+# Step, s, and horizon, h, of plans by default (`MPCConfig`).
 _PLAN_STEP_S, _PLAN_H = 900.0, 48.0
 
 

@@ -29,7 +29,7 @@ _INSIDE = 0.8
 _WINDOW_S = 6 * DAY_S
 # Forecasts issued within an hour are nearly identical: one per hour is stored.
 _EVERY_S = HOUR_S
-# Edges of the groups of lead times that share a width, h.
+# Edges of the groups of lead times that share a width, h: errors grow fast in the first hours, then by the day.
 _LEAD_EDGES_H = (1.0, 2.0, 6.0, 12.0, 18.0, 24.0)
 # Least number of hourly values of a group before its width is scaled. By judgement: a day.
 _LEAST_VALUES = 24

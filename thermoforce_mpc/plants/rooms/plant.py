@@ -18,7 +18,6 @@ from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Commands, Levels, Mea
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.drawn_houses import (
     GRID_S,
-    THERMOSTAT_ABOVE_K,
     DrawnHousePlant,
     air_change,
     on_facades,
@@ -33,6 +32,7 @@ from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import USES, DrawnHouse, Kind, Room
 from thermoforce_mpc.plants.shell import check_levels
 from thermoforce_mpc.scenario.building import Machine, Zone, ZoneActuator
+from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K
 from thermoforce_mpc.scenario.testcase import MeasuredWeather, TestCase
 
 # Comfort bounds of a room that is not used, °C (BOPTEST's of an empty house).
@@ -164,7 +164,7 @@ def testcase_of(house: DrawnHouse, name: str) -> TestCase:
             occupancy=f"occupancy[{room.name}]",
             lower=f"lower[{room.name}]",
             upper=f"upper[{room.name}]",
-            thermostat_C=room.lower_C + THERMOSTAT_ABOVE_K,
+            thermostat_C=room.lower_C + THERMOSTAT_INSIDE_K,
         )
         valve, share = f"{room.name}_valve", room.emitter_W / house.heat_pump.capacity_W
         heat = (f"heat[{room.name}]",)
@@ -218,7 +218,7 @@ class HouseOfRooms(DrawnHousePlant):
         self.layout = testcase_of(house, house.name).layout
         self._names = self.layout.names
         self.zones, self.actuators = self._names.zones, self._names.actuators
-        self.thermostat_C = np.array([room.lower_C for room in house.rooms]) + THERMOSTAT_ABOVE_K
+        self.thermostat_C = np.array([room.lower_C for room in house.rooms]) + THERMOSTAT_INSIDE_K
         time_s = year()
         gains = np.ascontiguousarray(gains_W(house, time_s).T)
         self._scheduled = weather_grid(house, self.weather), gains
