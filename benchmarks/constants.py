@@ -12,6 +12,7 @@ imported, and what CasADi keeps on disk (`controllers.optimisation.statement`), 
 from __future__ import annotations
 
 import ast
+import csv
 import functools
 import gc
 import importlib
@@ -22,6 +23,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -42,6 +44,7 @@ _ROUNDING = 1e-6
 # Numbers nearer to 0, such as probabilities of what is not so, are compared as if they were this.
 _NEAR_0 = 0.1
 _TIMEOUT_S = 600.0
+COLUMNS = ("constant", "value", "buildings", "a third more", "day")
 
 
 @dataclass(frozen=True)
@@ -244,6 +247,24 @@ def sensitivity(
         return list(threads.map(row, chosen))
 
 
+def keep(rows: Sequence[Mapping[str, Any]], buildings: Sequence[str], file: Path) -> None:
+    """Put `rows` of `sensitivity` into a table of all constants that were run, each by its last run."""
+    known: dict[str, dict[str, str]] = {}
+    if file.exists():
+        with file.open(encoding="utf-8", newline="") as lines:
+            known = {row["constant"]: row for row in csv.DictReader(lines)}
+    day = f"{datetime.now(UTC):%Y-%m-%d}"
+    for row in rows:
+        moved_there = in_words({building: row[building] for building in buildings})
+        found = (row["constant"], row["value"], " ".join(buildings), moved_there, day)
+        known[row["constant"]] = dict(zip(COLUMNS, found, strict=True))
+    now = {constant.place for constant in constants()}
+    with file.open("w", encoding="utf-8", newline="") as lines:
+        table = csv.DictWriter(lines, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        table.writerows(known[name] for name in sorted(known) if name in now)
+
+
 @click.command()
 @click.option(
     "--building", "buildings", multiple=True, default=BUILDINGS, metavar="NAME", help="Test case; repeatable."
@@ -251,11 +272,16 @@ def sensitivity(
 @click.option("--only", default=("",), multiple=True, metavar="TEXT", help="Only constants whose place holds this.")
 @click.option("--at-once", type=click.IntRange(min=1), default=1, show_default=True, help="Processes at a time.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write all rows to this JSON file.")
-def main(buildings: tuple[str, ...], only: Sequence[str], at_once: int, json_file: Path | None) -> None:
+@click.option("--into", type=click.Path(path_type=Path), help="Put all rows into this CSV table, which keeps others.")
+def main(
+    buildings: tuple[str, ...], only: Sequence[str], at_once: int, json_file: Path | None, into: Path | None
+) -> None:
     """Change each constant by a third, one by one, and say what moves; about 10 s a constant on one core."""
     rows = sensitivity(buildings, only, at_once, lambda line: click.echo(line, err=True))
     if json_file is not None:
         json_file.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    if into is not None:
+        keep(rows, buildings, into)
     moving = [row for row in rows if any(_moves(row[building]) for building in buildings)]
     click.echo(f"{len(rows)} constants, {len(moving)} move something")
 

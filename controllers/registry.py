@@ -81,7 +81,7 @@ _ROOM_SETPOINTS: dict[str, Any] = {
 }
 
 # Valves whose machine's water the plan sets: a machine cycles by itself below a load, so low levels are of use too. By
-# judgement.
+# judgement, with the valves of `twozone_apartment_hydronic` (2026-11-22).
 _SUPPLY: dict[str, Any] = {"mode": "supply", "lowest_level": 0.2}
 
 _OWN: dict[str, Entry] = {

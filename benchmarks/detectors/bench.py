@@ -34,6 +34,8 @@ _CONTROLLER = "thermoforce_mpc"
 _DAYS, _PROBED_DAYS = 7.0, 3.0
 # Goals: false claims in 100 house-weeks; what a rule saves on the faults it is for, less what it costs on the panel.
 _MOST_CLAIMS, _LEAST_BALANCE = 1.0, 0.0
+# How certain the interval is in which the rate of false claims lies.
+_CERTAIN = 0.95
 # What is told of a comparison with an earlier run: share of the cost, and K·h.
 _DEARER, _COLDER_KH = 0.003, 0.1
 
@@ -104,7 +106,7 @@ def run_detectors_bench(
         progress(f"[{n}/{len(cases)}] {_line(_outcome(value))}")
 
     outcomes = [_outcome(value) for value in run_all(run_case, cases, engine, on_done, keep)]
-    rows = rule_rows(outcomes) + [_row(one) for one in outcomes] + _compared(outcomes, before)
+    rows = rule_rows(outcomes) + claim_rows(outcomes) + [_row(one) for one in outcomes] + _compared(outcomes, before)
     result = results_json("detectors", rows, targets(outcomes))
     result["environment"] |= {"revision": revision()}
     return result
@@ -179,6 +181,7 @@ def rule_rows(outcomes: Sequence[WeekOutcome]) -> list[Row]:
                 "house-weeks": len(weeks),
                 "with a false claim": len(claimed),
                 "in 100 house-weeks": 100.0 * len(claimed) / len(weeks) if weeks else float("nan"),
+                **_certainty(len(claimed), len(weeks)),
                 "they cost per m²": cost if rule.can_be_off else None,
                 "faults": len(faults),
                 "found": sum(rule.name in one.claims for one in faults),
@@ -186,6 +189,36 @@ def rule_rows(outcomes: Sequence[WeekOutcome]) -> list[Row]:
             }
         )
     return rows
+
+
+def _certainty(claimed: int, weeks: int) -> Row:
+    """Between what the rate of false claims in 100 house-weeks lies, and whether that shows that the goal is met."""
+    from scipy.stats import binomtest
+
+    if not weeks:
+        return {"95 % between": "–", "goal": "not shown"}
+    # The interval that holds for any rate (Clopper and Pearson 1934): of few weeks without a claim little follows.
+    found = binomtest(claimed, weeks).proportion_ci(_CERTAIN, method="exact")
+    low, high = 100.0 * found.low, 100.0 * found.high
+    shown = "met" if high <= _MOST_CLAIMS else "missed" if low > _MOST_CLAIMS else "not shown"
+    return {"95 % between": f"{low:.1f} and {high:.1f}", "goal": shown}
+
+
+def claim_rows(outcomes: Sequence[WeekOutcome]) -> list[Row]:
+    """A row for each rule that claimed something in a week of a clean plant: what it said, and what that cost."""
+    return [
+        {
+            "false claim": rule,
+            "in": one.case.in_words,
+            "said": texts[0],
+            "with it": f"{one.cost:.4f} / {one.K_h:.2f}",
+            "without": "{:.4f} / {:.2f}".format(*one.without[rule]) if rule in one.without else "–",
+            "it cost per m²": one.worth_without(rule) if rule in one.without else None,
+        }
+        for one in outcomes
+        if not one.case.fault and not one.failed
+        for rule, texts in one.claims.items()
+    ]
 
 
 def targets(outcomes: Sequence[WeekOutcome]) -> list[Target]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.faults.faulty_plant import FaultyPlant
-from controllers.monitoring.watch import LEADS_H, Judged
+from controllers.monitoring.watch import Judged
 from controllers.mpc.state import MPCState
 from controllers.registry import build_controller
 from thermoforce_mpc.boundary.weather import synthetic_weather
@@ -25,6 +25,7 @@ from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, Plan, PlanStatus
 from thermoforce_mpc.experiment.identifying import identify_on
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.model.card import JUDGED_H
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -78,7 +79,7 @@ class RecordedController:
 
     def error_K(self, from_s: float, to_s: float) -> float:
         """RMS error of predictions 6 h ahead that came due after `from_s`, until `to_s`, K; NaN if there were none."""
-        longest = len(LEADS_H) - 1
+        longest = len(JUDGED_H) - 1
         errors = [v.error_K for v in self.judged.values() if v.lead == longest and from_s < v.time_s <= to_s]
         return float(np.sqrt(np.mean(np.square(errors)))) if errors else math.nan
 

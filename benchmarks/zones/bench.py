@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.cases import run_all
 from benchmarks.closed_loop.boptest import verdict_in_words
 from benchmarks.zones.apart import OnePerZone
-from benchmarks.zones.effects import PairScore, score_pairs, worst
+from benchmarks.zones.effects import PairScore, score_pairs, within_limits, worst
 from benchmarks.zones.scaling import BesideDoMpc, beside_do_mpc, exponent, solve_times
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.comparison.outcome import Target, results_json
@@ -200,7 +200,7 @@ def _run(case: Case) -> Outcome:
         task = identification_task(scenario, chosen_of(scenario, testcase))
         model = run_identification(task, plant, records.append)
         period = scored_period(plant, case.period, case.days)
-        effects = score_pairs(plant, model, period.start_s) if isinstance(plant, HouseOfRooms) else ()
+        effects = score_pairs(within_limits(plant), model, period.start_s) if isinstance(plant, HouseOfRooms) else ()
     done = run(case.testcase, model=model, baselines=list(BASELINES), progress=False, **settings)
     kpis: dict[str, Mapping[str, float]] = dict(done.kpis)
     refused: dict[str, str] = {}

@@ -1,14 +1,16 @@
 """Effects of one actuator while the others act: the operator against pairs of runs of an emulated house of rooms.
 
 All valves follow drawn levels, and again with those of one valve drawn anew (paper eq:effect, per pair of zone and
-actuator). Both runs start in the same state under the same weather, so their difference is the effect. The levels are
-low enough for the heat pump's capacity: beyond it valves take heat from each other.
+actuator). Both runs start in the same state under the same weather, so their difference is the effect.
+
+While a machine is at its limit valves take heat from each other, which no effect of a valve says: plans keep within
+the limit instead. So effects are those in the house with a machine that no levels bring there (`within_limits`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +25,8 @@ STEP_S, HORIZON_H = 900.0, 24.0
 _LEAST_K = 0.05
 # Drawn levels, their holding times, steps, and days from one pair of runs to the next.
 _LEVELS, _HOLD_STEPS, _APART_DAYS = (0.0, 0.3, 0.6), (4, 8, 16), 1.0
+# How many times as large a machine is that is never at its limit: valves of a drawn house take 1.6 times its heat.
+_LARGER = 5.0
 
 
 @dataclass(frozen=True)
@@ -42,13 +46,20 @@ class PairScore:
         return self.rmse_K / self.effect_rms_K if self.effect_rms_K >= _LEAST_K else float("nan")
 
 
+def within_limits(plant: HouseOfRooms) -> HouseOfRooms:
+    """The same house with a machine that no levels bring to its limit, and that cycles below the same heat."""
+    pump = plant.house.heat_pump
+    larger = replace(pump, capacity_W=_LARGER * pump.capacity_W, lowest_level=pump.lowest_level / _LARGER)
+    return HouseOfRooms(replace(plant.house, heat_pump=larger))
+
+
 def score_pairs(
     plant: HouseOfRooms, model: ThermalModel, start_s: float, windows: int = 6, seed: int = 7
 ) -> list[PairScore]:
     """Score every pair over `windows` days from `start_s`.
 
     Args:
-        plant: the house, after identification; it is reset.
+        plant: the house, after identification, or another one with the same names; it is reset.
         model: what was identified on it.
         start_s: start of the first day, after a week of native control, s.
         windows: number of days, each with one run per actuator beside the base run.

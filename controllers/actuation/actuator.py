@@ -43,7 +43,7 @@ from thermoforce_mpc.scenario.settings import StrictModel
 # Shares and levels below this mean off (signed: neither heating nor cooling); also the tolerance on measured mean
 # levels. A tolerance of solvers and meters, not tuned.
 OFF = 1e-3
-# Shares of a step nearer than this are one.
+# Shares of a step nearer than this are one: rounding.
 _SAME = 1e-6
 
 
@@ -59,9 +59,12 @@ class ActuationConfig(StrictModel):
         "the planned temperature (test cases of that kind)",
     )
     level: float = Field(1.0, gt=0, le=1, description="duty: level while on")
+    # Five minutes, three blocks a step: half of the shortest times below.
     block_s: float = Field(300.0, ge=30, description="duty: on and off times are multiples of this, s")
+    # Compressors are kept from short cycles by 3 to 10 minutes, as their makers ask: the longest of these.
     min_on_s: float = Field(600.0, ge=0, description="duty: minimum on time, s")
     min_off_s: float = Field(600.0, ge=0, description="duty: minimum off time, s")
+    # Inverters of heat pumps go down to a quarter or a third of full power, which is the usual range.
     lowest_level: float = Field(
         0.3,
         ge=0,

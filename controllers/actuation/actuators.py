@@ -115,7 +115,7 @@ class PowerRoom:
         return 0.0 if excess_W(0.0) >= 0.0 else float(brentq(excess_W, 0.0, 1.0, xtol=_SAME_LEVEL))
 
 
-# Two instants nearer than this are one, s.
+# Two instants nearer than this are one, s: rounding.
 _SAME_S = 1e-6
 # Least capacity of a machine, so that nothing is divided by 0.
 _LEAST = 1e-6

@@ -18,7 +18,8 @@ from thermoforce_mpc.data import Array, Block
 _MOVES_K = 0.3
 # A loop slows down before it is there: factor on the time at full level.
 _SLOWS = 1.25
-# A loop that worked at its bound in the last step, at this level or more, is taken to go on within this distance, K.
+# A loop that worked at its bound in the last step, at this level or more, is taken to go on within this distance, K:
+# that of `_MOVES_K`.
 _WORKED, _AT_BOUND_K = 0.01, 0.3
 
 

@@ -24,7 +24,8 @@ from thermoforce_mpc.data import Array
 # Ends of runs are moved by these shares of the longer minimum time, and new runs put in at every one of the last. Plans
 # of a day in steps of 15 min with 2 h of minimum times then take 6 s (2026-11-28).
 _MOVES, _PUT_IN = (1.0, 0.5, 0.25, 0.125, 0.0625), 0.5
-# Costs evaluated for one actuator, at most, and the least gain that counts, as a share of the cost.
+# Costs evaluated for one actuator, at most (the 6 s above are of so many), and the least gain that counts, as a share
+# of the cost: less is rounding of a solver.
 _MOST_TRIES, _GAIN = 3000, 1e-6
 
 

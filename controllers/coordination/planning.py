@@ -18,7 +18,7 @@ from controllers.mpc.config import MPCConfig
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem
 from controllers.optimisation.programme import QPData
-from controllers.optimisation.solution import Solution, Solve, SolverAnswer, checked, failed
+from controllers.optimisation.solution import OF_WORTH, Solution, Solve, SolverAnswer, checked, failed
 from controllers.optimisation.solvers.qp import Piqp, QPConfig, QPSolver
 from controllers.optimisation.statement.terms import PlanExpressions
 from thermoforce_mpc.data import Array, Observation
@@ -90,8 +90,6 @@ class SharedPower:
 # Power above its part of the limit that a checked plan may have, kW: a solver's tolerance. The programme's limit is
 # lower by as much for each building.
 LIMIT_TOLERANCE_KW = 1e-5
-# Share of what plans consist of within which they are the optimum.
-_OF_TERMS = 1e-4
 
 
 def power_of_steps(plan: PlanExpressions) -> None:
@@ -194,7 +192,7 @@ def _solved(members: Sequence[Member], shared: SharedPower, config: QPConfig) ->
         return None
     above = programme.above_least(found.x, found.multipliers)
     terms = programme.unit * float(np.abs(programme.linear * found.x).sum())
-    why = "" if above <= _OF_TERMS * terms else f"all plans together may cost {above:.3g} more than others"
+    why = "" if above <= OF_WORTH * terms else f"all plans together may cost {above:.3g} more than others"
     return np.split(found.x, np.cumsum([member.programme.linear.size for member in members]))[:-1], why
 
 

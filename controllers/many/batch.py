@@ -24,7 +24,7 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 # Buildings whose computations are open at a time. What a forecaster holds for 128 stays in the process: 128 houses took
 # 748 MB at the peak of their first plans, and 388 by 8 at a time, in a tenth less processor time (2026-11-28).
 AT_A_TIME = 8
-# Calls that may be left behind at a time. By judgement: each holds a thread.
+# Calls that may be left behind at a time: each holds a thread, so that a service that hangs cannot take all memory.
 _ABANDONED = 16
 
 PlanRequest = tuple[str, Observation, object]

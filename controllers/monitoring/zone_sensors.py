@@ -26,7 +26,8 @@ from pydantic import Field
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.data.dataframes import compose
-from thermoforce_mpc.data.limits import RULES
+from thermoforce_mpc.data.limits import RULES, SENSOR_STEP_K
+from thermoforce_mpc.model.card import JUDGED_H
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.screening import implausible_zone
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -38,7 +39,7 @@ class SensorConfig(StrictModel):
     """Which readings of a zone sensor are believed."""
 
     enabled: bool = Field(True, description="judge the readings of zone sensors by the model")
-    # Readings below and above are not believed, °C.
+    # Readings below and above are not believed, °C: range and reason stand in `data.limits`.
     lowest_C: ClassVar[float] = _RULE.range[0]
     highest_C: ClassVar[float] = _RULE.range[1]
     # Distance from the prediction within which a reading is always believed, K; more where the record changes by more
@@ -49,9 +50,10 @@ class SensorConfig(StrictModel):
         gt=0,
         description="shortest time after which a reading that repeats itself may be a stuck sensor, h",
     )
-    # Time for which the model stands in for readings that are not believed, h.
-    bridge_h: ClassVar[float] = 6.0
-    # Time after which steady readings are believed again, wherever they are, h.
+    # Time for which the model stands in for readings that are not believed, h: it is judged no further ahead.
+    bridge_h: ClassVar[float] = JUDGED_H[-1]
+    # Time after which steady readings are believed again, wherever they are, h: a sensor that is right then has seen
+    # all of a day.
     return_h: ClassVar[float] = 24.0
 
 
@@ -107,7 +109,7 @@ class Sensed:
 _TIMES_RECORD, _BANDS = 2.0, 3.0
 # A reading that repeats itself is frozen where the model is off by its resolution and this many half-widths of the 80 %
 # band, at least this, K; whatever the record showed, where it is off by the second pair.
-_FROZEN_BANDS, _FROZEN_K, _SURELY_BANDS, _SURELY_K = 2.0, 0.1, 4.0, 0.5
+_FROZEN_BANDS, _SURELY_BANDS, _SURELY_K = 2.0, 4.0, 0.5
 # After `bridge_h` a sensor that had been silent or frozen is accepted within this of the prediction, K. By judgement: a
 # room left alone for a day.
 _AFTER_SILENCE_K = 5.0
@@ -256,7 +258,7 @@ class Sensor:
         if not moved.size:
             return repeated, ""
         plausible = repeated <= _longest_run(np.diff(before) == 0)
-        bands, least_K = (_SURELY_BANDS, _SURELY_K) if plausible else (_FROZEN_BANDS, _FROZEN_K)
+        bands, least_K = (_SURELY_BANDS, _SURELY_K) if plausible else (_FROZEN_BANDS, SENSOR_STEP_K)
         courses = np.array([record.predicted(i) for i in range(same.size - repeated, same.size)])
         beyond_K = np.abs(courses[:, 0] - y) - bands * courses[:, 1] - moved.min() - least_K
         if not (beyond_K > 0.0).any():

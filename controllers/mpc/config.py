@@ -19,6 +19,7 @@ from controllers.optimisation.solvers.sqp import SQPConfig
 from controllers.safety.fallback_policy import FallbackConfig
 from controllers.safety.overrides import GateConfig, GuardConfig
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data.clock import PLAN_H, PLAN_STEP_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.registry import check_free_response, own_options
 from thermoforce_mpc.scenario.bill import Bill
@@ -61,6 +62,8 @@ _AREA_M2 = 192.0
 class ObjectiveConfig(StrictModel):
     """Weights of the objective besides energy cost at the tariff."""
 
+    # 5 currency/(K·h) of BOPTEST's heat pump, 192 m², with which it was first run (2026-11-21); `tf-mpc sweep` shows
+    # what others give.
     comfort_weight_per_m2: float = Field(
         0.026,
         gt=0,
@@ -127,12 +130,13 @@ def objective_of(bill: Bill, peak_kW: float = 0.0) -> dict[str, Any]:
 class DeadlineConfig(StrictModel):
     """Wall time after which a step goes on without an answer; the call is left behind."""
 
+    # Forecasts take milliseconds (`tf-mpc bench controller`), first ones, which load a network, seconds: only one that
+    # hangs meets it.
     forecast_s: float = Field(60.0, gt=0, description="free forecasts of all zones of a step, s")
     # Solve of a step, s: thrice the longest that a solver of ours takes by its own limit, so that only one that hangs
-    # meets it.
+    # meets it. A look for sun on the zone sensors, at night, may take as long.
     solve_s: ClassVar[float] = 60.0
-    # Look for sun on the zone sensors, at night, s.
-    look_s: ClassVar[float] = 60.0
+    look_s: ClassVar[float] = solve_s
 
 
 class MoveBlockingConfig(StrictModel):
@@ -148,9 +152,13 @@ class MoveBlockingConfig(StrictModel):
 class MPCConfig(StrictModel):
     """Options of the MPC."""
 
-    step_s: float | None = Field(900.0, ge=300, le=14400, description="control step, s; null: the step of the model")
-    horizon_h: float = Field(48.0, gt=0, le=168, description="prediction horizon, h")
+    step_s: float | None = Field(
+        PLAN_STEP_S, ge=300, le=14400, description="control step, s; null: the step of the model"
+    )
+    horizon_h: float = Field(PLAN_H, gt=0, le=168, description="prediction horizon, h")
+    # By judgement, with the first plans of BOPTEST's heat pump (2026-11-21): readings and solvers round by as much.
     comfort_margin_K: float = Field(0.02, ge=0, le=2, description="margin inside both comfort bounds, K")
+    # By judgement, with the first plans of BOPTEST's heat pump (2026-11-21): one forecast in four may be too warm.
     backoff_level: float = Field(
         0.25,
         gt=0,
@@ -162,7 +170,8 @@ class MPCConfig(StrictModel):
     # Largest expected violation of a bound, K, mean over the next 6 h: the chance levels are lowered until it holds,
     # which matters where forecasts are uncertain.
     backoff_violation_K: ClassVar[float] = 0.0135
-    # Largest back-off from a comfort bound, K.
+    # Largest back-off from a comfort bound, K. By judgement: twice what a thermostat keeps (`THERMOSTAT_INSIDE_K`),
+    # since beyond it a plan would be warmer than people set by hand.
     backoff_max_K: ClassVar[float] = 0.6
     corrections: bool = Field(
         True,
@@ -170,7 +179,8 @@ class MPCConfig(StrictModel):
         "fast zone a reserve is kept inside the bound that actuation protects, for what happens within a step (swing "
         "of on/off blocks and model error, at most 0.3 K; of a coarse sensor at least half a step)",
     )
-    # Time over which the mean error of one-step predictions is forgotten, h.
+    # Time over which the mean error of one-step predictions is forgotten, h: a machine gives what it gives for hours.
+    # With it a radiator's zone no longer sat 0.05 K below its bound all night (2026-11-22).
     offset_h: ClassVar[float] = 6.0
     unused_capacity: bool = Field(
         True, description="leave a share of a machine that several feed on unused, where it was found at its limit"

@@ -18,7 +18,7 @@ from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import ZONE
 
-# Levels that a loop at the comfort bound is tried with.
+# Levels that a loop at the comfort bound is tried with: every 5 %, between which meters do not tell.
 _LEVELS = 21
 # A law gives the level of an actuator (its number) in a step (its number) from the temperatures at its start (Z,), °C,
 # the forced state (Z, A, r), K, and the levels so far (A, N).

@@ -42,10 +42,13 @@ from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Observation, Record
+from thermoforce_mpc.data.boundary import SET_BACK_K
 from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.machine.load import LACKING, LEVEL_EDGE
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K
 
 # Calibrated quantile level from which the standard deviation is computed.
 _SPREAD_LEVEL = 0.1
@@ -116,8 +119,6 @@ _SHARE = 0.35
 # Share of the held-out error one hour ahead: half of it is felt below the bound. Set with `_SHARE` on generated houses,
 # whose light zones were below the bound between the ends of steps (2026-11-22).
 _ERROR_SHARE = 0.5
-# Most that is reserved, K: what a thermostat keeps above its bound. Beyond, comfort costs more than a thermostat's.
-_MOST_K = 0.3
 
 
 def is_fast(operator: OperatorParameters) -> bool:
@@ -143,7 +144,8 @@ def reserve_K(operator: OperatorParameters, actuation: Actuation, card: ModelCar
     verdict = card.competence
     errors = [score.model_K for score in verdict.horizons if score.hours == 1.0] if verdict else []
     needed_K = _swing_K(operator, actuation) + _ERROR_SHARE * sum(errors)
-    return min(needed_K, _MOST_K) if math.isfinite(needed_K) else _MOST_K
+    # More than a thermostat keeps would make comfort cost more than a thermostat's.
+    return min(needed_K, THERMOSTAT_INSIDE_K) if math.isfinite(needed_K) else THERMOSTAT_INSIDE_K
 
 
 def _swing_K(operator: OperatorParameters, actuation: Actuation) -> float:
@@ -181,9 +183,6 @@ OF_LOOPS = Learning(4.0, 1.0, 0.001)
 # Share of the room to spare of a day that is given back, and how far beyond its margin a zone was near a
 # bound, K; by judgement (2026-11-25).
 _GIVEN_BACK, _NEAR_K = 0.5, 0.15
-# How much wider than at its tightest a bound is set back, and by how much one gets tighter that begins, K; set on
-# seven days of the small office, `peak_heat_day` and `cold_day` (1.71 and 2.03 K·h, before 2.27 and 2.51; 2026-11-23).
-_SET_BACK_K = 0.5
 # Most that a bound is anticipated by where it begins, K: by judgement, offices of `bench buildings` at hand
 # (2026-11-25); what lacks more is a machine at its limit.
 _MOST_RECOVERY_K = 1.0
@@ -241,7 +240,7 @@ class LearnedMargin:
     @staticmethod
     def begins(before_C: Array, bounds_C: Array) -> NDArray[np.bool_]:
         """Where a lower and an upper bound (2, …), °C, are tighter than before."""
-        return np.stack([bounds_C[0] - before_C[0], before_C[1] - bounds_C[1]]) > _SET_BACK_K
+        return np.stack([bounds_C[0] - before_C[0], before_C[1] - bounds_C[1]]) > SET_BACK_K
 
     def at_begin_K(self, z: int, now_C: Array, bounds_C: Array, unsure_K: Array) -> Array:
         """Reserve inside the bounds (2, N) of zone `z`, °C, where they begin, K; 0 elsewhere.
@@ -279,7 +278,7 @@ class LearnedMargin:
         There loops cycle at low load, and a reserve costs little. The instants ahead do not tell: a weekend is longer.
         """
         tightest_C = self.tightest_C[:, z]
-        return np.stack([lower_C < tightest_C[0] - _SET_BACK_K, upper_C > tightest_C[1] + _SET_BACK_K])
+        return np.stack([lower_C < tightest_C[0] - SET_BACK_K, upper_C > tightest_C[1] + SET_BACK_K])
 
     def inside_K(self, z: int, lower_C: Array, upper_C: Array, *, by_loops: bool) -> Array:
         """Reserve inside the bounds (N,) of zone `z`, (2, N), K; `by_loops`: only where they are set back."""
@@ -364,10 +363,6 @@ class Innovations:
         return self.count * xe / noise / precision, precision**-0.5
 
 
-# Heat below this share of what the level stands for is lacking. Set with the changes per hour below on
-# `house:3rooms:60` and `house:5rooms`, whose cold weeks they took from 4.65 to 0.19 and from 0.34 to 0.21 K·h
-# (2026-11-22).
-_LACKING = 0.8
 # Plans ask for all that they may from this share of it; a machine is at its limit from this share of its capacity:
 # below, a warm floor takes less than its level stands for.
 _ALL_ASKED, _AT_LIMIT, _MORE_THAN_ALL = 0.85, 0.92, 1.05
@@ -392,7 +387,7 @@ def learned_share(
         return before + _TAKEN_OVER * (1.0 - given - before)
     if load < _ALL_ASKED * (1.0 - before):
         return before
-    lacking = (np.abs(heat_W) < _LACKING * np.abs(expected_W)) & (u >= _LEAST_LEVEL)
+    lacking = (np.abs(heat_W) < LACKING * np.abs(expected_W)) & (u >= _LEAST_LEVEL)
     at_limit = given >= _AT_LIMIT * (1.0 - min(before, 0.0))
     rate = _GROWTH_1_H if at_limit and lacking.any() else -_FADING_1_H
     return float(np.clip(before + rate * step_s / HOUR_S, min(before, 0.0), _MOST))
@@ -431,8 +426,6 @@ _FULLY_USED = 0.95
 _OTHER_LEVELS = (0.05, 0.3)
 # Hours before a bound begins in which a recovery could have begun: those of a setback by night, by judgement.
 _BEFORE_H = 12.0
-# Levels that differ by less are the same: rounding of an actuator (`LEVEL_EDGE` of `model.machine.load`).
-_SAME_LEVEL = 0.02
 # Largest offset added to a prediction, K: beyond, the model is wrong rather than off, which the watch tells. The
 # radiators' zones for which offsets were made sat 0.05 K below their bound (2026-11-22).
 _OFFSET_K = 0.3
@@ -635,7 +628,7 @@ class MarginRules:
         for z in range(change_K.size):
             own = self._layout.actuators_of(z)
             first_K = np.array([float(operator.of_actuator(a).impulse(1)[0]) for a in own])
-            same = np.abs(u[own, 1] - good.u[own, 0]) <= _SAME_LEVEL
+            same = np.abs(u[own, 1] - good.u[own, 0]) <= LEVEL_EDGE
             if own and same.all():
                 change_K[z] = first_K @ (u[own, 1] - u[own, 0])
         return change_K

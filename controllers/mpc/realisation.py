@@ -18,6 +18,7 @@ from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
 from controllers.safety.overrides import ComfortGuard, Override, Situation, unplanned_status
 from thermoforce_mpc.data import Array, Block, Plan, PlanStatus
 from thermoforce_mpc.data.plan import UNDECIDED
+from thermoforce_mpc.model.machine.load import LEVEL_EDGE
 
 # From the first rung to the last: of several actuators the plan is named after the lowest.
 _LADDER = (
@@ -30,10 +31,6 @@ _LADDER = (
 )
 # Of several overrides the plan is named after the first of these.
 _FIRST_NAMED = (PlanStatus.WATCH, PlanStatus.GATE, PlanStatus.NATIVE, PlanStatus.THERMOSTAT)
-
-
-# How far from off and full the level counts that a command inside its limits is answered with. By judgement.
-_NOT_AN_END = 0.01
 
 
 def _told(blocks: Sequence[Block]) -> set[object]:
@@ -76,7 +73,7 @@ class Realisation:
         for a, ends in by_command.items():
             if a in planned and not any({block.command[a] for block in begun.blocks} == _told(end) for end in ends):
                 # Its loop may give all there is at another command too, as long as the room stays as it is.
-                planned[a] = min(max(planned[a], _NOT_AN_END), 1.0 - _NOT_AN_END)
+                planned[a] = min(max(planned[a], LEVEL_EDGE), 1.0 - LEVEL_EDGE)
         guarded = self._guard.overrides(replace(situation, planned=planned))
         if not guarded:
             return begun

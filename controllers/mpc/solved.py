@@ -26,11 +26,10 @@ from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, HotWaterPlan, Plan
 from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL
+from thermoforce_mpc.model.machine.load import LEVEL_EDGE
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import ZONE
 
-# Share of its highest level within which an actuator is taken to be at a limit. Of words only; by judgement.
-_NEARLY = 0.02
 # Share of full level from which a plan makes loops work. By judgement.
 _WORKS_FROM = 0.5
 # A bound nearer than this is reported as binding, K. Of words only; by judgement.
@@ -188,7 +187,8 @@ def first_demands(
         if not actuation.by_rooms:
             # A plan that takes all that it counts with wants all that there is.
             most = 1.0 if most_u is None else float(most_u[a, 0])
-            demands.append(actuation.highest if (1.0 - _NEARLY) * most <= u < most + _NEARLY < actuation.highest else u)
+            all_of_it = (1.0 - LEVEL_EDGE) * most <= u < most + LEVEL_EDGE < actuation.highest
+            demands.append(actuation.highest if all_of_it else u)
             continue
         lower_C, upper_C = boundary.lower_C[z, :1], boundary.upper_C[z, :1]
         inside_K = config.comfort_margin_K + learned.inside_K(z, lower_C, upper_C, by_loops=True)[:, 0]
@@ -285,7 +285,7 @@ def _cannot_be_avoided(
     with_it = np.array(operator.signs, dtype=np.float64)[own] == sign
     most = np.where(with_it, limits.u_max[own], limits.u_min[own])
     left = np.abs(u[own] - most[:, None])
-    spent = (left <= _NEARLY * limits.u_max[own, None]) | with_it[:, None] & _at_capacity(problem, u)[own]
+    spent = (left <= LEVEL_EDGE * limits.u_max[own, None]) | with_it[:, None] & _at_capacity(problem, u)[own]
     if spent.all():
         return "cannot be avoided at full power" if most.any() else "cannot be avoided with nothing on"
     # What is left of each step, until its effect comes due at the end of the last.
@@ -300,5 +300,5 @@ def _at_capacity(problem: MPCProblem, u: Array) -> NDArray[np.bool_]:
     machinery = problem.machinery
     capacity = np.ones(problem.power_fixed_W.shape) if problem.capacity is None else problem.capacity
     load = machinery.fed_by @ (machinery.share[:, None] * u)
-    full = load >= (1.0 - _NEARLY) * capacity[:, : u.shape[1]]
+    full = load >= (1.0 - LEVEL_EDGE) * capacity[:, : u.shape[1]]
     return np.asarray(machinery.shared[machinery.machine_of, None] & full[machinery.machine_of])

@@ -34,16 +34,18 @@ _CHARGES, _KEPT, _TARGETS = 3, 24, 3
 # At which shares of that price ways are looked for. Beside all sets of up to three charges, each with its plan of the
 # rooms, the sum of eight drawn tanks, prices and weathers (2026-11-28) was at most 1.4 % more, below 0.2 % in six.
 PRICE_SHARES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
-# Days of ten on which the tank may be below what is wanted. By judgement: one in ten.
+# Days of ten on which the tank may be below what is wanted. By judgement: one in ten, as `bench hot-water` runs it
+# (2026-11-28).
 _COLD_DAYS = 0.1
 # What a K·h below what is wanted costs, in kelvin of the tank at the dearest price: a tank that is 1 K too cold for an
-# hour is charged at any price. By judgement.
+# hour is charged at any price. By judgement, as `bench hot-water` runs it (2026-11-28).
 _DISCOMFORT_K = 10.0
 # A change of the command costs this share of a kelvin of the tank: of ways that are alike the quieter one.
 _CHANGE_K = 0.05
-# A share of a step below which the rooms do not feel the tank, and longest time for which a charge is asked for, h.
+# A share of a step below which the rooms do not feel the tank, and longest time for which a charge is asked for, h:
+# longer than a home's tank takes for all of its water.
 _FELT, _LONGEST_H = 0.01, 6.0
-# Commands of a tank are between ice and steam, °C.
+# Commands of a tank are between ice and steam, °C: beyond, unit or map is wrong.
 _SENSIBLE_C = (1.0, 98.0)
 
 
@@ -208,7 +210,7 @@ class TankWays:
             most = np.array([command.most_change(one) for one in now_s - since])
             wanted = np.clip(values[:, k], last - most, last + most)
             if isinstance(command, StepwiseCommand):
-                wanted = np.where(most < np.inf, np.round(wanted / command.resolution) * command.resolution, wanted)
+                wanted = np.where(most < np.inf, command.nearest(wanted), wanted)
             out[:, k] = np.where(held, last, wanted)
             since = np.where(np.abs(out[:, k] - last) > SAME, now_s, since)
             last = out[:, k]

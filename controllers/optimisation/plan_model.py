@@ -144,7 +144,8 @@ def _like(pattern: sparse.csc_matrix, values: Array) -> sparse.csc_matrix:
     return matrix
 
 
-# Level from which a solve without a guess starts, as a share of the highest. Of iterations only; by judgement.
+# Level from which a solve without a guess starts, as a share of the highest: the mean level of a heating season; of
+# iterations only.
 _START = 0.3
 
 

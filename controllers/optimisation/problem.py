@@ -375,5 +375,6 @@ class MPCProblem:
         return ""
 
 
-# Largest violation of u_min ≤ u ≤ u_max accepted as a solver's bound relaxation.
+# Largest violation of u_min ≤ u ≤ u_max accepted: Ipopt relaxes bounds by 1e-8 of 1, others keep them to their
+# tolerance of 1e-7.
 BOUND_TOLERANCE = 1e-6

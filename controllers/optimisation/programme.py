@@ -13,10 +13,12 @@ from thermoforce_mpc.data import Array
 if TYPE_CHECKING:
     from scipy import sparse
 
-# Bounds from here on are as good as none beside the numbers of a plan, which are of the size of 1 to 1000.
+# Bounds from here on are as good as none beside the numbers of a plan, which are of the size of 1 to 1000: left in,
+# they would rule what a solver scales by.
 FAR = 1e6
-# How far from where it is a variable without a near bound may be in a better plan, as a multiple of its size. Such a
-# bound must not be active; by judgement.
+# How far from where it is a variable without a near bound may be in a better plan, as a multiple of its size: one of a
+# user's term that runs away is no plan. By judgement, on the problems that are hard of `tests/controllers/optimisation`
+# (2026-11-28).
 _REACH = 10.0
 
 

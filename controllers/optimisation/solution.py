@@ -17,7 +17,7 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 
 # Two costs are the same within this share of what they consist of: of all but discomfort, of energy at full level, and
 # of discomfort, beside which even at extreme weights prices are to be seen.
-_OF_WORTH, _OF_FULL, _OF_DISCOMFORT = 1e-4, 1e-5, 1e-10
+OF_WORTH, _OF_FULL, _OF_DISCOMFORT = 1e-4, 1e-5, 1e-10
 # And within as many kelvin at the end of every step, which is what rounding leaves of a temperature.
 _ROUNDING_K = 1e-12
 # By how much a solver may leave bounds and rows: what that is worth, its objective may be off. Ipopt relaxes bounds by
@@ -229,7 +229,7 @@ class _Sizes:
         discomfort = found.parts["discomfort"]
         others = sum(map(abs, found.parts.values())) - discomfort
         full, rounding = float(np.abs(self._full.energy_cost).sum()), _ROUNDING_K * self._comfort
-        return _OF_WORTH * others + _OF_FULL * full + _OF_DISCOMFORT * discomfort + rounding + self._curvature
+        return OF_WORTH * others + _OF_FULL * full + _OF_DISCOMFORT * discomfort + rounding + self._curvature
 
     def claim(self, found: Evaluation, nearby: QPData, multipliers: Array) -> float:
         """What a solver's objective may differ by from the cost of its levels, currency."""
@@ -239,7 +239,7 @@ class _Sizes:
     @staticmethod
     def of_all(found: Evaluation) -> float:
         """A coarser difference, of all that levels cost, currency."""
-        return _OF_WORTH * sum(map(abs, found.parts.values()))
+        return OF_WORTH * sum(map(abs, found.parts.values()))
 
 
 def _not_shown(model: PlanModel, sizes: _Sizes, found: Evaluation, nearby: QPData, answer: SolverAnswer) -> str:

@@ -190,6 +190,7 @@ def of_bins(number: int, bins: int, low: NDArray[Any], high: NDArray[Any]) -> Ar
 
 
 ALGORITHMS = ("A2C", "DDPG", "DQN", "PPO", "SAC", "TD3")
+# A settings file has some kilobytes; one that is longer cannot be one, and would fill the memory.
 _MOST_BYTES = 1_000_000
 
 

@@ -16,6 +16,7 @@ from thermoforce_mpc.scenario.testcase import TestCase
 class NativeConfig(StrictModel):
     """Options of the native controller."""
 
+    # Nothing is decided, so that it only says how often a journal is written.
     step_s: float = Field(3600.0, ge=60, le=86400, description="control step, s")
 
 

@@ -20,7 +20,8 @@ from controllers.actuation.actuator import Actuation, ActuationConfig, Actuation
 from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError, check_later, checked_state
 from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
-from thermoforce_mpc.scenario.comfort import Comfort
+from thermoforce_mpc.data.clock import PLAN_STEP_S
+from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K, Comfort
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.testcase import TestCase
 
@@ -28,17 +29,25 @@ from thermoforce_mpc.scenario.testcase import TestCase
 class PIConfig(StrictModel):
     """Options of the PI controller."""
 
+    # Full output at 1 K: half the band of 2 K in which valves of radiators are rated (EN 215).
     kp: float = Field(1.0, gt=0, le=100, description="proportional gain, level per kelvin")
+    # The hours in which a heated floor answers; by judgement, with BOPTEST's heat pump (2026-11-21).
     ti_s: float = Field(10800.0, ge=60, description="integral time, s")
     offset_K: float = Field(
-        0.3, ge=-5, le=10, description="set-point above the lower comfort bound (cooling: below the upper), K"
+        THERMOSTAT_INSIDE_K,
+        ge=-5,
+        le=10,
+        description="set-point above the lower comfort bound (cooling: below the upper), K",
     )
+    # By judgement: what a heated floor needs to be ahead of a bound that tightens, as that of BOPTEST's heat pump
+    # (2026-11-21).
     lead_h: float = Field(
         2.0, ge=0, le=24, description="lead time with which a tighter bound is followed in advance, h"
     )
+    # Half of `lowest_level`: rounded to the nearer of off and that.
     off_below: float = Field(0.15, ge=0, lt=1, description="output below which the machine is off, share of full")
     actuation: ActuationConfig = ActuationConfig()
-    step_s: float = Field(900.0, ge=300, le=86400, description="control step, s")
+    step_s: float = Field(PLAN_STEP_S, ge=300, le=86400, description="control step, s")
     mode: Literal["heating", "cooling"] = Field(
         "heating", description="heating follows the lower comfort bound, cooling the upper"
     )

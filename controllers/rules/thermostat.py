@@ -11,12 +11,10 @@ from pydantic import Field
 
 from controllers.checks import check_names, checked_state
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Layout, Observation, Plan, PlanStatus
-from thermoforce_mpc.scenario.comfort import Comfort
+from thermoforce_mpc.data.clock import PLAN_STEP_S
+from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K, Comfort
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.testcase import TestCase
-
-# Distance of a set-point from the bound, K: that of the defaults from BOPTEST's bounds. By judgement.
-_INSIDE_K = 0.3
 
 
 class Setback(StrictModel):
@@ -26,6 +24,7 @@ class Setback(StrictModel):
     to_hour: float = Field(
         ge=0, le=24, description="hour of day at which it ends; earlier than from_hour: on the next day"
     )
+    # Of BOPTEST's schedules, since these have no other.
     weekend_days: tuple[int, ...] = Field((4, 5), description="days of the year modulo 7 without setback (BOPTEST)")
 
     def active(self, time_s: float) -> bool:
@@ -41,17 +40,20 @@ class Setback(StrictModel):
 class ThermostatConfig(StrictModel):
     """Options of the on/off thermostat. Defaults are the reference thermostat of this test case."""
 
+    # As far inside BOPTEST's bounds of 21 and 24 °C as `THERMOSTAT_INSIDE_K`.
     setpoint_C: float = Field(21.3, ge=0, le=40, description="centre of the dead band, °C")
     setpoints_C: dict[str, float] = Field(
         default_factory=dict,
         description="centre of the dead band of single actuators, by name, °C; `setpoint_C` otherwise",
     )
+    # See `setpoint_C`.
     cooling_setpoint_C: float = Field(
         23.7, ge=0, le=40, description="set-point of cooling where the plant's own loops heat and cool a zone, °C"
     )
+    # A sensor's step to either side (`SENSOR_STEP_K` of `data.limits`): less would be its rounding.
     deadband_K: float = Field(0.1, gt=0, le=5, description="half-width of the dead band, K")
     level: float = Field(1.0, gt=0, le=1, description="level while on")
-    step_s: float = Field(900.0, ge=60, le=86400, description="control step, s")
+    step_s: float = Field(PLAN_STEP_S, ge=60, le=86400, description="control step, s")
     min_on_s: float = Field(0.0, ge=0, le=86400, description="shortest time for which a machine stays on, s")
     min_off_s: float = Field(0.0, ge=0, le=86400, description="shortest time for which it stays off, s")
     mode: Literal["heating", "cooling"] = Field(
@@ -93,8 +95,8 @@ def thermostat_for(testcase: TestCase, comfort: Comfort | None, options: Mapping
 def _set_points(comfort: Comfort, layout: Layout) -> dict[str, Any]:
     """Set-points inside the strictest bounds of each zone: a thermostat cannot heat ahead of a bound that rises."""
     bounds_C = comfort.strictest_C(layout.names.zones)
-    heating = [round(lower + _INSIDE_K, 2) for lower, _ in bounds_C]
-    cooling = [round(upper - _INSIDE_K, 2) for _, upper in bounds_C]
+    heating = [round(lower + THERMOSTAT_INSIDE_K, 2) for lower, _ in bounds_C]
+    cooling = [round(upper - THERMOSTAT_INSIDE_K, 2) for _, upper in bounds_C]
     acting = zip(layout.names.actuators, layout.home, layout.signs, strict=True)
     set_points = {name: (heating if sign > 0 else cooling)[home] for name, home, sign in acting}
     return {"setpoints_C": set_points, "cooling_setpoint_C": max(*heating, min(cooling))}

@@ -11,13 +11,18 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation
+from thermoforce_mpc.data.limits import SENSOR_STEP_K
+from thermoforce_mpc.model.card import FAR_K
+from thermoforce_mpc.model.free_response.substitute import COLD_AFTER
+from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K
 from thermoforce_mpc.scenario.settings import StrictModel
 
-# Set-points of the on/off rule stay within this, whatever the bounds say, °C. No building is wanted colder or warmer.
+# Set-points of the on/off rule stay within this, whatever the bounds say, °C: below, pipes would freeze; above, no
+# building is wanted.
 _RULE_C = (5.0, 35.0)
-# A plan is followed while its error is within this many half-widths of its 80 % band, or within this, K. By judgement
+# A plan is followed while its error is within this many half-widths of its 80 % band. By judgement
 # (2026-11-22): beyond, the plan is of another weather or machine.
-_TRUSTED_BANDS, _LEAST_TRUST_K = 3.0, 0.1
+_TRUSTED_BANDS = 3.0
 
 
 class FallbackConfig(StrictModel):
@@ -28,20 +33,21 @@ class FallbackConfig(StrictModel):
         description="who acts while the model is not competent or does not hold: the plant's own control, or the on/off"
         " rule",
     )
-    # Steps for which the previous plan is followed.
+    # Steps for which the previous plan is followed: three quarters of an hour, in which weather and people are still
+    # those it was made for. By judgement; `tf-mpc bench fallback` runs with it.
     follow_steps: ClassVar[int] = 3
-    # The previous plan is dropped when its predicted zone temperature is off by more, K (as the guard's margin), or by
+    # The previous plan is dropped when its predicted zone temperature is off by more, K, or by
     # three times the half-width of its own 80 % band.
-    trust_K: ClassVar[float] = 1.0
+    trust_K: ClassVar[float] = FAR_K
     # On/off rule: set-point above the lower bound (cooling: below the upper), K.
-    setpoint_above_bound_K: ClassVar[float] = 0.3
+    setpoint_above_bound_K: ClassVar[float] = THERMOSTAT_INSIDE_K
     # On/off rule: window ahead over which the tightest bound is taken, h.
     look_ahead_h: ClassVar[float] = 3.0
     # On/off rule: set-points of heating and of cooling where comfort bounds are missing, °C: in a home the lower limit
     # of category II in winter, and about the upper one of category I in summer (EN 16798-1: 20 and 25.5).
     safe_C: ClassVar[tuple[float, float]] = (20.0, 25.0)
     # Consecutive failures after which forecasts and solves begin anew, without what they kept.
-    cold_after: ClassVar[int] = 3
+    cold_after: ClassVar[int] = COLD_AFTER
 
 
 @dataclass(frozen=True)
@@ -89,7 +95,7 @@ class FallbackPolicy:
         if not math.isfinite(planned_C):
             return None
         error_K = abs(float(observation.T_zone_C[self.zone]) - planned_C)
-        promised_K = max(_TRUSTED_BANDS * float(good.band_K[self.zone, age - 1]), _LEAST_TRUST_K)
+        promised_K = max(_TRUSTED_BANDS * float(good.band_K[self.zone, age - 1]), SENSOR_STEP_K)
         if math.isfinite(error_K) and error_K > min(self.config.trust_K, promised_K):
             return None
         return min(max(float(good.u[actuator, age]), 0.0), self.level)

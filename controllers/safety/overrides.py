@@ -20,7 +20,7 @@ from controllers.monitoring.zone_sensors import Zones
 from controllers.safety.fallback_policy import FallbackPolicy
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import Layout, Observation, PlanStatus
-from thermoforce_mpc.model.card import MOST_RELATIVE_SD, ModelCard
+from thermoforce_mpc.model.card import FAR_K, MOST_RELATIVE_SD, ModelCard
 from thermoforce_mpc.scenario.settings import StrictModel
 
 
@@ -34,9 +34,8 @@ class GuardConfig(StrictModel):
     """Options of the comfort guard."""
 
     enabled: bool = Field(True, description="override a plan while the zone is far outside the comfort band")
-    # Distance from the band at which the guard acts, K: several times what plans miss (0.3 K at most is kept for that),
-    # and what a person notices. No bench chose it.
-    margin_K: ClassVar[float] = 1.0
+    # Distance from the band at which the guard acts, K.
+    margin_K: ClassVar[float] = FAR_K
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+
 import numpy as np
 import pytest
 
-from benchmarks.constants import by_a_third, constants, in_words, moved
+from benchmarks.constants import by_a_third, constants, in_words, keep, moved
 
 
 @pytest.mark.slow
@@ -43,3 +45,20 @@ def test_what_moved_is_said():
         "house: effect 0.091, model 0, levels 0, cost -0.05, discomfort_Kh 0"
     )
     assert in_words({"house": moved(before, "KeyError: 4")}) == "house: KeyError: 4"
+
+
+@pytest.mark.slow
+def test_a_table_keeps_the_last_run_of_each_constant(tmp_path):
+    file, nothing = (
+        tmp_path / "constants.csv",
+        moved({"cost": 1.0, "discomfort": 0.0}, {"cost": 1.0, "discomfort": 0.0}),
+    )
+    unit, step = "controllers.optimisation.problem.POWER_UNIT_W", "thermoforce_mpc.model.card.FAR_K"
+    row = {"constant": unit, "value": "900.0", "line": 1, "house": nothing}
+    keep([row, row | {"constant": "controllers.gone.NAME"}], ["house"], file)
+    keep([row | {"value": "1000.0"}, row | {"constant": step, "value": "1.0"}], ["house"], file)
+    with file.open(newline="") as lines:
+        found = {line["constant"]: line for line in csv.DictReader(lines)}
+    assert {name: line["value"] for name, line in found.items()} == {unit: "1000.0", step: "1.0"}
+    assert found[unit]["a third more"] == "moves nothing"
+    assert found[unit]["buildings"] == "house"

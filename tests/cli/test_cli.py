@@ -100,6 +100,20 @@ def test_blas_computes_on_one_thread_unless_told_otherwise(given, taken):
     assert done.stdout.splitlines()[-1] == taken
 
 
+def test_a_folder_in_which_nobody_may_look_is_one_message_with_its_path(tmp_path):
+    """Path.exists raises there, in any command that looks for a file (root, as in CI, may look anywhere)."""
+    code = (
+        "import pathlib, sys, thermoforce_mpc.cli as cli\nstat = pathlib.Path.stat\n"
+        "def refused(path, **options):\n    if path.name == 'closed.csv':\n"
+        "        raise PermissionError(13, 'Permission denied', str(path))\n    return stat(path, **options)\n"
+        "pathlib.Path.stat = refused\nsys.argv = ['tf-mpc', 'data', 'map', 'closed.csv']\ncli.main()"
+    )
+    call = [sys.executable, "-c", code]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "Error: closed.csv: Permission denied: ask its owner for the right to it, or name another\n"
+
+
 @pytest.mark.parametrize("error", ["MemoryError()", "RuntimeError('std::bad_alloc')"])
 def test_out_of_memory_is_one_message_and_exit_code_6(error):
     code = f"import thermoforce_mpc.cli as cli\ndef main(**_): raise {error}\ncli.cli.main = main\ncli.main()"

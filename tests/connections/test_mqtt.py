@@ -176,8 +176,9 @@ def test_what_comes_is_recorded_but_for_what_was_retained(connect, broker, tmp_p
         ("z/power", "1,5\n2"), ("z/power", "450"), ("z/other", "1"),
     ):  # fmt: skip
         other.publish(topic, text, qos=1).wait_for_publish(5)
-    file = home.measurements()
-    wait_for("the record", lambda: "450" in file.read_text())
+    file = tmp_path / "r.csv"
+    wait_for("the record", lambda: file.exists() and "450" in file.read_text())
+    assert home.measurements() == file
     table = pd.read_csv(file)
     assert table[["topic", "value"]].astype(str).to_numpy().tolist() == [
         ["z/out", "3.5"], ["z/hall#temperature", "20.25"], ["z/on", "ON"], ["z/power", "450"]
@@ -205,6 +206,38 @@ def test_a_record_that_is_written_to_for_months_keeps_its_days_and_what_comes_me
     first = int(table["value"].iloc[0])
     assert 5 <= first <= 10, "ten days, and a fourth of these at the most beyond"
     assert table["value"].tolist() == list(range(first, 20))
+    other.disconnect()
+    other.loop_stop()
+
+
+@needs_broker
+def test_a_meter_that_speaks_each_second_is_recorded_every_ten_and_its_last_word_always(connect, broker, monkeypatch):
+    """A year of it was 2 GB, read anew in each step; a switch that goes on and off again between is off."""
+    other, now = broker.client(), [pd.Timestamp("2026-01-01 12:00", tz="UTC").to_pydatetime()]
+    monkeypatch.setattr("thermoforce_mpc.connections.mqtt.utc_now", lambda: now[0])
+    home = connect()
+    home.reads(["z/power", "z/on"])
+    home.begin()
+    wait_for("the broker", lambda: home.connected)
+    time.sleep(0.2)
+    seen = []
+    home._hear = lambda topic, text: seen.append(text)
+    for second in range(31):
+        other.publish("z/power", f"{100 + second}", qos=1).wait_for_publish(5)
+        if second in (2, 4):
+            other.publish("z/on", "ON" if second == 2 else "OFF", qos=1).wait_for_publish(5)
+        wait_for("the message", lambda second=second: f"{100 + second}" in seen)
+        wait_for("the switch", lambda second=second: len(seen) == second + 1 + (second >= 2) + (second >= 4))
+        now[0] += pd.Timedelta("1s")
+    table = pd.read_csv(home.measurements())
+    power = table[table["topic"] == "z/power"]
+    assert power["value"].tolist() == ["100", "110", "120", "130"]
+    assert pd.to_datetime(power["time"]).dt.second.tolist() == [0, 10, 20, 30]
+    switch = table[table["topic"] == "z/on"]
+    assert switch["value"].tolist() == ["ON", "OFF"]
+    assert pd.to_datetime(switch["time"]).dt.second.tolist() == [2, 4]
+    with pytest.raises(ConfigError, match="every_s"):
+        connect(every_s=-1)
     other.disconnect()
     other.loop_stop()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import re
 import shlex
+from collections.abc import Iterator
 
 import click
 import pytest
@@ -49,6 +50,38 @@ def test_commands_options_and_modules_are_known(page):
     assert {line: what for line, what in wrong.items() if what} == {}
     for module in _MODULE.findall(page.read_text(encoding="utf-8")):
         assert module in ("venv", "pytest") or importlib.util.find_spec(module), module
+
+
+def commands(command: click.Command = cli) -> Iterator[click.Command]:
+    """A command and all below it."""
+    yield command
+    if isinstance(command, click.Group):
+        for name in command.list_commands(click.Context(command)):
+            yield from commands(command.get_command(click.Context(command), name))
+
+
+def refused(words: list[str]) -> str:
+    """Why the program does not take a call, or nothing; files that are not there are the caller's."""
+    command, name = cli, "tf-mpc"
+    try:
+        while isinstance(command, click.Group) and words and not words[0].startswith("-"):
+            name, command, words = command.resolve_command(click.Context(command, info_name=name), words)
+        command.make_context(name, list(words))
+    except click.exceptions.Exit:  # --help
+        return ""
+    except click.UsageError as error:
+        return "" if error.message.endswith("does not exist.") else error.message
+    return ""
+
+
+def test_examples_of_the_help_are_calls_that_the_program_takes():
+    told = [block for one in commands() for block in re.findall(r"Examples?:\n((?:\s*tf-mpc .*\n?)+)", one.help or "")]
+    said = [line.strip() for block in told for line in block.splitlines() if line.strip()]
+    assert len(said) > 60
+    wrong = {line: refused(shlex.split(line)[1:]) for line in said}
+    assert {line: what for line, what in wrong.items() if what} == {}
+    assert "not in the range" in refused(["bench", "mqtt", "--days", "99"])
+    assert "No such option" in refused(["run", "--nonsense"])
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

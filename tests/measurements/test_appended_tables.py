@@ -10,6 +10,7 @@ import thermoforce_mpc as tf
 from thermoforce_mpc.data.limits import RULES as RULES_OF_SIGNALS
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.load import read_measurements
+from thermoforce_mpc.measurements.tables import appended
 from thermoforce_mpc.model.screening import ReadingLimits, screened_history
 
 RULES = {
@@ -39,6 +40,14 @@ def live(path, rows, now=NOW, rules=RULES, encoding="utf-8"):
 @pytest.fixture
 def path(tmp_path):
     return tmp_path / "log.csv"
+
+
+@pytest.fixture(autouse=True, params=["whole", "in parts"])
+def parts(request, monkeypatch):
+    """Each case with the file read at once, and in parts of a few lines, as a long one is."""
+    if request.param == "in parts":
+        monkeypatch.setattr(appended, "_PART_BYTES", 400)
+    return request.param
 
 
 @pytest.mark.parametrize("behind", ["", "\x00" * 64], ids=["torn", "nul"])
@@ -100,7 +109,7 @@ def test_rows_that_end_with_a_separator_are_rows(path):
         (",21.0,2.3,1,1000\n", "line 194: no time stamp"),
         ("2025-01-11 20:07:00,21.0,2.3,1,1000\n", "comes after 2025-01-11 23:45:00+01:00; 1 such rows: sorted"),
         ("2025-01-11 23:45:00,21.2,2.3,1,1000\n", "stands at"),
-        ("2025-01-11 23:50:00+01:00,21.0,2.3,1,1000\n", "line 194: no time stamp"),
+        ("2025-01-11 23:50:00+01:00,21.0,2.3,1,1000\n", "line 194: its stamp has an offset from UTC, as most have not"),
     ],
     ids=["torn", "joined", "nul", "header", "err", "1970", "2099", "word", "no stamp", "order", "twice", "offset"],
 )

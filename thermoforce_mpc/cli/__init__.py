@@ -133,6 +133,14 @@ def main() -> None:
         words, code = _ENDS[kind]
         click.echo(f"{words}: {safe_text(error, _MOST_SHOWN)}", err=True)
         sys.exit(code)
+    except PermissionError as error:  # also of a folder on the way, in which nobody may look
+        if error.filename is None:
+            raise
+        from boptest_client import safe_text
+
+        where = safe_text(os.fsdecode(error.filename), _MOST_SHOWN)
+        click.echo(f"Error: {where}: {error.strerror}: ask its owner for the right to it, or name another", err=True)
+        sys.exit(2)
     except Terminated as error:
         click.echo("Terminated.", err=True)
         sys.exit(128 + error.number)

@@ -42,6 +42,8 @@ TIMEOUT_S, _KEEPALIVE_S = 10.0, 30
 TAKEN_S = 10.0
 _HEADER = "time,topic,value\n"
 _MOST_PAYLOAD = 100_000
+# A step of control should see some readings of what changes.
+_LONGEST_EVERY_S = 300.0
 # How often a record that is written to for months is looked through for what is too old.
 _KEEP_EVERY = timedelta(days=1)
 
@@ -52,7 +54,8 @@ class MqttActuator(StrictModel):
     topic: str
     release: float | str = Field(description="value that is published when the building is given back")
     payload: str = Field("$value", description="what is published; $value: the value, $until: until when it holds, UTC")
-    scale: float = Field(1.0, gt=0, description="the level or command times this is published")
+    scale: float = Field(1.0, gt=0, description="the level or command times this, and `offset` more, is published")
+    offset: float = Field(0.0, description="of a set-point in °F: scale 1.8 and offset 32")
     options: dict[float, str] = Field(default_factory=dict, description="word in the place of each command")
     retain: bool = Field(False, description="whether the broker keeps it for who subscribes later")
     state: str | None = Field(None, description="topic, or topic#key, that says what the device took: it is waited for")
@@ -73,6 +76,7 @@ class MqttConnection:
         version: str = "5",
         record: Path = Path("mqtt.csv"),
         days: float = 60.0,
+        every_s: float = 10.0,
         prefix: str = "thermoforce-mpc",
         discovery: str | None = "homeassistant",
         forecast: str | OutlookConfig = "tomorrow.csv",
@@ -92,7 +96,8 @@ class MqttConnection:
             ca_file: certificate of the authority that signed it; default: those of the system.
             version: of the protocol, 5 or 3.1.1.
             record: file that what comes is appended to.
-            days: how long it is kept, at least; it is read in each step, so that more of it takes more time.
+            days: how long it is kept, at least.
+            every_s: what comes oftener, as from a meter that says its power each second, is recorded as often as this.
             prefix: of the topics that say what is planned.
             discovery: prefix of Home Assistant's device discovery; null: none.
             forecast: a file of weather, or services, see docs/how-to/forecasts.md.
@@ -102,6 +107,8 @@ class MqttConnection:
             raise ConfigError(f"connection mqtt: host: {host!r}: a name or address alone; port and tls are keys")
         if version not in ("5", "3.1.1"):
             raise ConfigError(f"connection mqtt: version: {version!r}: expected '5' or '3.1.1'")
+        if not 0.0 <= every_s <= _LONGEST_EVERY_S:
+            raise ConfigError(f"connection mqtt: every_s: {every_s:g}: expected 0 to {_LONGEST_EVERY_S:g} s")
         if discovery is not None and not _plain_topic(discovery):
             raise ConfigError(f"connection mqtt: discovery: {discovery!r} is no topic")
         if not _plain_topic(prefix):
@@ -128,6 +135,8 @@ class MqttConnection:
             except OSError as error:
                 raise ConfigError(f"connection mqtt: ca_file: {ca_file}: {error}") from error
         self._record, self._days, self._prefix, self._discovery = record, days, prefix, discovery
+        self._every, self._recorded = timedelta(seconds=every_s), dict[str, datetime]()
+        self._later: dict[str, tuple[datetime, str]] = {}
         self._outlook = Outlook(forecast)
         self._columns: tuple[str, ...] = tuple(a.state for a in self._actuators.values() if a.state is not None)
         self._heard: dict[str, str] = {}
@@ -193,6 +202,7 @@ class MqttConnection:
             time.sleep(0.05)
         if utc_now() - self._kept_at > _KEEP_EVERY:
             self._keep_lately()
+        self._append({}, all_of_it=True)
         if not self._record.exists():
             raise PlantError(f"nothing was recorded in {self._record} yet of {', '.join(self._columns)}")
         return self._record
@@ -251,7 +261,7 @@ class MqttConnection:
             value = None if said is None else by_option.get(said, SWITCH.get(said.lower()))
             if value is None:
                 try:
-                    value = float(said or "") / one.scale
+                    value = (float(said or "") - one.offset) / one.scale
                 except ValueError:
                     continue
             held[name] = value
@@ -322,6 +332,7 @@ class MqttConnection:
 
     def close(self) -> None:
         """See `Connection.close`: says that nobody controls any more, and disconnects."""
+        self._append({}, all_of_it=True)
         client, self._client = self._client, None
         if client is None:
             return
@@ -445,31 +456,49 @@ class MqttConnection:
                     _LOG.warning("%s: %r: %s", message.topic, text[:100], error)
             return
         self._hear(message.topic, text)
-        states, rows = {one.state for one in self._actuators.values()}, []
+        states, came = {one.state for one in self._actuators.values()}, dict[str, str]()
         for column in self._columns:
             topic, _, key = column.partition("#")
             if topic != message.topic or (value := _value(text, key)) is None:
                 continue
             # When a retained reading was taken nobody knows; what was set holds until it is set anew.
             if not message.retain or column in states:
-                rows.append(column + "\x00" + value)
-        if rows:
-            self._append(rows)
+                came[column] = value
+        if came:
+            self._append(came)
 
     def _keep_lately(self) -> None:
         with self._writing:
             _keep_lately(self._record, self._days)
         self._kept_at = utc_now()
 
-    def _append(self, rows: Iterable[str]) -> None:
-        at, lines = utc_now().isoformat(timespec="milliseconds"), io.StringIO()
-        csv.writer(lines, lineterminator="\n").writerows((at, *row.split("\x00", 1)) for row in rows)
-        try:
-            new = not self._record.exists()
-            with self._writing, self._record.open("a", encoding="utf-8") as file:
-                file.write((_HEADER if new else "") + lines.getvalue())
-        except OSError as error:
-            _LOG.warning("%s: what came is not recorded (%s)", self._record, error.strerror or error)
+    def _append(self, came: Mapping[str, str], *, all_of_it: bool = False) -> None:
+        """Record what `came` by column. What comes too often waits, the latest of it, until it is time, or a reader
+        wants `all_of_it`: a state that lasts is never lost.
+        """
+        with self._writing:
+            now, lines = utc_now(), io.StringIO()
+            self._later |= {column: (now, value) for column, value in came.items()}
+            due = [
+                column
+                for column in self._later
+                if all_of_it
+                or column not in self._recorded
+                or not timedelta() <= now - self._recorded[column] < self._every  # also where the clock was set back
+            ]
+            rows = sorted((*self._later.pop(column), column) for column in due)
+            self._recorded |= dict.fromkeys(due, now)
+            csv.writer(lines, lineterminator="\n").writerows(
+                (at.isoformat(timespec="milliseconds"), column, value) for at, value, column in rows
+            )
+            if not rows:
+                return
+            try:
+                new = not self._record.exists()
+                with self._record.open("a", encoding="utf-8") as file:
+                    file.write((_HEADER if new else "") + lines.getvalue())
+            except OSError as error:
+                _LOG.warning("%s: what came is not recorded (%s)", self._record, error.strerror or error)
 
 
 def utc_now() -> datetime:
@@ -491,7 +520,7 @@ def _text(one: MqttActuator, level: float | None) -> str:
         return one.options[float(level)]
     if not math.isfinite(level):
         raise PlantError(f"{one.topic}: {level} is no value")
-    return f"{level * one.scale:.10g}"
+    return f"{round(level * one.scale + one.offset, 9):.10g}"
 
 
 def _value(text: str, key: str) -> str | None:

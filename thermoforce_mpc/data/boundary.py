@@ -26,6 +26,11 @@ CONDITIONS = (
     "heating_price_per_kWh",
 )  # fmt: skip
 
+# By how much a comfort bound is wider than at its tightest when it is set back, and how much one gets tighter that
+# begins, K. Set on seven days of the small office of EnergyPlus, `peak_heat_day` and `cold_day` (1.71 and 2.03 K·h,
+# before 2.27 and 2.51; 2026-11-23); setbacks of programmes and of BOPTEST are 2 K and more.
+SET_BACK_K = 0.5
+
 # What there may be at the meter of the building.
 _AT_THE_METER = ("others_W", "export_per_kWh", "limit_W")
 

@@ -21,6 +21,10 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data.clock import DAY_S, HOUR_S, Array
 
+SENSOR_STEP_K = 0.1
+"""What zone sensors tell apart, K: thermostats and Home Assistant's records show tenths of a degree. No promise about a
+reading is held to less."""
+
 # Tolerance of levels outside [0, 1], from rounding of step means and solver solutions.
 ROUNDING = 1e-6
 LEVEL = (-ROUNDING, 1.0 + ROUNDING)

@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from thermoforce_mpc.model.operator.parameters import GAMMA, HIDDEN
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Modes of the operator: an emitter, the room and its structure.
@@ -53,9 +54,10 @@ class IdentificationConfig(StrictModel):
         False,
         description="m(x) takes the predicted temperature, actions included, instead of the free response (paper)",
     )
-    gamma: float = Field(0.75, ge=0, lt=1, description="bound of the modulation, eq:mod")
-    hidden: int = Field(32, ge=1, le=512, description="hidden units of the modulation")
+    gamma: float = Field(GAMMA, ge=0, lt=1, description="bound of the modulation, eq:mod")
+    hidden: int = Field(HIDDEN, ge=1, le=512, description="hidden units of the modulation")
     optimiser: Literal["lbfgs", "adam"] = Field("lbfgs", description="optimiser of the modulation")
+    # L-BFGS ends where it settles (`_FLAT` and `_SETTLED` of `modulation.training`), else here; Adam takes all.
     epochs: int = Field(350, ge=1, le=5000, description="largest number of training epochs")
     seed: int = Field(1, ge=0, description="seed of the network's initial weights and of splits")
 

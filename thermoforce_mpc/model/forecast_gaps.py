@@ -20,14 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, RULES
 from thermoforce_mpc.data.series import WEATHER, at_instants, gap_s
 
-# Instants nearer than this are the same, s.
-_SAME_S = 1.0
 # How a source of data fills what follows a schedule.
 BY_DAYS = "the same hour of the days before"
-# A week has each day of the week.
+# By how many days ago the same hour is taken: a week has each day of the week.
 _DAYS_BEFORE = 7
 # Last days of the record that tell how far a guess of the weather may be off: two weeks, of one season still.
 _SPREAD_DAYS = 14
@@ -164,14 +163,18 @@ def _row(
         forecast = np.atleast_2d(getattr(last, name))[row]
         sources.append((last.time_s, forecast))
         hours = (time_s[0] - last.time_s[0]) / HOUR_S
-        fill(at_instants(time_s, last.time_s, forecast, _SAME_S), f"the last forecast ({hours:g} h old)", given=True)
+        fill(
+            at_instants(time_s, last.time_s, forecast, CLOCK_TOLERANCE_S),
+            f"the last forecast ({hours:g} h old)",
+            given=True,
+        )
     if weather:
         sources.append((history.time_s, getattr(history, name)))
     for day in range(1, _DAYS_BEFORE + 1):
         for source_s, source in sources:
             if np.isnan(out).any():
                 fill(
-                    at_instants(time_s - day * DAY_S, source_s, source.copy(), _SAME_S),
+                    at_instants(time_s - day * DAY_S, source_s, source.copy(), CLOCK_TOLERANCE_S),
                     "the day before" if day == 1 else "days before",
                 )
     if weather and np.isnan(out).any():

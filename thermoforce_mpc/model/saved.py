@@ -33,7 +33,7 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.version import VERSION
 
-# Far beyond any temperature, power or gain, but products of it are still finite.
+# Far beyond any temperature, power or gain, so that products of it are still finite: no overflow.
 _LARGEST = 1e12
 _WORDS = {bool: "true or false", str: "a text", list: "a list", dict: "an object with keys"}
 _OPERATOR_ARRAYS = ("poles", "gains", "hidden_weight", "hidden_bias", "output_weight", "feature_mean", "feature_scale")

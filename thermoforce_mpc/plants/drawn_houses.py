@@ -103,8 +103,6 @@ def air_change(weather: Weather, time_s: Array) -> Array:
     return np.asarray(1.0 - _WIND_SHARE + _WIND_SHARE * (weather.at("wind_m_s", time_s) / _MEAN_WIND_M_S))
 
 
-# The baseline thermostats' set-points above the lower bounds in use, K, as in the shipped test case (21.3 for 21 °C).
-THERMOSTAT_ABOVE_K = 0.3
 WEEKS = ("cold_week", "sunny_week")
 _WEEK_OF = {"peak_heat_day": "cold_week", "typical_heat_day": "sunny_week"}
 NAMES = (*WEEKS, *_WEEK_OF)

@@ -53,6 +53,10 @@ _RULE = re.compile(
 _ROOM_C, _TANK_C = (5.0, 40.0), (20.0, 80.0)
 
 
+THERMOSTAT_INSIDE_K = 0.3
+"""How far inside a comfort bound thermostats are set, K: as that of BOPTEST's heat pump, 21.3 for 21 °C."""
+
+
 @dataclass(frozen=True)
 class Rule:
     """Bounds, °C, on `days` (0 Monday to 6 Sunday, 7 holidays) from `begin_h` to `end_h`, also beyond midnight."""

@@ -24,7 +24,9 @@ class MilpConfig(StrictModel):
     """Options of the mixed-integer programme."""
 
     hours: float = Field(1.0, gt=0, description="first part of the horizon in which choices are decided, h")
+    # A thousandth of what a plan costs: forecasts miss far more.
     gap: float = Field(1e-3, ge=0, description="relative gap to the bound at which the solver stops")
+    # Choices are made anew a quarter of an hour later, so that a good plan now is worth more than the best.
     max_seconds: float = Field(2.0, gt=0, description="time after which the best plan so far is taken, s")
 
     def chosen_steps(self, step_s: float) -> int:

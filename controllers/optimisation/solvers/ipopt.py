@@ -19,8 +19,6 @@ from thermoforce_mpc.scenario.settings import StrictModel
 
 # Statuses with which Ipopt reports an optimum, to its tolerance or to a looser one; any other is a failed solve.
 _OPTIMAL, _ACCEPTED = "Solve_Succeeded", {"Solve_Succeeded", "Solved_To_Acceptable_Level"}
-# Gap that rounded choices may leave to be the optimum, as of `MilpConfig`.
-_ROUNDED = 1e-3
 # Of a second try.
 _CAREFUL = {"mehrotra_algorithm": "no"}
 
@@ -28,8 +26,11 @@ _CAREFUL = {"mehrotra_algorithm": "no"}
 class IpoptConfig(StrictModel):
     """Options of Ipopt."""
 
+    # Twelve are usual (`tf-mpc bench controller`).
     max_iterations: int = Field(200, ge=1, description="iterations before a solve counts as failed")
+    # Ipopt's own default tolerance.
     tolerance: float = Field(1e-8, gt=0, description="Ipopt's overall tolerance")
+    # A third of `DeadlineConfig.solve_s`: there is time for a second try.
     max_seconds: float = Field(20.0, gt=0, description="wall time before a solve counts as failed, s")
 
 
@@ -96,7 +97,7 @@ class IpoptSolver(StatementSolver):
         if found.claimed is None or found.why:
             return found
         gap = max(found.claimed - begin.claimed, 0.0) / max(abs(found.claimed), 1e-9)
-        if gap <= _ROUNDED:
+        if gap <= MilpConfig().gap:
             return replace(found, gap=gap)
         why = f"its choices are rounded, {gap:.1%} above what they cost where they need not be whole"
         return replace(found, why=why, gap=gap)

@@ -25,7 +25,8 @@ from controllers.optimisation.solvers.qp import Piqp, QPConfig, SolverResult
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 
-# By how much a plan of HiGHS may leave rows and bounds.
+# By how much a plan of HiGHS may leave rows and bounds: its own default tolerance of whole numbers
+# (`mip_feasibility_tolerance`).
 _KEEPS = 1e-6
 
 

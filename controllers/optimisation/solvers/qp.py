@@ -24,7 +24,9 @@ from thermoforce_mpc.scenario.settings import StrictModel
 class QPConfig(StrictModel):
     """Options of PIQP."""
 
+    # As exact as costs are compared (`_LEAVES` of `optimisation.solution`).
     tolerance: float = Field(1e-7, gt=0, description="absolute and relative tolerance")
+    # 25 are usual with twenty rooms (`python -m benchmarks.speed --rows twenty`, 2026-11-28).
     max_iterations: int = Field(100, ge=1, description="iterations before a solve counts as failed")
 
 

@@ -30,7 +30,9 @@ _LEAST, _MOST = 1e-3, 1e6
 class SQPConfig(StrictModel):
     """Options of sequential quadratic programming."""
 
+    # Each takes milliseconds, so that all of them stay far below the deadline of a step.
     max_iterations: int = Field(60, ge=1, description="quadratic programmes before a solve counts as failed")
+    # As exact as costs are compared (`_LEAVES` of `optimisation.solution`).
     tolerance: float = Field(1e-7, gt=0, description="relative gain of a step below which it is the optimum")
 
 

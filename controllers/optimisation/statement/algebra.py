@@ -256,7 +256,7 @@ def _numbers(flags: np.ndarray) -> tuple[int, ...]:
     return tuple(int(i) for i in np.flatnonzero(flags))
 
 
-# Levels up to this do not act.
+# Levels up to this do not act: rounding of solvers.
 ACTS_ABOVE = 1e-6
 # What a machine's share of running and the times that make it up can be at most; a bound that must not be active.
 MOST_RUNNING = 2.0

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from controllers.optimisation.statement.algebra import Algebra
 
 _KEY = "controller.options.terms"
-# Slopes of a term's rows up to this are left as they are.
+# Slopes of a term's rows up to this are left as they are: terms in °C, kW and shares have less, joules beside watts a
+# step's 900 and more.
 _STEEP = 100.0
 # Expressions that are 0 or 1: a constraint is an expression that is at least 0, or 0.
 _COMPARISONS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR}

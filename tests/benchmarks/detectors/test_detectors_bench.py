@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.detectors import bench
 from benchmarks.detectors.air_unit import LightOffice
-from benchmarks.detectors.bench import WeekOutcome, rule_of, rule_rows, run_detectors_bench, targets
+from benchmarks.detectors.bench import WeekOutcome, claim_rows, rule_of, rule_rows, run_detectors_bench, targets
 from benchmarks.detectors.panel import FAULTS, KINDS, PanelCase, built, clean, faulty
 from benchmarks.detectors.rules import RULES, ControlledWeek
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, PlantInfo
@@ -55,6 +55,35 @@ def test_a_rule_is_charged_for_its_false_claims_and_credited_for_its_faults():
     assert not held["watch: false claims in 100 house-weeks"]
     assert held["watch: saved less cost, a week"]
     assert not {t.name: t.holds for t in targets([])}["gate: false claims in 100 house-weeks"], "nothing was run"
+
+
+@pytest.mark.parametrize(
+    ("claimed", "of", "between", "goal"),
+    [
+        (0, 24, "0.0 and 14.2", "not shown"),
+        (0, 400, "0.0 and 0.9", "met"),
+        (1, 24, "0.1 and 21.1", "not shown"),
+        (8, 100, "3.5 and 15.2", "missed"),
+    ],
+)
+def test_a_rate_of_false_claims_is_told_with_what_it_may_be(claimed, of, between, goal):
+    """Clopper and Pearson's intervals of 95 %, from tables."""
+    weeks = [week(n, 1.0, *["gate"] * (n < claimed)) for n in range(of)]
+    (row,) = [row for row in rule_rows(weeks) if row["rule"] == "gate"]
+    assert (row["95 % between"], row["goal"]) == (between, goal)
+
+
+def test_each_false_claim_is_told_with_what_it_cost():
+    weeks = [
+        week(0, 1.0, "watch", "units", watch=(0.9, 0.5)),
+        week(1, 1.0),
+        week(2, 1.0, "watch", fault="watch", watch=(1.0, 10.5)),
+    ]
+    watch, units = claim_rows(weeks)
+    assert (watch["false claim"], watch["in"], watch["said"]) == ("watch", "embedded 0", "said")
+    assert (watch["with it"], watch["without"]) == ("1.0000 / 0.50", "0.9000 / 0.50")
+    assert watch["it cost per m²"] == pytest.approx(0.1)
+    assert (units["false claim"], units["without"], units["it cost per m²"]) == ("units", "–", None)
 
 
 def test_doors_that_stood_open_while_probing_are_shut_since():

@@ -122,6 +122,12 @@ def test_peaks_are_those_of_this_month_and_three_of_distinct_days(home):
     state = MPCState(0.0)
     assert state.peak_after(observation, "month") == 4000.0
     assert state.peak_after(observation, "three_days") == 2000.0
+    evening_W = np.full((1, record.n_steps), 500.0)
+    evening_W[0, -3:], evening_W[0, -60], evening_W[0, -100] = 4000.0, 3000.0, 2000.0
+    hour_s = 3600.0 * record.stamps()[-1].hour
+    midnight = replace(record, power_W=evening_W, time_s=record.time_s - hour_s)
+    now = replace(observation.boundary, time_s=observation.boundary.time_s - hour_s)
+    assert state.peak_after(Observation(midnight, now), "three_days") == 2000.0, "today has none yet"
     later = replace(record, power_W=power_W, time_s=record.time_s + 4 * 86400.0)  # 2 February
     ahead = replace(observation.boundary, time_s=observation.boundary.time_s + 4 * 86400.0)
     assert state.peak_after(Observation(later, ahead), "month") == 500.0

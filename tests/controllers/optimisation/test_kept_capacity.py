@@ -60,6 +60,13 @@ def test_a_machine_that_gives_more_than_was_seen_has_more():
     assert learned([1700.0, 420.0, 720.0], [1.0, 1.0, 0.6], before=more) == more, "less is no limit"
 
 
+def test_a_machine_that_had_more_is_at_its_limit_only_near_that():
+    """One that gave a tenth more than was seen: at 0.97 of what was seen it is not at its limit, at 1.07 it is."""
+    levels = [1.0, 1.0, 0.6]
+    assert learned([2300.0, 240.0, 220.0], levels, before=-0.1) == -0.1
+    assert learned([2300.0, 240.0, 510.0], levels, before=-0.1) > -0.1
+
+
 def test_a_capacity_of_another_shape_is_refused():
     rng = np.random.default_rng(3)
     operator = random_building(rng, 2, (1, 1))

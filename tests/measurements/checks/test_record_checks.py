@@ -292,6 +292,24 @@ def test_a_boiler_that_is_better_at_part_load_is_no_heat_pump_in_other_units(day
     assert "units of heat come from one of energy" in words
 
 
+@pytest.mark.parametrize("tick_kWh", [0.001, 1.0])
+def test_a_heat_meter_of_whole_kWh_is_of_no_other_unit(tick_kWh):
+    """Its steps are told minutes after the boiler ran: by the quarter hour its ratio goes with load and weather."""
+    record, rng = CLEAN.slice(0, 96 * 14), np.random.default_rng(5)
+    hours, T_out = np.arange(record.n_steps) / 4.0, record.T_out_C[:-1]
+    load_W = 250.0 * (20.0 - T_out) * (1.0 + 0.3 * np.sin(hours * np.pi / 12.0)) + rng.normal(0, 300, hours.size)
+    heat_W = 1.9 * np.clip(load_W, 0.0, None) * (np.floor(hours * 1.5) % 2 == 0)
+    told_kWh = np.floor(np.cumsum(heat_W) / 4000.0 / tick_kWh) * tick_kWh
+    metered = replace(
+        record,
+        u=(heat_W / heat_W.max())[None],
+        power_W=heat_W[None] / 0.9 + 20.0,
+        heat_W=np.diff(told_kWh, prepend=0.0)[None] * 4000.0,
+    )
+    house = replace(LAYOUT, floor_area_m2=(150.0,))
+    assert [one.words for one in remarks(metered, house) if one.kind == "unit of power"] == []
+
+
 def test_three_days_of_a_heat_pump_in_even_weather_are_no_other_unit():
     """As three days of probing the embedded plant: the ratio hardly goes with 7 K of weather, and its days agree."""
     record = CLEAN.slice(0, 96 * 3)

@@ -13,6 +13,9 @@ from thermoforce_mpc.model.free_response.linear_weather import LinearWeather, Pe
 from thermoforce_mpc.model.free_response.substitute import WithSubstitutes, absurdity
 
 N = 24
+SIGNALS = (
+    "time_s", "T_out_C", "solar_W_m2", "occupancy", "lower_C", "upper_C", "price_per_kWh", "emission_kg_per_kWh",
+)  # fmt: skip
 
 
 def weather(time_s):
@@ -79,6 +82,17 @@ def test_after_hours_of_silence_a_zone_may_have_moved_as_far_as_the_record_did_i
     last_C = 60.0 - 2.0 * (20 - silent)
     forecast = FreeForecast(np.array([0.1, 0.5, 0.9]), np.full((3, N), last_C - 21.0), "falls")
     assert bool(absurdity(forecast, free, record, boundary)) is absurd
+
+
+@pytest.mark.parametrize("hours", [N, 6])
+def test_a_fall_as_long_as_the_record_shows_is_no_absurdity_at_the_end_of_any_horizon(hours):
+    """It fell by 2 K an hour for days: as much more in 24 h is ordinary, in 6 h it is not."""
+    _, record, boundary = house(60)
+    free = 60.0 - 2.0 * np.arange(61.0)
+    ahead = Boundary(*(getattr(boundary, name)[..., : hours + 1] for name in SIGNALS))
+    falls = np.linspace(free[-1], free[-1] - 2.0 * N, hours + 1)[1:]
+    said = absurdity(FreeForecast(np.array([0.1, 0.5, 0.9]), np.stack([falls] * 3)), free, record, ahead)
+    assert (said == "") is (hours == N), said
 
 
 def test_a_healthy_forecast_passes_unchanged():

@@ -238,6 +238,12 @@ def test_heat_with_a_term_in_the_square_of_the_level_is_refused():
         HeatInput(heat=MachineLoad((0.0, 0.0, 5000.0, 50.0), (-10.0, 15.0), curve_W=500.0))
 
 
+@pytest.mark.parametrize("lowest", [0.05, -10.5])
+def test_the_lowest_level_is_off_or_that_of_cooling(lowest):
+    with pytest.raises(DataError, match=f"lowest level {lowest:g}"):
+        HeatInput(u_min=lowest)
+
+
 def test_other_levels_need_to_have_been_seen():
     unseen = HeatInput(MachineLoad((0.0, 0.0, 9000.0, 0.0), (0.0, 10.0), levels_seen=False))
     assert unseen.at_lowest_level(1.0) == unseen

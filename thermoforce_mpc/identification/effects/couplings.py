@@ -27,7 +27,8 @@ _LEAST_EFFECT_K = 0.02
 _NEAR_MOST, _GIVEN, _ALL_FED_C = 0.85, 0.97, 0.0
 # What full level of one of several actuators takes by the meter of their machine: prior standard deviation as a share
 # of equal shares (radiators of a home differ by a factor of two to three), how long an error lasts, s (hot water,
-# defrosting), measured time from which the meter is asked, s, and the least share beside the largest. By judgement.
+# defrosting), measured time from which the meter is asked, s, and the least share beside the largest. By judgement,
+# when `bench commands` was given the meter's shares (2026-11-28).
 _SHARES_SD, _ERRORS_LAST_S, _LEAST_S, _LEAST_SHARE = 0.7, 3.0 * HOUR_S, 2.0 * DAY_S, 0.1
 
 

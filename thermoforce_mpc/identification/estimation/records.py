@@ -37,7 +37,8 @@ _IN_C, _IN_F = ("T_zone_C", "T_out_C"), (45.0, 110.0)
 # A grid of readings: share of different values among them below which there may be one, tolerance of a reading as a
 # share of it, and the finest that counts, K.
 _GRID_SHARE, _GRID_ROUNDING, _LEAST_GRID_K = 0.5, 0.05, 0.02
-# Largest difference of the starting temperatures of a pair, which starts from one state.
+# Largest difference of the starting temperatures of a pair, which starts from one state, K: what is left is rounding of
+# records.
 MAX_START_DIFFERENCE_K = 0.05
 
 

@@ -17,17 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, NORMAL_95, Array, Record
-from thermoforce_mpc.data.series import lagged
+from thermoforce_mpc.data.series import first_order
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH, MOST_ROWS, Pair
+from thermoforce_mpc.model.machine.load import LACKING
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
-# Times after a step to full level at which the response and its standard deviation are stored, h.
+# Times after a step to full level at which the response and its standard deviation are stored, h: twice as long each
+# about, to the horizon of plans.
 STEP_RESPONSE_H: tuple[int, ...] = (1, 2, 4, 8, 12, 24, 48)
 EFFECT_H = 8
-"""The one of these hours by which an effect is judged, h."""
+"""The one of these hours by which an effect is judged, h: a pre-heating lasts as long."""
 DISTURBANCE_H = (1.0, 6.0, 48.0)
-"""Time constants of what disturbs a room besides weather and actuators, h."""
+"""Time constants of what disturbs a room besides weather and actuators, h: people and doors, habits of a day, weather
+that was not measured. A factor of seven apart, between which mixtures of two do."""
 
 # Largest standard deviation of a logarithm that counts. By judgement: beyond, the sign is all that is known.
 _MOST_OF_LOGARITHM = 1.5
@@ -43,7 +46,8 @@ def unit_responses(log_tau: Array, step_s: float, drive: Array, rows: NDArray[np
 
     Row t is the state before step t, starting from zero.
     """
-    lags = np.stack([lagged(drive, pole) for pole in poles(log_tau, step_s)], axis=1)
+    a, zero = poles(log_tau, step_s), np.zeros(log_tau.size)
+    lags = np.vstack([zero, first_order(a, (1.0 - a) * drive[:, None], zero)])
     own, lead = _lags_of_gains(log_tau)
     responses = own * lags + lead * lags[:, :1]
     return np.asarray(responses if rows is None else responses[rows])
@@ -101,12 +105,9 @@ class Effect:
 
 
 HELD_OUT_SHARE = 0.25
-"""Share of the rows of a run, or of the start times of pairs, that is held out."""
-# Share of the rows before these that is as many.
+"""Share of the rows of a run, or of the start times of pairs, that is held out: the usual quarter."""
+# Share of the rows before these that is as many as are held out: what is compared is alike.
 _SHARE_BEFORE = HELD_OUT_SHARE / (1.0 - HELD_OUT_SHARE)
-# Share of the heat of its level below which an actuator, one of several, was not given all of it. By judgement; as
-# `_LACKING` of `controllers.mpc.margins`.
-_SERVED = 0.8
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,7 @@ def _drive(history: Record, i: int, heat_input: HeatInput) -> Array:
     if len(history.u) == 1 or heat_input.law is None:
         return drive
     metered = heat_input.of_meter(np.abs(history.heat_W[i]), T_out_C)
-    return np.where(metered < _SERVED * drive, metered, drive)
+    return np.where(metered < LACKING * drive, metered, drive)
 
 
 def pair_regression(pair: Pair, heat_input: HeatInput) -> RegressionData:

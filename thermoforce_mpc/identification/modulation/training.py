@@ -25,7 +25,7 @@ _HIDDEN_SD = 0.5
 # Hidden weight of the unit that starts as the measured heat of full level: tanh is straight within 1 % over ± 2
 # standard deviations of T_out, and bends far outside.
 _STRAIGHT = 0.1
-# Largest part of γ that m(x) starts at.
+# Largest part of γ that m(x) starts at: at all of it tanh would be flat, and its bias infinite.
 _MOST = 0.99
 # Prior standard deviation of m(x) around its start: smaller where measured heat includes the dependence on T_out. A
 # third more changes effects by 0.2 % (drawn house) and 0.02 % (heat pump, metered; `benchmarks.constants`, 2026-11-28).

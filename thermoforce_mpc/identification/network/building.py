@@ -23,6 +23,8 @@ from thermoforce_mpc.identification.network.room import BETWEEN, EMITTER, Law, R
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
+# Times after a step to full level at which responses are compared, h: steps of a plan at first, then as exponentials
+# need them, each at most twice the one before.
 RESPONSE_H = np.array(
     [0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 36.0, 48.0, 72.0, 96.0, 144.0, 240.0]
 )

@@ -31,7 +31,7 @@ _USUAL_LEVEL = 0.3
 # Share of the largest heat of an hour from which the machine counts as at its limit. By judgement, as the number of
 # steps.
 _AT_LIMIT = 0.9
-# Steps from which the heat of a circuit is found.
+# Steps from which the heat of a circuit is found: three hours of operation, by judgement.
 _LEAST_STEPS = 12
 # Prior of both slopes over the heat of full level, 1/K: water is 10 to 50 K warmer than its emitter, its excess goes
 # with the load; error of a step as a share of full heat, of steps that are correlated over hours.

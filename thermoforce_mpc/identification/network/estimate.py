@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
 # Before the first reading, K: the room is about what it reads, its structure and emitters may be elsewhere. A third
-# more for emitters changes what the card says by 3 % at most. The structure's and the envelope's are by judgement.
+# more for emitters changes what the card says by 3 % at most. The structure's and the envelope's are by judgement, when
+# networks were first fitted to generated houses (2026-11-25).
 _START_SD_K = {ROOM: 1.0, STRUCTURE: 2.0, ENVELOPE: 5.0}
 _EMITTER_START_SD_K = 5.0
 # What a few nodes do not follow from one reading to the next, K: without it, readings of a simulator without noise make
@@ -34,7 +35,7 @@ _MODEL_SD_K = 0.02
 # at which it ends, nats; most steps; the largest slope by a standard deviation at which one near a fit ends, nats.
 _MOST_STEP, _FIRST_STEP, _LEAST_GAIN, _MOST_STEPS, _FLAT = 2.0, 1.0, 1e-4, 200, 1e-2
 # Starts, in prior standard deviations of a parameter. By judgement: more heat, and a lighter structure, are the other
-# likely maxima.
+# likely maxima of generated houses (2026-11-25).
 _STARTS: tuple[dict[str, float], ...] = ({}, {"heat_0": 1.0}, {"C_structure": 0.7})
 # Shares of the expected gain below which a step is refused, and shorter ones, or from which longer ones, are trusted.
 # The usual shares of trust regions (Nocedal and Wright 2006, 4.1).

@@ -18,7 +18,7 @@ from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 _BEFORE_SD_K = 20.0
 # Least standard deviation of a mode at the start, K: what is less is not seen.
 _LEAST_SD_K = 1e-3
-# Least distance of the rates of a mode and of a disturbance, 1/h.
+# Least distance of the rates of a mode and of a disturbance, 1/h: nearer, their quotient is rounding.
 _APART = 1e-6
 
 

@@ -17,13 +17,15 @@ from thermoforce_mpc.identification.network.building import RESPONSE_H
 # Time constants, h: shortest, longest of any building, least ratio of neighbours. By judgement: operators of three
 # modes hold what the networks of generated houses do.
 _SHORTEST_H, _LONGEST_H, _APART = 0.05, 1000.0, 1.5
-# Range of the logarithm of how far ln τ is above its least, and most steps of the search.
+# Range of the logarithm of how far ln τ is above its least, so that neighbours are 1.02 to 8000 times apart; and most
+# steps of the search.
 _RANGE, _MOST_STEPS = (-4.0, 2.2), 200
 # Least size of responses, K, and share of its largest value from which an error counts by the response then: a plan
 # sees what comes within two days. A third more changes what the card says by 2 %, cost by 0.1 %
 # (`benchmarks.constants`, 2026-11-28).
 _LEAST_K, _RELATIVE_FROM = 1e-3, 0.15
-# Time constants of the starts of the search, h, by order. By judgement: those of emitters, rooms and structures.
+# Time constants of the starts of the search, h, by order. By judgement: those of emitters, rooms and structures of
+# generated houses (2026-11-25).
 _STARTS_H: dict[int, tuple[tuple[float, ...], ...]] = {
     1: ((10.0,), (50.0,)),
     2: ((1.0, 30.0), (5.0, 80.0)),

@@ -30,7 +30,8 @@ _LAGS_S, _LATITUDE_DEG = (120.0, 900.0), 50.0
 # The most that a sensor shows in full sun, K, and the variance that a search of it begins with, of that of the prior.
 # By judgement: more is no sensor in a room.
 _MOST_K, _SPREAD = 8.0, 0.05
-# The least gain that is more than what searches leave, nats.
+# The least gain that is more than what searches leave, nats: ten times that at which they end (`_LEAST_GAIN` of
+# `network.estimate`).
 _LEAST_GAIN = 1e-3
 # Share of sensors that stand in the sun, beforehand, and the probability by slopes below which none is searched for.
 # With these ideal sensors of six drawn houses and the heat pump come to 0.03 at most, sensors with 2.5 K in full sun to

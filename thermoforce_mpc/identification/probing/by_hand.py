@@ -20,7 +20,7 @@ from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
 
 # Longest schedule, days. By judgement, as the rest: what people may be asked for.
 _MOST_DAYS = 7
-# Holding times by hand, h, and draws that are compared a day.
+# Holding times by hand, h, since nobody turns a knob by the quarter hour, and draws that are compared a day.
 _HOLDS_H, _CANDIDATES = (1, 2, 3, 4, 6), 24
 # Half width of a comfort band that nobody named, around the usual temperature, K.
 _BAND_K = 1.5

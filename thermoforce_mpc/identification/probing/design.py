@@ -17,12 +17,12 @@ from thermoforce_mpc.identification.estimation.regression import poles, unit_res
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 
-# Step of the derivative with respect to ln τ.
+# Step of the derivative with respect to ln τ: it is straight over 2 %, and rounding is far smaller.
 _STEP = 0.02
 # Assumed mean level that holds the zone temperature, until the record is long enough. Of the order of draws only; by
 # judgement.
 _HOLDING_SHARE = 0.3
-# Record length, steps, from which its mean level is used instead.
+# Record length, steps, from which its mean level is used instead: half a day, which has a night or a noon.
 _KNOWN_FROM = 48
 # Distance of the rows, h: the response to an action takes hours. By judgement.
 _ROW_H = 1.0
@@ -36,7 +36,8 @@ _TAU_SD, _GAIN_SD = 0.25, np.array([0.1, 2.0, 0.5])
 _FREE_H = (*_TAU_H[1:], 400.0)
 _FREE_SD = dict(zip(INPUTS, (0.3, 0.01, 50.0, 0.01, 0.01, 0.3, 0.3, 0.01), strict=True))
 _START_SD_K = (3.0, 20.0, 50.0, 50.0)
-# Disturbances: standard deviations, K, and time constants, h; noise of a reading, K.
+# Disturbances: standard deviations, K, and time constants, h: doors and people, a day's habits, weather that was not
+# measured; noise of a reading, K.
 _DISTURBANCES, _READING_SD_K = ((0.02, 0.5), (0.2, 3.0), (2.0, 50.0)), 0.01
 
 
@@ -70,7 +71,8 @@ def choose(
     holding = float(history.u[0].mean()) if past >= _KNOWN_FROM else _HOLDING_SHARE
     start_K = sign * (centre_C - float(history.T_zone_C[0, -1]))
     acts = np.ones(n, dtype=bool) if acts is None else acts
-    drawn = [_simulated_levels(excitation.resumed(each), acts, step_s, start_K, holding) for each in candidates]
+    unit = expected_rise_K(np.eye(1, n)[0], step_s)
+    drawn = [_simulated_levels(excitation.resumed(each), acts, unit, start_K, holding) for each in candidates]
     held = [np.where(acts, levels, holding) for levels in drawn]
     worth = [_criterion(np.concatenate([history.u[0], levels]), step_s, whitener, rows) for levels in held]
     best = int(np.argmax(worth))
@@ -133,13 +135,12 @@ def _units(u: Array, step_s: float, tau_h: Array) -> Array:
 
 
 def _simulated_levels(
-    excitation: Excitation, acts: NDArray[np.bool_], step_s: float, start_K: float, holding: float
+    excitation: Excitation, acts: NDArray[np.bool_], unit: Array, start_K: float, holding: float
 ) -> Array:
     """Return the levels of an excitation simulated on the prior mean with constant weather, (n,); NaN where none
-    `acts` (n,).
+    `acts` (n,). `unit` (n + 1,): rise by a first step at full level, K.
     """
     n = acts.size
-    unit = expected_rise_K(np.eye(1, n)[0], step_s)
     levels, rise = np.full(n, np.nan), np.zeros(n + 1)
     for t in range(n):
         if not acts[t]:

@@ -13,8 +13,10 @@ import numpy as np
 from thermoforce_mpc.data import Block, Boundary, Record
 
 EXCURSION_K = 1.5
-"""Distance from the centre of the excursions at which the machine is on, or off, K."""
-# Change of the probability of on per K from the centre, 1/K, and least probability of on (and of off).
+"""Distance from the centre of the excursions at which the machine is on, or off, K: half of a band of 3 K, so that
+probing stays in it."""
+# Change of the probability of on per K from the centre, 1/K: 1.3 K from it, near `EXCURSION_K`, it is what is left as
+# the least probability of on (and of off).
 _LEAN_PER_K, _LEAST_SHARE = 0.35, 0.05
 # Distance of room set-points from the zone temperature when they are drawn, K: enough to set a loop to work. Set on
 # `bestest_air`, as the shares below (2026-11-22).

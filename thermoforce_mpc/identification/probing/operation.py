@@ -19,7 +19,8 @@ from thermoforce_mpc.identification.probing.design import information
 # Days of a record that are used: longer parts take longer, and hold other seasons and habits. By judgement
 # (2026-11-22).
 MOST_DAYS = 28.0
-# Distance of the parts that are compared, days, and the least share of levels and temperatures that one must hold.
+# Distance of the parts that are compared, days: a week has each of its days; and the least share of levels and
+# temperatures that one must hold: half.
 _EVERY_DAYS, _LEAST_KNOWN = 7.0, 0.5
 
 

@@ -30,6 +30,8 @@ from thermoforce_mpc.data import (
     PlanStatus,
     Record,
 )
+from thermoforce_mpc.data.boundary import SET_BACK_K
+from thermoforce_mpc.data.clock import DAY_H, PLAN_STEP_S
 from thermoforce_mpc.data.series import interpolated
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.probing.design import choose
@@ -52,24 +54,27 @@ _BAND_AHEAD_S = DAY_S
 # keep warm was heated in 0.05 of the steps, and its model was a guess (2026-11-22).
 _IDLE_SHARE = 0.1
 # Time between two choices of draws, h, and centre of the excursions inside the tightest bound ahead, K. By judgement:
-# twice a day.
+# twice a day, as `bench probing` runs (2026-11-22).
 _BLOCK_H, _INSIDE_K = 12.0, 0.5
-# How much tighter a bound is that begins, K; mean level from which an hour counts as tried, on how many days. As
-# `_SET_BACK_K` of `controllers.mpc.margins`; the others by judgement.
-_SET_BACK_K, _TRIED, _TRIES, _DAY_H = 0.5, 0.5, 2, 24
+# Mean level from which an hour counts as tried, on how many days; by judgement, against hours in which a machine is
+# blocked every day (the fault of `bench detectors`, 2026-11-28).
+_TRIED, _TRIES = 0.5, 2
 
 
 class ProbingConfig(StrictModel):
     """Options of the probing."""
 
-    step_s: float = Field(900.0, ge=60, le=3600, description="step of the record, s")
+    step_s: float = Field(PLAN_STEP_S, ge=60, le=3600, description="step of the record, s")
+    # Off and full tell most of an effect: its size grows with the difference.
     levels: tuple[float, ...] = Field((0.0, 1.0), min_length=2, description="levels to draw from, in [0, 1], off first")
     trial_levels: tuple[float, ...] = Field(
         (), description="levels in (0, 1) that take the place of the highest for a few steps, to see part load"
     )
+    # As many as heat at part load is estimated from (`_LEAST_STEPS` of `effects.level_laws`).
     trial_steps: int = Field(
         4, ge=2, description="number of those steps at each, half after off and half after full level"
     )
+    # From a step to four hours, twice as long each: fast and slow modes are moved alike.
     hold_steps: tuple[int, ...] = Field((1, 2, 4, 8, 16), min_length=1, description="holding times to draw from, steps")
     excursion_K: float = Field(
         EXCURSION_K, gt=0, description="distance from the centre at which the machine is on, or off, K"
@@ -83,7 +88,11 @@ class ProbingConfig(StrictModel):
     design: Literal["informative", "random"] = Field(
         "informative", description="informative: choose the most informative draws; random: take the first"
     )
+    # By judgement, when `tf-mpc bench probing` was set up (2026-11-21): the best of 32 is among the best 3 % in the
+    # mean.
     candidates: int = Field(32, ge=2, le=1000, description="number of candidates")
+    # Structures forget how they started: time constants are 50 h and more (`_TAU_H` of `probing.design`), BOPTEST's own
+    # warm-up is seven.
     warmup_days: float = Field(5.0, ge=0, le=14, description="native control before the first probing day, days")
 
     @model_validator(mode="after")
@@ -349,8 +358,8 @@ class _Levels:
         shows on two days only (`machine.blocked_hours.HourEffects`). The first day is left to the draws.
         """
         tight_C = band.lower_C[0] if self._sign > 0 else -band.upper_C[0]
-        begins = np.diff(tight_C) > _SET_BACK_K
-        if begins.size < _DAY_H or not (begins[0] or begins[_DAY_H - 1]) or not record.n_steps:
+        begins = np.diff(tight_C) > SET_BACK_K
+        if begins.size < DAY_H or not (begins[0] or begins[DAY_H - 1]) or not record.n_steps:
             return False
         day, hour = np.divmod(record.time_s[:-1] + 1.0, DAY_S)
         today, now = divmod(float(record.time_s[-1]) + 1.0, DAY_S)

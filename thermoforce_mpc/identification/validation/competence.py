@@ -35,7 +35,7 @@ from thermoforce_mpc.model.card import JUDGED_H, MOST_ERROR_K, MOST_RELATIVE_SD,
 from thermoforce_mpc.model.machine.load import NEARLY_FULL
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
-# Most extra hours that are advised; beyond, more of the same data is not the answer. By judgement.
+# Most extra hours that are advised: a month; beyond, more of the same data is not the answer.
 _MOST_ADVISED_H = 30.0 * 24.0
 # Below this share of the t statistic needed, more data are not expected to show an effect. Of words only; by judgement.
 _HOPELESS = 0.25
@@ -197,8 +197,8 @@ WELL_KNOWN_SD = 0.07
 # another day of probing is cheap beside a season of its plans. With three mild days `house:3rooms:61` cost 0.0799, with
 # the seven that this asks for 0.0603 (2026-11-22).
 SETTLED_SD = 0.3
-# Rooms drawn for what heat can do at most, the share of them that a response may not exceed, and the logarithm of a
-# conductance that joins nothing.
+# Rooms drawn for what heat can do at most, the share of them that a response may not exceed, so that ten of them
+# decide, and the logarithm of a conductance that joins nothing.
 _ROOMS, _SHARE, _SEED, _NOTHING = 1000, 0.99, 0, -30.0
 
 

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, NORMAL_90, Array
+from thermoforce_mpc.data.limits import SENSOR_STEP_K
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
 from thermoforce_mpc.identification.estimation.regression import RegressionData, in_steps
@@ -35,15 +36,16 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 BLOCK_H, LEAST_BLOCKS = 4.0, 4
-"""Length of a block, h, and least number of blocks."""
-# Floor added to squared residuals before the logarithm.
+"""Length of a block, h, in which errors of emitters and air die out, and least number of blocks: of fewer no variance
+is known."""
+# Floor added to squared residuals before the logarithm: errors of 0 by rounding.
 _NOTHING = 1e-9
-# Offset that keeps block numbers of different regressions apart.
+# Offset that keeps block numbers of different regressions apart: four centuries of blocks, so that none meet.
 PER_REGRESSION = 10**6
-# A standard deviation over the median of what is normal without its sign; least promise an hour ahead, K: the
-# resolution of sensors.
-_MAD_SD, _LEAST_PROMISE_K = 1.4826, 0.1
-# Quantiles by one-sided probability: polynomials in b, the reach of the autocovariances as a share of the blocks.
+# A standard deviation over the median of what is normal without its sign: 1 over its quantile of 0.75.
+_MAD_SD = 1.4826
+# Quantiles by one-sided probability: polynomials in b, the reach of the autocovariances as a share of the blocks
+# (Kiefer and Vogelsang 2005, Bartlett's weights).
 _FIXED_B: dict[float, tuple[float, float, float, float]] = {
     0.90: (1.2816, 1.3040, 0.5135, -0.3386),
     0.95: (1.6449, 2.1859, 0.3142, -0.3427),
@@ -218,7 +220,7 @@ def hours_seen(fold: Fold, operator: OperatorParameters, gain_sd: float) -> list
         impulse = operator.impulse(steps)[::-1]
         of_hour = np.array([float(impulse @ e.drive[row : row + steps]) for row in e.rows[starts]])
         usual = NORMAL_90 * _MAD_SD * float(np.median(np.abs(errors)))
-        promise = np.hypot(max(usual, _LEAST_PROMISE_K), NORMAL_90 * gain_sd * of_hour)
+        promise = np.hypot(max(usual, SENSOR_STEP_K), NORMAL_90 * gain_sd * of_hour)
         clock_s = time_s[targets] + ahead_s(float(time_s[-1]), e.histories[0].origin)  # of a schedule on the wall
         found += [HourSeen(*map(float, row)) for row in zip(clock_s, errors, of_hour, promise, strict=True)]
     return found

@@ -35,7 +35,8 @@ from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData, fold_of
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
-# What a few modes do not follow of a response, as a share of its largest.
+# What a few modes do not follow of a response, as a share of its largest: as in the estimator before networks
+# (2026-11-26), whose bands of generated houses held.
 _MODES_SD = 0.006
 # Rooms beside each other whose heat is not measured: what levels stand for differs with water, valves and the other
 # rooms for weeks alike, so that a longer record tells ever less beside the prior: one of n days counts as

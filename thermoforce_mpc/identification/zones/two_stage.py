@@ -22,12 +22,14 @@ from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
-# Least steps of each stage, for its four and one parameters.
+# Least steps of each stage, for its four and one parameters: six a parameter, so that errors average out.
 MIN_OFF_STEPS = 24
 MIN_ON_STEPS = 6
-# Scaling of the first stage's four columns to equal size.
+# Scaling of the first stage's four columns to equal size: W/m² are a thousand times larger than their effect in K;
+# rounding is what it saves.
 SCALE = np.array([1.0, 1.0, 1e-3, 1.0])
-# What a model of first order does not follow in a step, and the temperature before the first reading, K. By judgement.
+# What a model of first order does not follow in a step, and the temperature before the first reading, K. By judgement:
+# the paper's estimate, which `two_stage` is, has none of its own.
 _LEAST_SD_K = 0.02
 _START_SD_K = 10.0
 # Bound of e, the constant gains from ground and people, K/h. By judgement.

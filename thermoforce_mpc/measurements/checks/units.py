@@ -27,6 +27,9 @@ _LEAST_RATIO, _CARNOT, _WATER_C, _BOREHOLE = 0.7, 0.5, 35.0, 6.5
 # That of a boiler or an electric heater is steady, and rises by 0.4 % where it condenses (EN 15502): its logarithm
 # varies by less than 0.05. What rises by more than any heat pump's is another thing: load, losses, a schedule.
 _NO_HEAT_PUMP, _LEAST_SLOPE_PER_K, _MOST_SLOPE_PER_K, _STEADY = 1.1, 0.01, 0.05, 0.05
+# A meter of whole kWh tells heat at other times than it came, as in the breaks of a boiler: where so few values of it
+# differ (2 to 4 % at .1 and 1 kWh, more than half at 1 Wh), heat and power of a while are compared, s.
+_FEW_VALUES, _WHILE_S = 0.1, 4.0 * HOUR_S
 # Days whose ratios must agree, and standard deviations of their spread that count: loads that go with the weather are
 # errors of all days. Few days say little of the spread; how sure it must make the doubt (Student's t).
 _LEAST_DAYS, _CLEAR_OF_DAYS, _SURE = 3, 4.0, 0.995
@@ -133,10 +136,17 @@ def _of_ratio(
     if ratio < _LEAST_RATIO or ratio > possible:
         words = f"no machine gives less than {_LEAST_RATIO:g} or more than {possible:.1f}"
         return [_ratio_remark(ratio, step_h, where, words)]
-    rows = on & np.isfinite(T_out)
-    if cools or rows.sum() < _LEAST_ROWS or step_h == 1.0:
+    if cools or step_h == 1.0:
         return []
-    days = record.time_s[:-1][rows] // DAY_S
+    time_s = record.time_s[:-1]
+    if np.unique(heat[both].round(1)).size < _FEW_VALUES * both.sum():
+        n = max(round(_WHILE_S / record.step_s), 1)
+        heat, power, T_out, time_s = (_in_blocks(one, n) for one in (heat, power, T_out, time_s))
+        on = np.asarray((power > _ON * _most(power)) & (heat > _ON * _most(heat)))
+    rows = on & np.isfinite(T_out)
+    if rows.sum() < _LEAST_ROWS:
+        return []
+    days = time_s[rows] // DAY_S
     if np.unique(days).size < _LEAST_DAYS:
         return []
     # At equal temperatures and loads: mild days are those of part load, which has a ratio of its own.
@@ -155,6 +165,11 @@ def _of_ratio(
         wrong = steady and _LEAST_RATIO <= ratio * step_h <= _NO_HEAT_PUMP
         words = "too much for a boiler, and it does not go with the outdoor temperature as that of a heat pump does"
     return [_ratio_remark(ratio, step_h, where, words)] if wrong else []
+
+
+def _in_blocks(values: Array, n: int) -> Array:
+    """Means of `n` values (m,) each, the last of them left out where they are fewer; NaN where one is not known."""
+    return np.asarray(values[: values.size // n * n].reshape(-1, n).mean(axis=1))
 
 
 def _slope(columns: Array, target: Array, days: Array) -> tuple[float, float, Array]:

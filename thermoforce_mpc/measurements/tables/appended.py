@@ -7,17 +7,22 @@ writes ERR. A person who hands in a table mends it; here the rest goes on.
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import re
 from bisect import bisect_right
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError, counted
 from thermoforce_mpc.measurements.tables.clock import newest_first, parsed_or_nat
 from thermoforce_mpc.measurements.tables.files import (
@@ -32,9 +37,11 @@ from thermoforce_mpc.measurements.tables.files import (
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, Written
 from thermoforce_mpc.measurements.tables.raw_table import (
     MISSING,
+    MOST_BESIDE,
     RawTable,
     as_numbers,
     bad_status,
+    has_units,
     known_column,
     of_one_signal,
     raw_table,
@@ -62,6 +69,11 @@ class _Left:
 
     def add(self, reason: str, line: int, what: str = "") -> None:
         self.lines.setdefault(reason, []).append((line, what[:_SHOWN]))
+
+    def add_all(self, other: _Left, line: int) -> None:
+        """What was left out of a part of the file, `line` of whose lines came before it."""
+        for reason, found in other.lines.items():
+            self.lines.setdefault(reason, []).extend((line + at, what) for at, what in found)
 
     def notes(self) -> list[str]:
         """A note per reason, which names its last line."""
@@ -125,40 +137,180 @@ def _read(
     known |= dict.fromkeys(columns_of(path, names, clock.column, form, table, None)[1] if table.point is None else ())
     if not values:
         return None
-    points = (table.point,) if isinstance(table.point, str) else table.point or ()
-    status = [table.status] if table.status in names else []
-    keys = list(dict.fromkeys([*stamps, *points, *values.values(), *status]))
-    left = _Left(str(path))
+    text = _Text(
+        str(path), tuple(names), tuple(cells), separator, tuple(stamps), values, tuple(wanted), clock, form, table
+    )
     first = header + 1 + form.skip_after
-    if (whole := _whole(content, form, first, separator, names, keys)) is not None:
-        lines, frame = whole
+    parts = _parts(text, content, first) or [_part(text, content, first)]
+    left = _Left(str(path))
+    for part in parts:
+        left.add_all(part.left, part.line)
+        known |= dict.fromkeys(part.known)
+    found = _joined(text, [part for part in parts if part.table is not None], latest, left)
+    notes += left.notes()
+    if found is None:
+        raise DataError(f"{path}: nothing of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
+    return found
+
+
+@dataclass(frozen=True)
+class _Text:
+    """How the text of a file is read: its columns (`cells`: as they stand there), and what is wanted of it."""
+
+    name: str
+    names: tuple[str, ...]
+    cells: tuple[str, ...]
+    separator: str
+    stamps: tuple[str, ...]
+    values: dict[str, str]
+    wanted: tuple[str, ...]
+    clock: TimeStampRules
+    form: CsvFormat
+    table: TableForm
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """Columns that name the signal of a row."""
+        return (self.table.point,) if isinstance(self.table.point, str) else self.table.point or ()
+
+    @property
+    def in_parts(self) -> bool:
+        """Whether a line means the same whatever stands before it."""
+        plain = self.form.encoding.lower() in ("utf-8", "utf8", "utf-8-sig", "ascii", "latin-1", "cp1252")
+        return plain and self.clock.year is None and (self.clock.zone is not None or self.clock.unit is not None)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What lines of a file say, `line` of which came before: rows with a time that are wanted, and what was left out.
+
+    `table`: None without such rows; its `line` counts within the part. `at` (n,): their times, UTC, those without an
+    offset (`offset`) as if they were of UTC. `alone`: whether other lines do not change what these say.
+    """
+
+    line: int
+    count: int
+    table: RawTable | None
+    at: pd.Series
+    offset: NDArray[np.bool_]
+    left: _Left
+    known: tuple[str, ...]
+    alone: bool = True
+
+
+def _joined(text: _Text, parts: Sequence[_Part], latest: pd.Timestamp, left: _Left) -> RawTable | None:
+    """One table of parts with rows, without rows whose time cannot be right; None where none is left."""
+    tables = [part.table for part in parts if part.table is not None]
+    if not tables:
+        return None
+    at, offset = pd.concat([part.at for part in parts], ignore_index=True), np.concatenate([p.offset for p in parts])
+    lines = np.concatenate([part.line + np.asarray(table.line) for part, table in zip(parts, tables, strict=True)])
+    keep = _with_times(at, offset, latest, lines, left, in_order=not text.points)
+    if not keep.any():
+        return None
+    if text.clock.unit is not None or text.clock.zone is None:
+        stamps = pd.concat([one.stamps for one in tables], ignore_index=True)
     else:
-        lines, rows = _rows(content, form, first, separator, cells, left)
+        stamps = at if offset[keep][0] else at.dt.tz_localize(None)
+    columns = {key: np.concatenate([one.columns[key] for one in tables])[keep] for key in tables[0].columns}
+    codes = [one.codes for one in tables if one.codes is not None]
+    beside: dict[str, Array] = {}
+    for one in tables:
+        for name, values in one.beside.items():
+            beside[name] = np.append(beside.get(name, values[:0]), values)[:MOST_BESIDE]
+    return replace(
+        tables[0],
+        stamps=stamps[keep].reset_index(drop=True),
+        columns=columns,
+        line=lines[keep],
+        codes=np.concatenate(codes)[keep] if codes else None,
+        beside=beside,
+    )
+
+
+# Parts of files that were read last, by how they are read and what stands there: of a log that grows only the end is
+# new. Of so many bytes each, half a tenth of a second to read; of so many files, as of a year with one a day.
+_PART_BYTES, _MOST_FILES = 2**19, 400
+_LATELY: OrderedDict[tuple[Any, ...], dict[bytes, _Part]] = OrderedDict()
+
+
+def _parts(text: _Text, content: bytes, first: int) -> list[_Part] | None:
+    """A file read in parts, of which those that were read before are known; None where it has to be read as a whole.
+
+    A part is known by its bytes, so that a file that is cut, mended or written anew is read as it stands.
+    """
+    begin = 0
+    for _ in range(first):
+        begin = content.find(b"\n", begin) + 1
+        if not begin:
+            return None
+    if not text.in_parts:
+        return None
+    cuts = [begin]
+    while len(content) - cuts[-1] > 2 * _PART_BYTES and (end := content.find(b"\n", cuts[-1] + _PART_BYTES) + 1):
+        cuts.append(end)
+    key = (text.name, text.names, text.wanted, *(one.model_dump_json() for one in (text.clock, text.form, text.table)))
+    before, parts, line = _LATELY.get(key, {}), list[_Part](), first
+    here = _LATELY[key] = {}
+    _LATELY.move_to_end(key)
+    while len(_LATELY) > _MOST_FILES:
+        _LATELY.popitem(last=False)
+    for cut, end in pairwise([*cuts, len(content)]):
+        digest = hashlib.blake2b(memoryview(content)[cut:end], digest_size=16).digest()
+        part = here[digest] = before.get(digest) or _part(text, content[cut:end], 0)
+        if not part.alone and len(cuts) > 1:
+            return None
+        parts.append(replace(part, line=line))
+        line += part.count
+    return parts
+
+
+def _part(text: _Text, content: bytes, first: int) -> _Part:
+    """What lines from `first` on say."""
+    form, table, stamps, points = text.form, text.table, text.stamps, text.points
+    status = [table.status] if table.status in text.names else []
+    keys = list(dict.fromkeys([*stamps, *points, *text.values.values(), *status]))
+    left, names, alone = _Left(text.name), list(text.names), True
+    if (whole := _whole(content, form, first, text.separator, names, keys)) is not None:
+        lines, frame = whole
+        count = len(frame)
+    else:
+        lines, rows, count, alone = _rows(content, form, first, text.separator, list(text.cells), left)
         frame = pd.DataFrame(rows, columns=names, dtype=str)[keys]
     frame = with_numbers(frame.mask(frame.isin({*_EMPTY, *form.missing})), form.words, form.decimal)
-    for key in dict.fromkeys(values.values()):
-        ours = _of_wanted(frame, points, wanted) if points else np.ones(len(frame), dtype=bool)
+    for key in dict.fromkeys(text.values.values()):
+        ours = _of_wanted(frame, points, text.wanted) if points else np.ones(len(frame), dtype=bool)
+        alone = alone and not has_units(frame[key], form.decimal)
         frame[key] = _numbers(frame[key], key, form.decimal, lines, left, ours)
-    at = frame[stamps[0]]
+    written = frame[stamps[0]]
     for more in stamps[1:]:
-        at = at + " " + frame[more]
-    keep = _with_stamps(at, clock, latest, lines, left, in_order=not points)
-    frame, lines = frame[keep].reset_index(drop=True), lines[keep]
-    notes += left.notes()
+        written = written + " " + frame[more]
+    at, offset = parsed_or_nat(written, text.clock)
+    read = at.notna().to_numpy()
+    for row in np.flatnonzero(~read):
+        left.add("no time stamp", int(lines[row]), written.iloc[row] if isinstance(written.iloc[row], str) else "")
+    frame, lines, at, offset = frame[read].reset_index(drop=True), lines[read], at[read], offset[read]
     if frame.empty:
-        raise DataError(f"{path}: nothing of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
-    if clock.unit is not None:
+        return _Part(0, count, None, at, offset, left, (), alone)
+    if text.clock.unit is not None:
         frame[stamps[0]] = pd.to_numeric(frame[stamps[0]])
     if points:
-        (one,) = tables_of(frame, tuple(stamps), wanted, table, str(path), lines, strict=False)
-        known |= dict.fromkeys([*one.points, *one.beside])
-        return one
-    one = raw_table(frame, tuple(stamps), list(dict.fromkeys(values.values())), str(path), lines)
-    bad = bad_status(frame, table)
-    columns = {key: np.where(bad, np.nan, one.columns[of]) for key, of in values.items()}
-    return (
-        replace(one, columns=columns) if table.by_file != "point" else of_one_signal(one, next(iter(columns)), columns)
-    )
+        (one,) = tables_of(frame, stamps, text.wanted, table, text.name, np.arange(len(frame)), strict=False)
+        ours = np.asarray(one.line)
+        known = (*one.points, *one.beside)
+        one = replace(one, line=lines[ours])
+        at, offset = at.iloc[ours], offset[ours]
+    else:
+        one = raw_table(frame, stamps, list(dict.fromkeys(text.values.values())), text.name, lines)
+        bad = bad_status(frame, table)
+        columns = {key: np.where(bad, np.nan, one.columns[of]) for key, of in text.values.items()}
+        known = ()
+        one = (
+            replace(one, columns=columns)
+            if table.by_file != "point"
+            else of_one_signal(one, next(iter(columns)), columns)
+        )
+    return _Part(0, count, one, at.reset_index(drop=True), offset, left, known, alone)
 
 
 def frame_appended(
@@ -181,7 +333,11 @@ def frame_appended(
     at = frame[stamps[0]]
     for more in stamps[1:]:
         at = at.astype(str) + " " + frame[more].astype(str)
-    keep = _with_stamps(at, clock, latest, rows, left, in_order=True)
+    times, offset = parsed_or_nat(at, clock)
+    keep = np.array(times.notna())
+    for row in np.flatnonzero(~keep):
+        left.add("no time stamp", int(rows[row]), at.iloc[row] if isinstance(at.iloc[row], str) else "")
+    keep[keep] = _with_times(times[keep], offset[keep], latest, rows[keep], left, in_order=True)
     frame = frame[keep].reset_index(drop=True)
     notes += left.notes()
     if frame.empty:
@@ -233,10 +389,14 @@ def _whole(
 
 def _rows(
     content: bytes, form: CsvFormat, first: int, separator: str, names: list[str], left: _Left
-) -> tuple[NDArray[np.intp], list[list[str]]]:
-    """Line numbers and cells of the lines from `first` on that can be split into as many cells as there are `names`."""
+) -> tuple[NDArray[np.intp], list[list[str]], int, bool]:
+    """Line numbers and cells of the lines from `first` on that can be split into as many cells as there are `names`.
+
+    And how many lines there are, and whether others do not change what these say.
+    """
     rows: list[list[str]] = []
     numbers: list[int] = []
+    number = 0
     longer: dict[int, tuple[int, str]] = {}
     text = content.decode(form.encoding, errors="replace")
     for number, line in enumerate(io.StringIO(text, newline=None), start=1):
@@ -265,13 +425,13 @@ def _rows(
     open_end = text[-1:] not in ("\n", "\r") and len(rows) - 1 not in longer
     if rows and open_end and numbers[-1] == number:
         _leave_cut(rows, numbers[-1], left)
-    longer = {row: of for row, of in longer.items() if row < len(rows)}
+    alone, longer = not longer, {row: of for row, of in longer.items() if row < len(rows)}
     if 2 * len(longer) <= len(rows):  # not as its rows end: a line that was torn, with the next one behind it
         for number, line in longer.values():
             left.add(f"{counted(len(names) + 1, 'cell')}, the header has {len(names)}", number, line)
         kept = [row for row in range(len(rows)) if row not in longer]
         rows, numbers = [rows[row] for row in kept], [numbers[row] for row in kept]
-    return np.array(numbers, dtype=np.intp), rows
+    return np.array(numbers, dtype=np.intp), rows, number, alone
 
 
 def _leave_cut(rows: list[list[str]], number: int, left: _Left) -> None:
@@ -296,23 +456,27 @@ def _numbers(
     return numbers.astype(float)
 
 
-def _with_stamps(
-    text: pd.Series,
-    clock: TimeStampRules,
+def _with_times(
+    at: pd.Series,
+    offset: NDArray[np.bool_],
     latest: pd.Timestamp,
     lines: NDArray[np.intp],
     left: _Left,
     *,
     in_order: bool,
 ) -> NDArray[np.bool_]:
-    """Which rows (n,) have a stamp that is a time, and not far from the rows before and after it, or from most."""
-    if pd.api.types.is_datetime64_any_dtype(text):
-        at = text.dt.tz_localize("UTC") if text.dt.tz is None else text.dt.tz_convert("UTC")
-    else:
-        at = parsed_or_nat(text, clock)
-    keep = np.array(at.notna())
-    for row in np.flatnonzero(~keep):
-        left.add("no time stamp", int(lines[row]), str(text.iloc[row]) if isinstance(text.iloc[row], str) else "")
+    """Which rows (n,) have a time that is of the clock of most, and not far from the rows before and after it, or from
+    most.
+    """
+    few = offset if 2 * int(offset.sum()) < offset.size else ~offset
+    reason = (
+        "its stamp has no offset from UTC, as most have"
+        if offset.sum() * 2 >= offset.size
+        else ("its stamp has an offset from UTC, as most have not")
+    )
+    keep = ~few
+    for row in np.flatnonzero(few):
+        left.add(reason, int(lines[row]), f"{at.iloc[row]:%Y-%m-%d %H:%M:%S}")
     rows = np.flatnonzero(keep)
     at_s = np.asarray((at[keep] - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=np.float64)
     if in_order and newest_first(at_s):
@@ -323,7 +487,7 @@ def _with_stamps(
     if late.any() and late.sum() <= max(1, _FEW * late.size):
         far |= late
     for row in rows[far]:
-        left.add("a time far from those of the rows around", int(lines[row]), str(text.iloc[row]))
+        left.add("a time far from those of the rows around", int(lines[row]), f"{at.iloc[row]:%Y-%m-%d %H:%M:%S}")
     keep[rows[far]] = False
     return keep
 

@@ -165,11 +165,11 @@ def _parsed(table: RawTable, text: pd.Series, clock: TimeStampRules) -> pd.Serie
         return times
 
 
-def parsed_or_nat(text: pd.Series, clock: TimeStampRules) -> pd.Series:
-    """Stamps (n,) as text to times of UTC, those without an offset as if they were of UTC; NaT for what is none.
-
-    Of stamps with and without an offset in one table the fewer are none.
-    """
+def parsed_or_nat(text: pd.Series, clock: TimeStampRules) -> tuple[pd.Series, NDArray[np.bool_]]:
+    """Stamps (n,) to times of UTC, NaT for what is none, and which have an offset; others as if they were of UTC."""
+    if pd.api.types.is_datetime64_any_dtype(text):
+        at = text.dt.tz_localize("UTC") if text.dt.tz is None else text.dt.tz_convert("UTC")
+        return at, np.full(len(text), text.dt.tz is not None)
     if clock.unit is not None:
         numbers = pd.to_numeric(text, errors="coerce")
         finite = np.isfinite(numbers.to_numpy(dtype=np.float64))
@@ -178,17 +178,14 @@ def parsed_or_nat(text: pd.Series, clock: TimeStampRules) -> pd.Series:
         since = clock.counted_from()
         since = since.tz_localize("UTC") if since.tz is None else since.tz_convert("UTC")
         elapsed = pd.to_timedelta(numbers.where(within), unit=clock.unit, errors="coerce")
-        return pd.Series(since + elapsed)
+        return pd.Series(since + elapsed), np.zeros(len(text), dtype=bool)
     text = text.astype(object).where(text.notna(), "").astype(str)
     text = text if clock.year is None else with_year(text, clock.year)
     text = plain(text, clock.format) if len(text) else text
     if clock.format is None:
         text = text.where(text.str.match(ISO), "")
     at = pd.to_datetime(text, format=clock.format or "ISO8601", utc=True, errors="coerce")
-    offset = with_offset(text)
-    read = at.notna().to_numpy()
-    fewer = offset if 2 * int((offset & read).sum()) < int(read.sum()) else ~offset
-    return at.mask(fewer)
+    return at, with_offset(text)
 
 
 def plain(text: pd.Series, form: str | None = None) -> pd.Series:

@@ -46,6 +46,8 @@ ISO = re.compile(r"\s*\d{4}-\d{2}-\d{2}")
 OFFSET = "(?:[+-][0-9]{2}(?::?[0-9]{2})?|Z) *$"
 """How stamps end that have an offset from UTC; databases leave minutes out where there are none."""
 _LOOKED_AT, _MOST_WORDS = 50, 20
+MOST_BESIDE = 2000
+"""So many readings are kept of a signal that nobody asked for: what it is can be told from them."""
 _NONE = frozenset((*MISSING, "", "nan", "null", "none", "n/a", "na"))
 
 
@@ -137,7 +139,9 @@ def tables_of(
         known_column(key, pd.Index(table.points), name)
     assert table.codes is not None
     beside = {
-        point: table.columns[""][table.codes == k][:2000] for k, point in enumerate(table.points) if point not in wanted
+        point: table.columns[""][table.codes == k][:MOST_BESIDE]
+        for k, point in enumerate(table.points)
+        if point not in wanted
     }
     lines = np.arange(1, len(df) + 1) if lines is None else lines
     ours = np.array([point in wanted for point in table.points])[table.codes]
@@ -279,6 +283,14 @@ def as_numbers(column: pd.Series, decimal: str = ".") -> pd.Series:
     With the mark ',' a point is none of a number: it may stand between thousands.
     """
     return pd.Series(_with_texts(column, decimal)[0], index=column.index)
+
+
+def has_units(column: pd.Series, decimal: str = ".") -> bool:
+    """Whether cells of a column of text have a unit behind their number."""
+    if pd.api.types.is_numeric_dtype(column):
+        return False
+    cells = column[pd.to_numeric(column, errors="coerce").isna() & column.notna()].unique()
+    return any(quantity_of(str(cell), decimal) is not None for cell in cells)
 
 
 def with_numbers(df: pd.DataFrame, words: Mapping[str, float], decimal: str = ".") -> pd.DataFrame:

@@ -9,6 +9,7 @@ import numpy as np
 from thermoforce_mpc.data import Array, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 
+# Deciles: what forecasters of the Chronos family are trained for (Ansari et al. 2024).
 LEVELS = np.arange(1, 10) / 10.0
 
 # Tolerated crossing of neighbouring quantiles by rounding, K.

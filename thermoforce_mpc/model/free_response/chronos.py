@@ -42,7 +42,7 @@ __all__ = ["SHIPPED", "ChronosFreeResponse", "shipped_folder"]
 _BRIDGED_S = 6 * HOUR_S
 # With less than a day of measurements persistence is used, and the note says so.
 _SHORTEST_HISTORY_S = DAY_S
-# Values that a backbone's first patch takes.
+# Values that a backbone's first patch takes: half of one would be padding.
 _SHORTEST_CONTEXT = 16
 _RESOLUTIONS = ("several", "one")
 

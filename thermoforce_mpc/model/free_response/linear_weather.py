@@ -54,8 +54,10 @@ _RIDGE_WEATHER = 0.1
 _RIDGE_WAVE = 1.0
 _RIDGE_START = 0.01
 _LONG_RUN_GAIN_WEIGHT = 5.0
-# Unit of irradiance that gives weights of order one, W/m².
+# Unit of irradiance that gives weights of order one, W/m²: priors are then alike.
 _SOLAR_UNIT_W_M2 = 100.0
+# Time constants that are tried for how the last error fades, h: a factor of three apart, as above; between them
+# forecasts would be alike.
 _SHORT_TAU_H = (1.0, 3.0, 8.0, 24.0, 72.0)
 
 

@@ -36,6 +36,8 @@ INPUTS: tuple[str, ...] = (
 """Inputs of the modes: T_out °C, irradiance W/m², 1, irradiance and 1 times cosine and sine of the day from noon, and
 irradiance²/300 W/m²: the beam share, and so the transmission of windows, rises with irradiance."""
 
+# The square is as large as the irradiance itself at that of a winter's noon: its weight is fitted, so that this is a
+# unit.
 _SQUARE_W_M2 = 300.0
 
 # Least eigenvalue of a covariance, as a share of its largest element: rounding.
@@ -46,7 +48,7 @@ _ROUNDING = 1e-6
 # anew in each step of a run, which took most of a forecast (20 ms of 25 with a record of two weeks, 2026-11-28).
 _BLOCK = 64
 
-# Least pole, that of a mode which is over within a step.
+# Least pole, that of a mode which is over within a step: its logarithm must be finite, no overflow.
 _FASTEST = 1e-12
 
 
@@ -65,6 +67,7 @@ class RcParameters:
     step_s: float
     process_K2: Array
     start_K2: Array
+    # Rounding to tenths is 0.03, to hundredths 0.003; identification says its own.
     sensor_sd_K: float = 0.02
 
     def __post_init__(self) -> None:

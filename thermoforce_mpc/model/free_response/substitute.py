@@ -22,7 +22,8 @@ from thermoforce_mpc.model.free_response.following import Computed, following
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather, Persistence
 from thermoforce_mpc.protocols import FreeResponse
 
-# Lead times at which a forecast is compared with the record, h.
+# Lead times at which a forecast is compared with the record, h: a step, and those of hours and a day ahead, since each
+# fails in its own way.
 _LEADS_H = (0.25, 1.0, 6.0, 24.0)
 # A change is ordinary within this many times the largest of the record over the same time, plus this, K. By judgement
 # (2026-11-22): forecasts must be both, out of the ordinary and far from that model.
@@ -30,12 +31,14 @@ _TIMES_RECORD, _BEYOND_RECORD_K = 1.5, 1.0
 # Largest difference from the linear weather model of a forecast whose change is not ordinary, K. Errors of healthy
 # forecasters two days ahead stay below 4 K on the records of docs/evidence/free-responses.md.
 _FROM_WEATHER_MODEL_K = 5.0
-# The same where the record is too short for that model: from the last temperature, K. By judgement, as the two below.
+# The same where the record is too short for that model: from the last temperature, K. By judgement (2026-11-22), as the
+# two below: no room that is used moves as far in two days.
 _FROM_LAST_K = 20.0
 # Widest half of a forecast's interval, as a multiple of the change that is allowed.
 _WIDEST = 3.0
-# Consecutive failures after which a method that learns begins anew.
-_COLD_AFTER = 3
+# Consecutive failures after which what was kept is given up, since it may be what fails: as long as a plan is followed
+# (`FallbackConfig.follow_steps`).
+COLD_AFTER = 3
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class WithSubstitutes(Computed):
         """See `ComputedFreeResponse.following`; raises `DataError` where no temperature was measured or all fail."""
         free = checked_free(free_C, history)
         before = state if isinstance(state, SubstituteState) else SubstituteState()
-        inner = before.inner if before.failures < _COLD_AFTER else None
+        inner = before.inner if before.failures < COLD_AFTER else None
         try:
             answer, after = yield from following(self.method, free, history, boundary, inner)
             checked_forecast(answer, boundary.n_steps, self.name)

@@ -24,12 +24,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.data.clock import DAY_H
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.machine.load import LEVEL_EDGE
+from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K
 
-# Mean level asked for over an hour from which it can be refused, and levels measured: up to the first nothing came,
-# from the second on the actuator works. By judgement; the house that is blocked from 22:00 to 5:00 went from 13 to 7
-# K·h in three days (2026-11-26).
-_ASKED, _NOTHING, _WORKS = 0.25, 0.02, 0.1
+# Mean level asked for over an hour from which it can be refused, and level measured from which the actuator works; the
+# house that is blocked from 22:00 to 5:00 went from 13 to 7 K·h in three days with them (2026-11-26).
+_ASKED, _WORKS = 0.25, 0.1
 # More hours than this are no schedule, nor are more stretches of them. By judgement.
 _MOST, _MOST_STRETCHES = 12, 2
 # Days from which on a plan may try the hour that it begins in, though blocked: after one day of it and after more. By
@@ -37,9 +39,8 @@ _MOST, _MOST_STRETCHES = 12, 2
 _AGAIN_DAYS = (0.5, 7.0)
 # Distance of the reading from the set-point from which any loop acts, K: proportional bands and dead bands are less.
 _CALLS_K = 0.5
-# Parts of a step that are looked up each.
+# Parts of a step that are looked up each: of a step of an hour, its quarters, since schedules begin at these.
 _PARTS = 4
-_HOURS = 24
 
 
 @dataclass(frozen=True)
@@ -76,16 +77,16 @@ class BlockedHours:
     def moved(self, later_s: float) -> BlockedHours:
         """The same hours so much later in the day, whole hours in s."""
         hours = round(later_s / HOUR_S)
-        return replace(self, refused=tuple(((hour + hours) % _HOURS, first_s) for hour, first_s in self.refused))
+        return replace(self, refused=tuple(((hour + hours) % DAY_H, first_s) for hour, first_s in self.refused))
 
     @cached_property
     def hours(self) -> frozenset[int]:
         """Hours that are blocked: refused before the actuator worked again, and refused ones beside these."""
         refused = {hour for hour, _ in self.refused}
         found = {hour for hour, first_s in self.refused if first_s < self.worked_s}
-        while beside := {hour for hour in refused - found if {(hour - 1) % _HOURS, (hour + 1) % _HOURS} & found}:
+        while beside := {hour for hour in refused - found if {(hour - 1) % DAY_H, (hour + 1) % DAY_H} & found}:
             found |= beside
-        stretches = sum((hour - 1) % _HOURS not in found for hour in found)
+        stretches = sum((hour - 1) % DAY_H not in found for hour in found)
         return frozenset(found) if len(found) <= _MOST and stretches <= _MOST_STRETCHES else frozenset()
 
     def available(self, time_s: Array, step_s: float) -> Array:
@@ -120,7 +121,7 @@ class BlockedHours:
         T_C, needs = float(last.T_zone_C[0, -1]), np.abs(levels).sum() / steps >= _ASKED
         waits = not levels or not np.isfinite(levels).all()
         goes_on = waits and sign * (self.since_C - T_C) >= 0.0
-        if got > _NOTHING or not (needs or goes_on):
+        if got > LEVEL_EDGE or not (needs or goes_on):
             return self
         first = () if any(item[0] == hour for item in self.refused) else ((hour, float(last.time_s[0])),)
         return replace(
@@ -133,11 +134,11 @@ class BlockedHours:
 
     def in_words(self, what: str = "nothing") -> str:
         """The hours, for people; `what` it is that does not come."""
-        starts = sorted(hour for hour in self.hours if (hour - 1) % _HOURS not in self.hours)
+        starts = sorted(hour for hour in self.hours if (hour - 1) % DAY_H not in self.hours)
         spans = []
         for start in starts:
-            end = next(start + n for n in range(1, _HOURS + 1) if (start + n) % _HOURS not in self.hours)
-            spans.append(f"{start}:00 to {end % _HOURS}:00")
+            end = next(start + n for n in range(1, DAY_H + 1) if (start + n) % DAY_H not in self.hours)
+            spans.append(f"{start}:00 to {end % DAY_H}:00")
         return (
             f"{what} comes from {' and '.join(spans)}, whatever is asked for: the plant's own schedule; plans do "
             "without these hours (controller.options.watch.blocked_hours)"
@@ -197,9 +198,6 @@ def called_for(asked: Array, heating_C: Array, cooling_C: Array, T_zone_C: Array
 # of which one error in 200 is by chance; on how many days running. An office of `bench detectors` whose mornings are
 # blocked went from 8.03 to 2.42 K·h in three days with these (2026-11-28).
 _TELLS_K, _MISSING, _BEYOND, _DAYS = 0.25, 0.5, 2.0, 2
-# Less than this needs no plan around it, K: a thermostat keeps as much above its bound (`margins._MOST_K`). In the
-# clean office 1 of seed 62171 an hour was claimed for 0.2 K (`bench detectors`, 2026-11-28).
-_LEAST_K = 0.3
 # Days that are kept of each hour, and for how long, s. By judgement.
 _KEPT, _KEPT_S = 4, 14 * DAY_S
 # Prior standard deviations of what an hour takes of the effect, and of what it does to the zone besides, K. The same
@@ -207,7 +205,7 @@ _KEPT, _KEPT_S = 4, 14 * DAY_S
 _SHARE_SD, _DIP_SD_K = 0.5, 1.0
 # How fast a zone forgets what an hour did to it, s, as air and furniture do; the most of it that is believed, K. By
 # judgement.
-_FORGETS_S, _MOST_DIP_K = 3 * HOUR_S, 3.0
+FORGETS_S, _MOST_DIP_K = 3 * HOUR_S, 3.0
 
 
 class HourSeen(NamedTuple):
@@ -293,8 +291,10 @@ class HourEffects:
         return found
 
     def _misses(self, one: HourSeen) -> bool:
+        # What a thermostat keeps inside its bound needs no plan around it: in the clean office 1 of seed 62171 an hour
+        # was claimed for 0.2 K (`bench detectors`, 2026-11-28).
         lacking_K = -self.sign * one.error_K
-        return lacking_K > max(_BEYOND * one.promise_K, _MISSING * abs(one.effect_K), _LEAST_K)
+        return lacking_K > max(_BEYOND * one.promise_K, _MISSING * abs(one.effect_K), THERMOSTAT_INSIDE_K)
 
     def _law(self, seen: Sequence[HourSeen]) -> HourLaw:
         """The most likely law given the errors of its days, error = (share − 1) effect + dip, neither of help."""
@@ -328,7 +328,7 @@ class HourEffects:
 
     def dips_K(self, time_s: Array, step_s: float) -> Array:
         """What the hours do to the zone besides, at the end of each step from `time_s` (n,), s, on, (n,), K."""
-        out, left, kept = np.zeros(time_s.size), 0.0, math.exp(-step_s / _FORGETS_S)
+        out, left, kept = np.zeros(time_s.size), 0.0, math.exp(-step_s / FORGETS_S)
         if not self.laws:
             return out
         for k, start_s in enumerate(time_s.tolist()):
@@ -345,7 +345,7 @@ class HourEffects:
             came_K = last.effect_K + last.error_K
             besides = f", and {law.dip_K:+.1f} K besides" if abs(law.dip_K) > 0.05 else ""
             told.append(
-                f"from {hour}:00 to {(hour + 1) % _HOURS}:00 acting does {law.share:.0%} of what it does else{besides} "
+                f"from {hour}:00 to {(hour + 1) % DAY_H}:00 acting does {law.share:.0%} of what it does else{besides} "
                 f"({last.effect_K:+.1f} K were expected of it and {came_K:+.1f} K came, where ±{last.promise_K:.1f} K "
                 "was promised, and the day before likewise)"
             )
@@ -385,4 +385,4 @@ def said(directions: Directions) -> str:
 
 
 def _hour(time_s: float) -> int:
-    return int((time_s % DAY_S + 1.0) // HOUR_S) % _HOURS
+    return int((time_s % DAY_S + 1.0) // HOUR_S) % DAY_H

@@ -29,6 +29,10 @@ LEVEL_EDGE = 0.02
 # Level from which full level counts as seen: the rest is extrapolated by a tenth. On two buildings 0.87 does the same
 # (`python -m benchmarks.constants`, 2026-11-28).
 NEARLY_FULL = 0.9
+# Heat below this share of what the level stands for was not given: a machine is at its limit. Set with the changes per
+# hour of `controllers.mpc.margins` on `house:3rooms:60` and `house:5rooms`, whose cold weeks they took from 4.65 to
+# 0.19 and from 0.34 to 0.21 K·h (2026-11-22).
+LACKING = 0.8
 # Lower bound of the end values, W, above zero so that rounding cannot make a load negative.
 LEAST_W = 1e-3
 # Least number of intermediate samples to separate the fixed and the proportional part. By judgement, as the numbers of

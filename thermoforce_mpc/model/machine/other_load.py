@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.data.clock import DAY_H
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE, error_of_a_step
 
@@ -22,8 +23,6 @@ _LEAST_SHARE = 0.03
 # Steps that the machine must have been off, and hours before which a step off still shows what ran before, h. By
 # judgement: three hours.
 _LEAST_STEPS, _AFTER_H = 12, 0.25
-HOURS = 24
-"""Hours of a day."""
 
 # Prior standard deviations as shares of the mean: from one hour of the day to the next, and per K outdoors. Errors of a
 # step have this share. By judgement.
@@ -53,8 +52,8 @@ class OtherLoad:
     rmse_W: float
 
     def __post_init__(self) -> None:
-        if len(self.by_hour_W) != HOURS:
-            raise DataError(f"by_hour_W has {len(self.by_hour_W)} entries, expected {HOURS}")
+        if len(self.by_hour_W) != DAY_H:
+            raise DataError(f"by_hour_W has {len(self.by_hour_W)} entries, expected {DAY_H}")
 
     def __call__(self, time_s: Array, T_out_C: Array) -> Array:
         """Return the load over steps that start at `time_s`, s since 1 January, at `T_out_C` °C, W; shapes alike."""
@@ -97,17 +96,17 @@ def other_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> Other
     if mean_W <= max(0.0, _LEAST_SHARE * float(np.percentile(meter_W[known & ~off], 90.0))):
         return None
     reference_C = float(T.mean())
-    design = np.zeros((load_W.size, HOURS + 1))
+    design = np.zeros((load_W.size, DAY_H + 1))
     design[np.arange(load_W.size), _hour(time_s[settled])] = 1.0
-    design[:, HOURS] = T - reference_C
+    design[:, DAY_H] = T - reference_C
     if _fades(design, load_W, off_h[settled]):
         return None
     found = _coefficients(design, load_W)
     found = _coefficients(design, load_W, error_of_a_step(design @ found - load_W, _ERROR * mean_W))
     rmse_W = float(np.sqrt(np.mean((design @ found - load_W) ** 2)))
     load = OtherLoad(
-        tuple(np.maximum(found[:HOURS], 0.0).tolist()),
-        float(found[HOURS]),
+        tuple(np.maximum(found[:DAY_H], 0.0).tolist()),
+        float(found[DAY_H]),
         reference_C,
         (float(T.min()), float(T.max())),
         rmse_W,
@@ -131,13 +130,13 @@ def own_W(
 def _lacking(load: OtherLoad, time_s: Array, T_out_C: Array, meter_W: Array) -> float:
     """Share of `load` that a meter (n,) did not hold, by its means of the hours of the day."""
     hour, load_W = _hour(time_s), load(time_s, T_out_C)
-    meter, expected = (np.bincount(hour, weights=values, minlength=HOURS) for values in (meter_W, load_W))
+    meter, expected = (np.bincount(hour, weights=values, minlength=DAY_H) for values in (meter_W, load_W))
     return float(np.maximum(expected - meter, 0.0).sum() / max(expected.sum(), 1e-9))
 
 
 def _fades(design: Array, load_W: Array, off_h: Array) -> bool:
     """Whether a good part of the load surely fades with the hours (n,) since the machine was on."""
-    fading = np.exp(-np.minimum(off_h, HOURS) / _FADES_H)
+    fading = np.exp(-np.minimum(off_h, DAY_H) / _FADES_H)
     design = np.column_stack([design, fading])
     found = _coefficients(design, load_W)
     sd_W = np.std(design @ found - load_W) / max(np.sqrt(fading.size) * np.std(fading), 1e-9)
@@ -151,17 +150,17 @@ def _coefficients(design: Array, load_W: Array, error_W: float | None = None) ->
     """
     mean_W, k = float(load_W.mean()), design.shape[1]
     error_W = error_W or _ERROR * mean_W
-    smooth = np.zeros((HOURS, k))  # from each hour to the next, around the clock
-    smooth[:, :HOURS] = np.eye(HOURS) - np.roll(np.eye(HOURS), 1, axis=1)
+    smooth = np.zeros((DAY_H, k))  # from each hour to the next, around the clock
+    smooth[:, :DAY_H] = np.eye(DAY_H) - np.roll(np.eye(DAY_H), 1, axis=1)
     flat = np.zeros((1, k))
-    flat[0, HOURS] = 1.0
+    flat[0, DAY_H] = 1.0
     rows = np.vstack([design / error_W, smooth / (_BY_HOUR * mean_W), flat / (_PER_K * mean_W)])
-    values = np.concatenate([load_W / error_W, np.zeros(HOURS + 1)])
+    values = np.concatenate([load_W / error_W, np.zeros(DAY_H + 1)])
     return np.asarray(np.linalg.lstsq(rows, values, rcond=None)[0])
 
 
 def _hour(time_s: Array) -> NDArray[np.intp]:
-    return np.asarray((np.asarray(time_s) % DAY_S + 1e-6) // HOUR_S, dtype=np.intp) % HOURS
+    return np.asarray((np.asarray(time_s) % DAY_S + 1e-6) // HOUR_S, dtype=np.intp) % DAY_H
 
 
 def _off_h(off: NDArray[np.bool_], time_s: Array) -> Array:

@@ -24,7 +24,8 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.parameters import ZONE, OperatorParameters
 
-# More corners than this are reduced to their convex hull, and a hull with more than that to its bounding box.
+# More corners than this are reduced to their convex hull, and a hull with more than that to its bounding box: each step
+# multiplies them, so that bounds would take seconds.
 _PRUNE_ABOVE, _BOX_ABOVE = 48, 768
 # Relative margin for rounding, here and in Qhull's joggled input.
 _HULL_ROUNDING = 1e-9

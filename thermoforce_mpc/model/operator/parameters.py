@@ -31,6 +31,7 @@ N_FEATURES = len(FEATURES)
 ZONE = FEATURES.index("free_temperature_C")
 OUTDOOR = FEATURES.index("outdoor_temperature_C")
 
+# Air outdoors is warmest about three hours after noon: storage in the ground delays it.
 _WARMEST_HOUR = 15.0
 
 
@@ -68,7 +69,7 @@ GAMMA = 0.75
 _LARGEST = 1e100
 # Tolerance of the initial slope by rounding: a pure delay has slope zero.
 _ROUNDING = 1e-9
-# Share of all gains below which a mode has none.
+# Share of all gains below which a mode has none: rounding.
 _NO_GAIN = 1e-10
 
 

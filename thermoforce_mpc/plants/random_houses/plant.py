@@ -17,7 +17,6 @@ from thermoforce_mpc.plants.drawn_houses import (
     FACADES,
     HEIGHT_M,
     STEP_S,
-    THERMOSTAT_ABOVE_K,
     DrawnHousePlant,
     air_change,
     on_facades,
@@ -27,6 +26,7 @@ from thermoforce_mpc.plants.people import PERSON_W, at_home, live, set_back, var
 from thermoforce_mpc.plants.points import acting_means, interval_means, measurement, past_record
 from thermoforce_mpc.plants.random_houses import physics
 from thermoforce_mpc.plants.random_houses.draw import House, draw_house
+from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K
 from thermoforce_mpc.scenario.testcase import Actuator, MeasuredPoints, TestCase
 
 # Native set-point above the lower bound while at home, K; set-back below it, K, and preheating, h, by emitter.
@@ -91,7 +91,7 @@ def house_testcase(house: House) -> TestCase:
             heat=("Q_machine",) if house.heat_metered else (),
             return_water="T_return" if house.heat_metered else None,
         ),
-        thermostat_C=house.lower_C + THERMOSTAT_ABOVE_K,
+        thermostat_C=house.lower_C + THERMOSTAT_INSIDE_K,
         plant="generated",
     )
 

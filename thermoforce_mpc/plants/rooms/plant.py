@@ -18,7 +18,6 @@ from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Commands, Levels, Mea
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.drawn_houses import (
     GRID_S,
-    THERMOSTAT_ABOVE_K,
     DrawnHousePlant,
     air_change,
     on_facades,
@@ -33,6 +32,7 @@ from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import USES, DrawnHouse, Kind, Room
 from thermoforce_mpc.plants.shell import check_levels
 from thermoforce_mpc.scenario.building import Machine, Zone, ZoneActuator
+from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K
 from thermoforce_mpc.scenario.testcase import MeasuredWeather, TestCase
 
 # Comfort bounds of a room that is not used, °C (BOPTEST's of an empty house).
@@ -164,7 +164,7 @@ def testcase_of(house: DrawnHouse, name: str) -> TestCase:
             occupancy=f"occupancy[{room.name}]",
             lower=f"lower[{room.name}]",
             upper=f"upper[{room.name}]",
-            thermostat_C=room.lower_C + THERMOSTAT_ABOVE_K,
+            thermostat_C=room.lower_C + THERMOSTAT_INSIDE_K,
         )
         valve, share = f"{room.name}_valve", room.emitter_W / house.heat_pump.capacity_W
         heat = (f"heat[{room.name}]",)
@@ -218,7 +218,7 @@ class HouseOfRooms(DrawnHousePlant):
         self.layout = testcase_of(house, house.name).layout
         self._names = self.layout.names
         self.zones, self.actuators = self._names.zones, self._names.actuators
-        self.thermostat_C = np.array([room.lower_C for room in house.rooms]) + THERMOSTAT_ABOVE_K
+        self.thermostat_C = np.array([room.lower_C for room in house.rooms]) + THERMOSTAT_INSIDE_K
         time_s = year()
         gains = np.ascontiguousarray(gains_W(house, time_s).T)
         self._scheduled = weather_grid(house, self.weather), gains
@@ -262,13 +262,13 @@ class HouseOfRooms(DrawnHousePlant):
         )
 
     def recorded(self, start_s: float, final_s: float) -> tuple[Array, Array]:
-        """Return times (n,), s, and rows (n, 9 + 3 Z) of `physics.advance` between two times, both included."""
+        """Return times (n,), s, and rows (n, 9 + 4 Z) of `physics.advance` between two times, both included."""
         return self._samples.between(start_s, final_s)
 
-    def supply_C(self, edges: Array) -> Array:
-        """Mean supply temperature between `edges` (n + 1,), s: (n,), °C."""
-        times, rows = self._samples.times, self._samples.rows
-        return means_between(times, rows[:, [physics.SUPPLY]].T, edges)[0]
+    def flow_C(self, edges: Array) -> Array:
+        """Mean temperature between `edges` (n + 1,), s, of the water that flows into each circuit: (Z, n), °C."""
+        times, rows, n = self._samples.times, self._samples.rows, len(self.zones)
+        return means_between(times, rows[:, physics.ROOMS + 3 * n : physics.ROOMS + 4 * n].T, edges)
 
     def tank_C(self, start_s: float, final_s: float) -> tuple[Array, Array]:
         """Times (n,), s, and temperature of the tank of hot water (n,), °C, NaN without one; as `recorded`."""
@@ -348,7 +348,7 @@ class HouseOfRooms(DrawnHousePlant):
         self._T = np.tile([room.lower_C for room in self.house.rooms], physics.N_BLOCKS)
         self._on = np.zeros(n)
         self._device_state = np.zeros(N_STATES) if self.device is None else self.device.begin()
-        row = np.zeros(physics.ROOMS + 3 * n)
+        row = np.zeros(physics.ROOMS + 4 * n)
         row[self._blocks()[0]] = self._T[:n]
         row[physics.OUTDOOR], row[physics.SOLAR] = self._weather_now()
         row[physics.STORED] = float(self._network.capacity_J_K @ self._T)
@@ -356,6 +356,7 @@ class HouseOfRooms(DrawnHousePlant):
         _, _, row[physics.SUPPLY] = physics.machine(
             self._network, self._T, off, float(row[physics.OUTDOOR]), off.copy()
         )
+        row[physics.ROOMS + 3 * n :] = row[physics.SUPPLY]
         return row
 
 

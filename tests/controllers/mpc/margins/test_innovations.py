@@ -61,6 +61,16 @@ def test_an_error_lasts_unless_errors_went_with_changes_of_level():
     assert state.after(np.array([0.2]), np.array([np.nan]), 900.0).count.tolist() == [0.0]
 
 
+def test_a_change_of_a_fifth_of_a_kelvin_counts_half_of_a_large_one():
+    """Starts, whose first step gives half more, among small changes, which give what the model says."""
+    state = Innovations.nothing(1)
+    for k in range(200):
+        change_K = np.array([2.0 if k % 2 else 0.2])
+        state = state.after(0.5 * change_K * (k % 2), change_K, 900.0)
+    large = 4.0 / (4.0 + 0.2**2)
+    assert state.first_step[0][0] == pytest.approx(0.5 * large / (large + 0.5), rel=0.05)
+
+
 def beyond(u: float = 1.0, power_W: float = 5000.0, behind_K: float = 0.3, before: float = 0.0) -> float:
     return share_beyond_limit(before, u, power_W, 7000.0, behind_K, 900.0)
 

@@ -16,6 +16,7 @@ from thermoforce_mpc.errors import BackboneError
 
 WEIGHTS = "model.safetensors"
 SHARDS = f"{WEIGHTS}.index.json"
+# A server that is there answers a question for a file's head within it, s; a person waits for the answer.
 _TIMEOUT_S = 5.0
 _WANTED = ["config.json", "*.safetensors", SHARDS]
 _ADVICE = "download it where there is a network and give its directory, or use backbone: shipped"

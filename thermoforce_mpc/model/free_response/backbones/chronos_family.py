@@ -42,7 +42,8 @@ WEIGHTS_KEY = "weights_sha256"
 _INPUTS = {"ChronosBoltPipeline": ("context",), "Chronos2Pipeline": ("context", "future_covariates")}
 # Largest batch: beyond, the activations leave the cache of a core and the pass becomes slower.
 _AT_ONCE = 48
-# Contexts of one length below which they join a batch of longer ones.
+# Contexts of one length below which they join a batch of longer ones: a pass of their own would cost more than the
+# padding.
 _FEW = 16
 
 

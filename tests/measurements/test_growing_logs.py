@@ -1,0 +1,94 @@
+"""A log that grows is read in parts, of which those that were read before are known by their bytes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thermoforce_mpc.measurements.load import read_measurements
+from thermoforce_mpc.measurements.tables import appended
+
+OF_READINGS = {
+    "time": {"column": "time", "zone": "Europe/Vienna"},
+    "table": {"point": "topic", "value": "value"},
+    "outdoor": "out",
+    "zones": {"room": {"temperature": "T", "lower": 20, "upper": 24}},
+    "actuators": {"pump": {"level": "u"}},
+    "machines": {"meter": {"power": "P", "price": 0.25}},
+}
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "log.csv"
+
+
+def readings(n=400) -> list[str]:
+    """As a broker's log has them: a line per reading, and a signal that nobody asked for."""
+    at = pd.date_range("2025-01-10 20:00:03", periods=n, freq="5min", tz="UTC")
+    values = {"T": "{:.1f}", "out": "{:.1f}", "u": "{:.0f}", "P": "{:.0f} W", "door": "{}"}
+    k = np.arange(n)
+    of = {
+        "T": 21 + k % 5 / 10,
+        "out": 2 + k % 7 / 10,
+        "u": k % 2,
+        "P": 1000 * (k % 2),
+        "door": np.array(["on", "off"])[k % 2],
+    }
+    return [
+        f"{t.isoformat()},{name},{form.format(of[name][i])}\n"
+        for i, t in enumerate(at)
+        for name, form in values.items()
+    ]
+
+
+WRONG = {
+    "nothing": "",
+    "nul": "\x00" * 40 + "\n",
+    "header": "time,topic,value\n",
+    "torn": "2025-01-10T23:0",
+    "1970": "1970-01-01T00:00:04+00:00,T,20.0\n",
+    "no offset": "2025-01-11 00:00:00,T,21.0\n",
+    "unit": "2025-01-11T00:00:00+00:00,P,1.2 kW\n",
+    "err": "2025-01-11T00:00:00+00:00,T,ERR\n",
+    "a cell more": "2025-01-11T00:00:00+00:00,T,21.0,\n",
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize("units", [True, False])
+def test_a_log_that_grows_is_read_as_if_at_once(path, monkeypatch, wrong, units):
+    """What was read before is known by its bytes: also of a file that is cut at its head, or mended in between."""
+    rows = [row if units else row.replace(" W\n", "\n") for row in readings()]
+    rows[700:700] = [WRONG[wrong]]
+    for content in (rows[:1600], rows, rows[500:], rows[:700] + rows[701:]):
+        path.write_text("time,topic,value\n" + "".join(content))
+        now = pd.Timestamp("2025-01-12 05:20:30", tz="UTC")
+        both = []
+        for part_bytes in (4000, 10**9):
+            monkeypatch.setattr(appended, "_PART_BYTES", part_bytes)
+            found = read_measurements(str(path), OF_READINGS, step_s=900.0, at=now.floor("15min"), now=now)
+            record = found.record
+            both.append((record.T_zone_C, record.T_out_C, record.u, record.power_W, np.array(found.left_out)))
+        for in_parts, at_once in zip(*both, strict=True):
+            np.testing.assert_array_equal(in_parts, at_once)
+        assert np.nanmax(record.power_W) == pytest.approx(663.3, abs=0.1)
+        assert bool(found.left_out) == (WRONG[wrong] in content and wrong not in ("nothing", "unit"))
+
+
+def test_of_a_log_that_grows_only_the_end_is_read(path, monkeypatch):
+    monkeypatch.setattr(appended, "_PART_BYTES", 4000)
+    rows, read = [row.replace(" W\n", "\n") for row in readings()], list[int]()
+    part = appended._part
+    monkeypatch.setattr(
+        appended, "_part", lambda text, content, first: read.append(len(content)) or part(text, content, first)
+    )
+    now = pd.Timestamp("2025-01-12 05:20:30", tz="UTC")
+    for content in (rows[:-20], rows):
+        path.write_text("time,topic,value\n" + "".join(content))
+        read.append(0)
+        read_measurements(str(path), OF_READINGS, step_s=900.0, at=now.floor("15min"), now=now)
+    first, again = sum(read[: read.index(0, 1)]), sum(read[read.index(0, 1) :])
+    assert first == path.stat().st_size - len("time,topic,value\n") - sum(map(len, rows[-20:]))
+    assert again <= 2 * 4000 + sum(map(len, rows[-20:]))
