@@ -3,8 +3,8 @@
 The houses of `bench commands` that take set-points of their rooms. Their tank has a logger of its own: temperature to
 half a kelvin and the meter of the heat pump every five minutes; what it is is learned from the 28 days before. Then the
 same cold days are lived left alone, with the target of the tank planned and the rooms left to their thermostats, and
-with their set-points planned too. The tank is wanted as warm by day as the device keeps it, see `wanted`; what is
-missing in house and tank at the end counts, what is more there earns nothing.
+with their set-points planned too. The tank is wanted as warm by day as the device keeps it, see `wanted`. Two days left
+alone follow and count, as in `bench commands`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import run_all
-from benchmarks.commands.bench import Home, learned, left_alone_C, priced
+from benchmarks.commands.bench import Home, learned, left_alone_C, left_alone_cost, priced
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.commands.tank import TankRecord, TankTarget, learn_tank
@@ -51,22 +51,20 @@ def wanted(home: Home) -> TankComfort:
 
 @dataclass(frozen=True)
 class LivedWithTank:
-    """What days cost, in currency, their energy and heat, kWh, and K·h below the bounds of rooms and tank.
+    """What days cost, in currency, their energy, kWh, and K·h below the bounds of rooms and tank.
 
-    `stored_kWh`: in house and tank at their end.
+    `after`: see `Lived`.
     """
 
     cost: float
     energy_kWh: float
-    heat_kWh: float
     rooms_below_Kh: float
     tank_below_Kh: float
-    stored_kWh: float
+    after: float
 
     def saved_by(self, other: LivedWithTank) -> float:
-        """Share of the cost that `other` saves; heat that it leaves less counts at the mean cost of heat."""
-        missing_kWh = max(self.stored_kWh - other.stored_kWh, 0.0)
-        return 1.0 - (other.cost + missing_kWh * self.cost / self.heat_kWh) / self.cost
+        """See `Lived.saved_by`."""
+        return (self.cost + self.after - other.cost - other.after) / self.cost
 
 
 def run_tank_bench(
@@ -155,7 +153,7 @@ def _days(
     """Days left alone, without a `controller`, or under its target and, with `rooms`, set-points; and what it set."""
     plant, state, comfort = home.plant, None, wanted(home)
     plans_tank = controller is not None and controller.hot_water is not None
-    cost = energy = heat = below = tank_below = 0.0
+    cost = energy = below = tank_below = 0.0
     told = {"tank_planned": 0.0, "solves": 0.0, "tank_changes": 0.0}
     last = None
     for k in range(round(days * DAY_S / _STEP_S)):
@@ -181,7 +179,6 @@ def _days(
             done, seconds = home.advance(one.command, one.duration_s), one.duration_s
             used = float(done.power_W[0]) * seconds / J_PER_KWH
             energy, cost = energy + used, cost + used * float(ahead.price_per_kWh[0, 0])
-            heat += float(done.heat_W.sum()) * seconds / J_PER_KWH
             lower_C = ahead.lower_C[:, :2].min(axis=1)
             below += float(np.maximum(lower_C - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S
         time_s, T_C = plant.tank_C(float(ahead.time_s[0]), float(ahead.time_s[1]))
@@ -189,7 +186,8 @@ def _days(
         tank_below += float(np.maximum(wanted_C - T_C, 0.0).mean())
     n = days * DAY_S / _STEP_S
     told["solves"] /= n
-    return LivedWithTank(cost, energy, heat, below, tank_below, plant.stored_kWh()), told
+    plant.tank_target_C = None
+    return LivedWithTank(cost, energy, below, tank_below, left_alone_cost(home)), told
 
 
 def targets(rows: list[Row]) -> list[Target]:

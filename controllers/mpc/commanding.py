@@ -41,6 +41,7 @@ from thermoforce_mpc.data import (
 )
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.dataframes import clock_s, compose
+from thermoforce_mpc.data.series import first_order
 from thermoforce_mpc.model.card import JUDGED_H, MOST_ERROR_K, ModelCard
 from thermoforce_mpc.model.machine.change import COMPARED_H, weight_of_demand
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -57,6 +58,9 @@ _ROUNDS, _CLOSE, _TABLE = 20, 5e-4, 65
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
 # Lead time whose error counts of rooms that are not known, h: the longest that is judged.
 _ERROR_H = JUDGED_H[-1]
+# How long an error of the free part lasts, h: weather, sun and people of a day. By judgement: the band of a plan of
+# house 9508 by set-points (`bench commands`, 2026-11-29) is 37 % of the cost wide at 0, 42 at 3, 44 at 12, 46 at 48 h.
+_LASTS_H = 12.0
 # What a change of a command must save, as a share of what the building costs when it is left alone. By judgement: a
 # change an hour all day costs as much as 5 %.
 _PER_CHANGE = 0.002
@@ -109,6 +113,9 @@ class BuildingCommands:
         self._layout, self._learned, self._cards = layout, dict(learned), tuple(cards)
         self._meters = dict(meters)
         self._spread = np.array([_effect_spread(card) for card in cards])
+        self._errors_K = np.zeros((len(layout.names.zones), len(JUDGED_H)))
+        for z, card in zip(layout.home, cards, strict=True):
+            self._errors_K[z] = np.maximum(self._errors_K[z], _errors_K(card))
 
     def begin(
         self,
@@ -150,7 +157,11 @@ class BuildingCommands:
             for name, group in groups.items()
             if isinstance(name, str) and name in self._meters
         )
-        return CommandedPlan(operator, problem, boundary, loops, together, frozenset(alone), self._spread, held, beside)
+        ends_h = (boundary.time_s[1:] - boundary.time_s[0]) / HOUR_S
+        free_K = np.stack([np.interp(ends_h, (0.0, *JUDGED_H), (0.0, *errors_K)) for errors_K in self._errors_K])
+        return CommandedPlan(
+            operator, problem, boundary, loops, together, frozenset(alone), self._spread, free_K, held, beside
+        )
 
 
 def meters_of(model: ThermalModel, learned: Mapping[int, LearnedCommand]) -> dict[str, MeterEffect]:
@@ -192,17 +203,16 @@ class _HeldRoom:
     @classmethod
     def of(cls, card: ModelCard) -> _HeldRoom:
         """By the errors 6 h ahead, and what all actuators do there together, as `card` has it."""
-        scores = () if card.competence is None else card.competence.horizons
-        errors_K = [score.model_K for score in scores if score.hours == _ERROR_H and np.isfinite(score.model_K)]
-        return cls(max(errors_K, default=MOST_ERROR_K[_ERROR_H]), min(card.together_sd, 1.0))
+        return cls(_errors_K(card)[JUDGED_H.index(_ERROR_H)], min(card.together_sd, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
 class CommandedPlan:
     """One plan in commands: `loops` by number of the actuator, of which those `left_alone` keep their usual commands.
 
-    `together`: the actuators of each command; `spread` (A,): standard error of each one's effect, as a share; `held`:
-    the rooms that are not known, by number of the zone; `beside`: what commands do on meters beside levels.
+    `together`: the actuators of each command; `spread` (A,): standard error of each one's effect, as a share; `free_K`
+    (Z, N): error of the free part at the ends of steps, K; `held`: the rooms that are not known, by number of the zone;
+    `beside`: what commands do on meters beside levels.
     """
 
     operator: BuildingOperator
@@ -212,6 +222,7 @@ class CommandedPlan:
     together: tuple[tuple[int, ...], ...]
     left_alone: frozenset[int]
     spread: Array
+    free_K: Array
     held: Mapping[int, _HeldRoom]
     beside: tuple[_Beside, ...] = ()
 
@@ -372,10 +383,10 @@ class CommandedPlan:
     def saving(self, plan: Commanded, evaluator: Evaluator, power_spread: float) -> PlannedSaving:
         """What the commands of a plan save against the usual ones, by the same model.
 
-        Both are followed in houses that differ by the uncertainty of effects and maps, with what is stored at the end
-        at its mean cost. `power_spread`: error of what a change of levels does to power, as a share: where the record
-        does not tell it, energy lies between what the law of power says of the levels and what the rooms' temperatures
-        ask for, the figure in the middle; the better it tells it, the nearer to the law.
+        Both are followed in houses that differ by the uncertainty of effects, maps and free part, with what is stored
+        at the end at its mean cost. `power_spread`: error of what a change of levels does to power, as a share: where
+        the record does not tell it, energy lies between what the law of power says of the levels and what the rooms'
+        temperatures ask for, the figure in the middle; the better it tells it, the nearer to the law.
         """
         usual = {a: self._usual_row(a)[None] for a in self.loops}
         planned = {a: row.reshape(1, -1) for a, row in enumerate(plan.values) if row is not None}
@@ -386,7 +397,8 @@ class CommandedPlan:
         uniform = rng.random(len(z))
         gain = np.exp(np.clip(z[:, :A] * self.spread, -1.0, 1.0))
         numbers, step_h = evaluator.numbers(problem), problem.step_s / HOUR_S
-        with_plan, alone = (self._brought(plan.u, held, len(z), gain, z[:, A]) for held in (own, usual))
+        away_K: Array = self.free_K * _lasting((len(z), *self.free_K.shape), problem.step_s, rng)
+        with_plan, alone = (self._brought(plan.u, held, len(z), gain, z[:, A], away_K) for held in (own, usual))
         found = [[evaluator.evaluate(numbers, u) for u in one.levels] for one in (with_plan, alone)]
         cost, cost_alone = (np.array([one.energy_cost.sum() for one in of]) for of in found)
         energy, energy_alone = (np.array([one.power_W.sum() for one in of]) / 1000.0 * step_h for of in found)
@@ -467,12 +479,22 @@ class CommandedPlan:
         return np.repeat(self.loops[a].usual, self.loops[a].parts)
 
     def _brought(
-        self, u: Array, held: Mapping[int, Array], S: int, gain: Array | None = None, z: Array | None = None
+        self,
+        u: Array,
+        held: Mapping[int, Array],
+        S: int,
+        gain: Array | None = None,
+        z: Array | None = None,
+        away_K: Array | float = 0.0,
     ) -> _Followed:
         """S buildings under commands `held` (S or 1, P) of all parts, by actuator; see `_followed`."""
         of_step = {a: rows.reshape(len(rows), self.problem.n_steps, -1) for a, rows in held.items()}
         gain = np.ones((S, len(u))) if gain is None else gain
-        return _followed(self.operator, self.problem, self.loops, u, lambda a, k, T, before: of_step[a][:, k], gain, z)
+
+        def told(a: int, k: int, T_C: Array, before: Array) -> Array:
+            return of_step[a][:, k]
+
+        return _followed(self.operator, self.problem, self.loops, u, told, gain, z, away_K)
 
     def _dearest(self, evaluator: Evaluator) -> _MeanCost:
         """What the building costs when it is left alone."""
@@ -537,6 +559,13 @@ def _effect_spread(card: ModelCard) -> float:
     return min(sd / abs(effect), 1.0) if effect else 0.0
 
 
+def _errors_K(card: ModelCard) -> tuple[float, ...]:
+    """Errors of predictions at the lead times that are judged, K; where none is known, the most that are allowed."""
+    scores = () if card.competence is None else card.competence.horizons
+    known = {score.hours: score.model_K for score in scores if np.isfinite(score.model_K)}
+    return tuple(known.get(hours, MOST_ERROR_K[hours]) for hours in JUDGED_H)
+
+
 def with_command_states(plan: Plan, commanded: Commanded) -> Plan:
     """The plan, its state with what is set after its first step."""
     assert isinstance(plan.state, MPCState)
@@ -579,17 +608,18 @@ def _followed(
     values_of: Callable[[int, int, Array, Array], Array],
     gain: Array | None = None,
     z: Array | None = None,
+    away_K: Array | float = 0.0,
 ) -> _Followed:
     """Follow a building under commands, step by step; an actuator without one has its levels `u` (A, N).
 
     `values_of`: of an actuator in a step, for rooms now (S, Z), °C, and the last levels (S, A), its commands in the
     parts of the step (S or 1, n). `gain` (S, A): effect of what the actuators do from now on, as a multiple; `z` (S,):
-    see `LoopMap.level`.
+    see `LoopMap.level`; `away_K` (S, Z, n): by how much free parts are higher than predicted.
     """
     A, n = u.shape
     gain = np.ones((1, A)) if gain is None else gain
     z = np.zeros(len(gain)) if z is None else z
-    S, T_free = len(gain), problem.T_free_C
+    S, T_free = len(gain), problem.T_free_C + away_K
     old, new = problem.forced_state_K, np.zeros((S, *problem.forced_state_K.shape))
     T = np.repeat((problem.features[:, 0, ZONE] + old.sum(axis=(1, 2)))[None], S, axis=0)
     last = np.zeros(A) if problem.last_u is None else problem.last_u
@@ -599,7 +629,7 @@ def _followed(
     for k in range(n):
         values = {a: values_of(a, k, T, before) for a in loops}
         faded = operator.advance(old, nothing)
-        at_rest = T_free[:, k] + faded.sum(axis=(1, 2)) + (operator.poles * new).sum(axis=(2, 3))
+        at_rest = T_free[..., k] + faded.sum(axis=(1, 2)) + (operator.poles * new).sum(axis=(2, 3))
         seen = old + new[0]
         modulation = operator.modulated(np.ones(A), problem.features[:, k], seen)
         level = np.repeat(u[None, :, k], S, axis=0)
@@ -607,7 +637,7 @@ def _followed(
             tables.settle(k, values, level, before, z, T, at_rest, modulation * gain, scatter)
         drive = modulation * _heat(operator, problem, level, k) * gain
         old, new = faded, operator.poles * new + operator.gains * drive[:, None, :, None]
-        T = T_free[:, k] + old.sum(axis=(1, 2)) + new.sum(axis=(2, 3))
+        T = T_free[..., k] + old.sum(axis=(1, 2)) + new.sum(axis=(2, 3))
         levels[:, :, k], before = level, level
         course.append(T)
     return _Followed(levels, np.stack(course, axis=2), old + new, scatter)
@@ -619,9 +649,9 @@ class _LoopTables:
     def __init__(self, operator: BuildingOperator, problem: MPCProblem, loops: Mapping[int, CommandedLoop]) -> None:
         maps = [loop.learned.loop for loop in loops.values()]
         self._operator, self._problem, self._loops = operator, problem, loops
-        m = max(one.knots.size for one in maps)
 
         def filled(of: Sequence[Array]) -> Array:
+            m = max(one.size for one in of)
             return np.array([np.append(one, np.full(m - one.size, one[-1])) for one in of])
 
         self._of_loop = (
@@ -631,6 +661,8 @@ class _LoopTables:
             np.array([one.carry for one in maps]),
             np.array([one.knots.size for one in maps], dtype=np.int64),
             *(filled([getattr(one, of) for one in maps]) for of in ("knots", "levels", "uncertain", "spread")),
+            np.array([one.shuts_C.size for one in maps], dtype=np.int64),
+            *(filled([getattr(one, of) for one in maps]) for of in ("shuts_C", "opens")),
         )
         self._per_u, self._per_drive = _per_u(problem), np.ascontiguousarray(operator.gains.sum(axis=2))
 
@@ -691,7 +723,8 @@ def _settle(
     level: np.ndarray, scatter: np.ndarray, asked: np.ndarray, before: np.ndarray, z: np.ndarray, T_C: np.ndarray,
     at_rest_C: np.ndarray, factor: np.ndarray, heat: np.ndarray, per_drive: np.ndarray, per_u: np.ndarray,
     acts: np.ndarray, homes: np.ndarray, zone: np.ndarray, carry: np.ndarray, count: np.ndarray, knots: np.ndarray,
-    levels: np.ndarray, uncertain: np.ndarray, spread: np.ndarray,
+    levels: np.ndarray, uncertain: np.ndarray, spread: np.ndarray, shut_count: np.ndarray, shuts_C: np.ndarray,
+    opens: np.ndarray,
 ) -> None:  # fmt: skip
     """Levels and temperatures of a step that agree, house by house: half way to what the loops answer, again and again.
 
@@ -723,6 +756,7 @@ def _settle(
                     up = _between(x, count[i], knots[i], levels[i])
                     if z[s] != 0.0:
                         up += z[s] * _between(x, count[i], knots[i], uncertain[i])
+                    up *= _between(room, shut_count[i], shuts_C[i], opens[i])
                     mean += min(max(carry[i] * before[s, a] + up, 0.0), 1.0) / n
                 moved[i] = 0.5 * (level[s, a] + mean)
                 worst = max(worst, abs(moved[i] - level[s, a]))
@@ -826,6 +860,14 @@ def _standard(S: int, n: int, rng: np.random.Generator) -> Array:
     z = rng.standard_normal((S, n))
     z[0] = 0.0
     return z
+
+
+def _lasting(shape: tuple[int, ...], step_s: float, rng: np.random.Generator) -> Array:
+    """Standard normal numbers (S, Z, n) that go on from step to step, of which the first are nought."""
+    (S, Z, n), stays = shape, float(np.exp(-step_s / (_LASTS_H * HOUR_S)))
+    drawn = _standard(S, Z * (n + 1), rng).reshape(S * Z, n + 1)
+    moved = np.sqrt(1.0 - stays**2) * drawn[:, 1:]
+    return first_order(np.array([stays]), moved[..., None], drawn[:, :1])[..., 0].reshape(S, Z, n)
 
 
 def _turns(row: Array, part_s: float) -> Turns:

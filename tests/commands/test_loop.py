@@ -150,14 +150,37 @@ def test_what_an_offset_does_is_read_off_the_water():
         over_K = 10.0 - 0.5 * out[:-1] + offset[:-1] + rng.normal(0.0, 1.0, N)
         valve = (0.5 * (T[1:] + T[:-1]) < 20.95).astype(float)
         u, true = np.clip(valve * over_K / 16.0, 0.0, 1.0), 4.0 * valve.mean() / 16.0
+        hours = 0.5 * (T[1:] + T[:-1]), 0.5 * (out[1:] + out[:-1])
         for by, water_K in (("water", over_K), ("level", None)):
             was = CommandRecord(offset, offset[:-1], over_K=water_K)
             found = learn_command(command, was, T, out, u, HOURS, "curve", may_be_untold=True)
-            errors[by].append(float(np.ptp(found.loop.effects)) / (1.0 - found.loop.carry) - true)
+            high, low = (found.loop.level(value, *hours, 0.0) for value in (2.0, -2.0))
+            errors[by].append(float(np.mean(high - low)) / (1.0 - found.loop.carry) - true)
             assert by == "level" or not found.untold
+        # A kelvin of the room is one less of the water; where the thermostat shuts, nothing is given.
+        water = learn_command(
+            command, CommandRecord(offset, offset[:-1], over_K=over_K), T, out, u, HOURS, "curve"
+        ).loop
+        assert float(water.level(0.0, 20.5, 2.0, 0.0) - water.level(0.0, 20.8, 2.0, 0.0)) == pytest.approx(
+            0.3 / 16.0, abs=0.03
+        )
+        assert float(water.level(2.0, 21.3, 2.0, 0.0)) < 0.02
     by_water, by_level = (float(np.sqrt(np.mean(np.square(of)))) for of in errors.values())
     assert by_water < 0.2 * true
     assert by_level > 2.0 * by_water
+
+
+def test_a_level_at_its_end_says_no_more_than_that():
+    """In mild weather lower water than the room's gives what the room's gives: nothing. It was taken for no effect."""
+    rng = np.random.default_rng(2)
+    out, T = 9.0 + 4.0 * np.sin(HOURS / DAY_S) + rng.normal(0.0, 0.5, N + 1), np.full(N + 1, 21.0)
+    offset = np.repeat(rng.choice([-3.0, 0.0, 3.0], N // 4 + 1), 4)[: N + 1]
+    over_K = np.maximum(8.0 - 0.6 * out[:-1] + offset[:-1] + rng.normal(0.0, 0.3, N), 0.0)
+    assert np.mean(over_K[offset[:-1] < 0.0] == 0.0) > 0.4
+    was = CommandRecord(offset, offset[:-1], over_K=over_K)
+    command = CurveOffset(kind="curve_offset", column="x")
+    loop = learn_command(command, was, T, out, np.clip(over_K / 14.0, 0.0, 1.0), HOURS, "curve").loop
+    np.testing.assert_allclose(np.diff(loop.effects) / (1.0 - loop.carry), 3.0 / 14.0, rtol=0.08)
 
 
 def test_states_of_a_contact_have_an_effect_of_their_own_each():

@@ -1,18 +1,24 @@
 """What a building's own loop makes of a command: the level that it answers with, learned from a record.
 
-    u_k = clip(c u_{k−1} + g(s_k), 0, 1),   s_k = e(command_k) − w_zone T_zone,k − w_out T_out,k
+    u_k = clip(c u_{k−1} + o(T_zone,k) g(s_k), 0, 1),   s_k = e(command_k) − w_zone T_zone,k − w_out T_out,k
 
-g and e do not fall, c lies in [0, 1] and the weights are not negative: more of a command is never less heat, in the
-same step and in all later ones, whatever was learned. A valve with a P band and a thermostat have c = 0 (g is the
-valve's line, or the share of a step that the thermostat is on); the integral part of a PI controller is c near 1. What
-the loop does within a step, and what else moves it, is `spread`.
+g and e do not fall, o is not negative, c lies in [0, 1] and the weights are not negative: more of a command is never
+less heat, in the same step and in all later ones, whatever was learned. A valve with a P band and a thermostat have
+c = 0 (g is the valve's line, or the share of a step that the thermostat is on); the integral part of a PI controller is
+c near 1. What the loop does within a step, and what else moves it, is `spread`.
+
+Where what the water is above the room is logged, a level is an open valve times that: g is then what the water gives
+with the valve open, and o how far the room's own thermostat opens it, which falls with the room's temperature.
+Elsewhere o is 1. As one sum, a thermostat that shuts some hours was taken for water that gives 0.4 of a level less per
+kelvin of the room (true 0.1), so that what an offset brings was soon undone (`bench commands`, houses 9503 and 9508,
+2026-11-28).
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,9 +38,12 @@ _CARRIES, _AS_GOOD = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0), 1.05
 # What a level leaves of itself at least, where all that a command moves counts: with 1 of c, all for ever.
 _LEAST_LEFT = 0.1
 _BINS, _LEAST_IN_BIN = 24, 8
+# Levels so near to 0 or 1 are there; rounds in which levels at an end and what is fitted are made to agree.
+_AT_END, _ROUNDS = 0.005, 8
 _DRAWS, _SEED = 30, 64
-# Water that is less above the room heats nothing, K.
-_NO_HEAT_K = 1.0
+# Water that is less above the room heats nothing, K. The level of a kelvin of it with an open valve is this quantile of
+# those of hours with heat: in most the valve is open throughout, and a few levels are cut at 1. Least hours of them.
+_NO_HEAT_K, _OPEN, _LEAST_OPEN = 1.0, 0.9, 24
 # Least share of the scatter of the level that the map must explain: below it, the loop follows something else. Means of
 # an hour at least are compared: within it, a machine that a thermostat switches is on and off with any command.
 _LEAST_R2, _COMPARED_S = 0.2, HOUR_S
@@ -61,7 +70,7 @@ class LoopMap:
     `carry` is c; `values`, `effects` (k,): e of the command, straight between; `zone`, `outdoor`: the weights; `knots`,
     `levels`, `spread`, `uncertain` (m,): s, g(s), scatter of a step's level and standard error of g, straight between
     and constant beyond what was seen. Of levels followed from the commands alone over `days`: `rmse` of a step's,
-    `r2` of an hour's.
+    `r2` of an hour's. `shuts_C`, `opens` (j,): the room's temperature and o(T), likewise.
     """
 
     carry: float
@@ -76,6 +85,8 @@ class LoopMap:
     rmse: float
     r2: float
     days: float
+    shuts_C: Array = field(default_factory=lambda: np.zeros(1))
+    opens: Array = field(default_factory=lambda: np.ones(1))
 
     def index(self, value: float | Array, T_zone_C: float | Array, T_out_C: float | Array) -> Array:
         """s of commands at temperatures, °C; of one shape."""
@@ -96,7 +107,11 @@ class LoopMap:
         """
         s = self.index(value, T_zone_C, T_out_C)
         moved = np.interp(s, self.knots, self.levels) + z * np.interp(s, self.knots, self.uncertain)
-        return np.clip(self.carry * np.asarray(before) + moved, 0.0, 1.0)
+        return np.clip(self.carry * np.asarray(before) + self.opened(T_zone_C) * moved, 0.0, 1.0)
+
+    def opened(self, T_zone_C: float | Array) -> Array:
+        """o of rooms at these temperatures, °C."""
+        return np.asarray(np.interp(T_zone_C, self.shuts_C, self.opens))
 
     def scatter(self, value: float | Array, T_zone_C: float | Array, T_out_C: float | Array) -> Array:
         """Standard deviation of the level of a step around `level`."""
@@ -106,7 +121,7 @@ class LoopMap:
     def moves(self) -> float:
         """By how much the level of a usual hour differs between the least and the largest command seen."""
         half, usual = 0.5 * min(float(np.ptp(self.effects)), float(np.ptp(self.knots))), float(np.median(self.knots))
-        ends = np.interp([usual - half, usual + half], self.knots, self.levels)
+        ends = np.interp([usual - half, usual + half], self.knots, self.levels) * float(np.median(self.opens))
         return min(float(ends[1] - ends[0]) / max(1.0 - self.carry, _LEAST_LEFT), 1.0)
 
     @property
@@ -312,10 +327,11 @@ def _alike_days(value: Array, day: NDArray[np.intp]) -> list[NDArray[np.intp]]:
 
 def _fit(command: Command, rows: NDArray[np.intp], seen: _Signals, carry: float) -> LoopMap:
     """The map with the least squares of one-step errors in `rows`."""
-    from scipy.optimize import isotonic_regression, nnls
-
-    value, T_zone_C, T_out_C, u = seen.value, seen.T_zone_C, seen.T_out_C, seen.u
-    y = u[rows] - carry * u[rows - 1]
+    value, T_zone_C, T_out_C = seen.value, seen.T_zone_C, seen.T_out_C
+    water = None if command.of_zone == -1.0 else _by_water(seen, rows)
+    level, per_K = (seen.u, 0.0) if water is None else (water.level, water.per_K)
+    rows = rows if water is None else water.rows
+    y = level[rows] - carry * level[rows - 1]
     set_to = np.unique(np.round(value[rows], 6))
     values, effects, zone, outdoor = np.array([set_to[0], set_to[-1]]), np.array([set_to[0], set_to[-1]]), 1.0, 0.0
     if command.of_zone != -1.0:
@@ -323,15 +339,13 @@ def _fit(command: Command, rows: NDArray[np.intp], seen: _Signals, carry: float)
         steps = [np.interp(value, kinds, np.eye(len(kinds))[i:].sum(axis=0)) for i in range(1, len(kinds))]
         rises = np.column_stack(steps or [np.zeros(value.size)])
         free = [-T for T, weight in ((T_zone_C, command.of_zone), (T_out_C, command.of_outdoor)) if weight is None]
-        by_water = _by_water(rises, seen, rows)
-        own = rises if by_water is None else rises[:, :0]
-        moved = np.zeros(value.size) if by_water is None else (1.0 - carry) * (rises @ by_water)
-        columns = np.column_stack([own, *free, np.ones(value.size), -np.ones(value.size)])
-        found, _ = nnls(columns[rows], y - moved[rows])
-        each = found[: own.shape[1]] if by_water is None else (1.0 - carry) * by_water
-        weights = list(found[own.shape[1] :])
+        # A kelvin of the room is one less of the water above it; a controller with a room sensor takes more.
+        less = (1.0 - carry) * per_K
+        columns = np.column_stack([rises, *free, np.ones(value.size), -np.ones(value.size)])
+        found = _between_ends(columns[rows], y, -less * T_zone_C[rows], carry * level[rows - 1])
+        each, weights = found[: rises.shape[1]], list(found[rises.shape[1] :])
         values, effects = np.array(kinds), np.concatenate([[0.0], np.cumsum(each)])[: len(kinds)]
-        zone = float(weights.pop(0)) if command.of_zone is None else 0.0
+        zone = less + (float(weights.pop(0)) if command.of_zone is None else 0.0)
         outdoor = float(weights.pop(0)) if command.of_outdoor is None else 0.0
     if values.size == 1 or values[0] == values[-1]:  # one value all the time
         values, effects = np.array([set_to[0] - 0.5, set_to[0] + 0.5]), np.array([set_to[0] - 0.5, set_to[0] + 0.5])
@@ -339,36 +353,72 @@ def _fit(command: Command, rows: NDArray[np.intp], seen: _Signals, carry: float)
     loop = LoopMap(carry, values, effects, zone, outdoor, nothing, nothing, nothing, nothing, 0.0, 0.0, 0.0)
     if command.of_zone == -1.0:  # the difference counts, also of commands that were never set
         loop = replace(loop, values=np.array([-1e3, 1e3]), effects=np.array([-1e3, 1e3]))
-    s = loop.index(value, T_zone_C, T_out_C)[rows]
-    parts = _bins(s)
-    knots = np.array([s[part].mean() for part in parts])
-    levels = isotonic_regression(
-        np.array([y[part].mean() for part in parts]), weights=np.array([float(part.size) for part in parts])
-    ).x
-    keep = np.concatenate([[True], np.diff(knots) > 1e-9])
-    none = np.zeros(int(keep.sum()))
-    return replace(loop, knots=knots[keep], levels=np.asarray(levels)[keep], spread=none, uncertain=none)
+    knots, levels = _monotone(loop.index(value, T_zone_C, T_out_C)[rows], y)
+    none = np.zeros(knots.size)
+    loop = replace(loop, knots=knots, levels=levels, spread=none, uncertain=none)
+    return loop if water is None else replace(loop, shuts_C=water.shuts_C, opens=water.opens)
 
 
-def _by_water(rises: Array, seen: _Signals, rows: NDArray[np.intp]) -> Array | None:
-    """How much more level each step of a command, of which `rises` (n, k) holds 0 or 1, makes by warmer water (k,).
+def _between_ends(columns: Array, y: Array, known: Array, carried: Array) -> Array:
+    """Coefficients (k,), none negative, of `columns` (n, k) by least squares of y − `known`, each (n,).
 
-    A level is the open valve times what the water is above the room: what a command does to the water is told by all
-    hours with an open valve, also where thermostats scatter the level. None: the level is not made of water.
+    A level ends at 0 and at 1: one that is there, where `carried` (n,) with the fit is at or beyond it, says no more
+    than that. Counted as it is, it is taken for little effect: an offset of −3 K in mild weather, where water of the
+    curve is no warmer than the room already.
     """
     from scipy.optimize import nnls
 
+    level, active = carried + y, np.ones(y.size, dtype=bool)
+    for _ in range(_ROUNDS):
+        found, _ = nnls(columns[active], (y - known)[active])
+        reached = carried + known + columns @ found
+        beyond = ((level <= _AT_END) & (reached <= 0.0)) | ((level >= 1.0 - _AT_END) & (reached >= 1.0))
+        if (~beyond).sum() < _LEAST_IN_BIN * columns.shape[1] or (active == ~beyond).all():
+            break
+        active = ~beyond
+    return np.asarray(found)
+
+
+def _monotone(s: Array, y: Array, *, falls: bool = False) -> tuple[Array, Array]:
+    """Knots (m,) and values there of what does not fall, or with `falls` not rise, with `s` and is nearest to `y`."""
+    from scipy.optimize import isotonic_regression
+
+    parts = _bins(s)
+    knots, weights = (np.array([of(part) for part in parts]) for of in (lambda p: s[p].mean(), lambda p: float(p.size)))
+    values = isotonic_regression([y[part].mean() for part in parts], weights=weights, increasing=not falls).x
+    keep = np.concatenate([[True], np.diff(knots) > 1e-9])
+    return knots[keep], np.asarray(values)[keep]
+
+
+@dataclass(frozen=True, eq=False)
+class _Water:
+    """Levels with an open valve (n,), of which `rows` (k,) have one, `per_K` of the water above the room, and o."""
+
+    level: Array
+    rows: NDArray[np.intp]
+    per_K: float
+    shuts_C: Array
+    opens: Array
+
+
+def _by_water(seen: _Signals, rows: NDArray[np.intp]) -> _Water | None:
+    """What of the levels is water, and what the open valve; None where they are not made of water, or it is not seen.
+
+    What a command does to the water is told by all hours with an open valve, also where thermostats scatter the level.
+    """
     if seen.over_K is None:
         return None
-    over_K, u = seen.over_K[rows], seen.u[rows]
-    opened = np.isfinite(over_K) & ((u > 0.0) | (over_K < _NO_HEAT_K))  # a shut valve's water tells nothing
-    warm = np.isfinite(over_K) & (over_K >= _NO_HEAT_K)
-    if opened.sum() < _LEAST_IN_BIN or not warm.any():
+    over_K, u = seen.over_K, seen.u
+    heats = rows[np.isfinite(over_K[rows]) & (over_K[rows] >= _NO_HEAT_K)]
+    given = heats[u[heats] > 0.0]
+    if given.size < _LEAST_OPEN:
         return None
-    ones = np.ones(rows.size)
-    columns = np.column_stack([rises[rows], -seen.T_out_C[rows], -seen.T_zone_C[rows], ones, -ones])
-    found, _ = nnls(columns[opened], over_K[opened])
-    return np.asarray(found[: rises.shape[1]] * float(np.mean(u[warm] / over_K[warm])))
+    per_K = float(np.quantile(u[given] / over_K[given], _OPEN))
+    level = np.clip(per_K * over_K, 0.0, 1.0)
+    shuts_C, opens = _monotone(seen.T_zone_C[heats], np.minimum(u[heats] / level[heats], 1.0), falls=True)
+    # A shut valve's water tells nothing; nor does it warm the room that is too little above it.
+    opened = np.isfinite(level[rows]) & np.isfinite(level[rows - 1]) & ((u[rows] > 0.0) | (over_K[rows] < _NO_HEAT_K))
+    return _Water(level, rows[opened], per_K, shuts_C, opens)
 
 
 def _bins(s: Array) -> list[NDArray[np.intp]]:
@@ -390,7 +440,7 @@ def _bins(s: Array) -> list[NDArray[np.intp]]:
 def _followed(loop: LoopMap, rows: NDArray[np.intp], seen: _Signals, measured: NDArray[np.bool_]) -> Array:
     """Levels (n,) that follow from the commands alone, from each gap and each beginning on."""
     s, u = loop.index(seen.value, seen.T_zone_C, seen.T_out_C), seen.u
-    moved = np.interp(s, loop.knots, loop.levels)
+    moved = loop.opened(seen.T_zone_C) * np.interp(s, loop.knots, loop.levels)
     out = np.where(measured, u, np.nan)
     if loop.carry == 0.0:
         out[rows] = np.clip(moved[rows], 0.0, 1.0)
@@ -443,7 +493,7 @@ def _untold(
         # In all hours, since in many of them a thermostat shuts the valve, and with what comes of it later.
         low_s, high_s = (one.index(value, T_zone_C, T_out_C) for value in (low, high))
         moved = np.interp(high_s, one.knots, one.levels) - np.interp(low_s, one.knots, one.levels)
-        return float(np.mean(moved)) / max(1.0 - one.carry, _LEAST_LEFT)
+        return float(np.mean(one.opened(T_zone_C) * moved)) / max(1.0 - one.carry, _LEAST_LEFT)
 
     found, error = effect(loop), float(np.std([effect(one) for one in drawn]))
     if found - NORMAL_95 * error < _LEAST_EFFECT or r2 < _LEAST_R2:
@@ -488,7 +538,8 @@ def command_rows(plan: Plan, commands: Mapping[str, LearnedCommand]) -> list[dic
             command = commands[of_actuator].command
             text = "its own control" if one.value is None else command.in_words(one.value)
             row = {"actuator": name, "kind": command.kind, "from": begin.isoformat(), "until": end.isoformat()}
-            rows.append(row | {"value": one.value, "unit": command.unit, "text": text})
+            value = None if one.value is None else command.as_told(one.value)
+            rows.append(row | {"value": value, "unit": command.told_in, "text": text})
     return rows
 
 

@@ -9,11 +9,11 @@ from benchmarks.commands.bench import KINDS, ROOMS, Home, Lived, came_true, pric
 from thermoforce_mpc.data import DAY_S, HOUR_S, HeldCommand, Plan, PlanStatus
 
 
-def test_heat_that_is_missing_in_the_house_counts_at_its_mean_cost():
-    own = Lived(cost=10.0, energy_kWh=40.0, below_Kh=0.0, above_Kh=0.0, heat_kWh=100.0, stored_kWh=50.0)
-    warmer = Lived(cost=11.0, energy_kWh=44.0, below_Kh=0.0, above_Kh=0.0, heat_kWh=110.0, stored_kWh=60.0)
-    colder = Lived(cost=9.0, energy_kWh=36.0, below_Kh=0.0, above_Kh=0.0, heat_kWh=90.0, stored_kWh=45.0)
-    assert own.saved_by(warmer) == pytest.approx(-0.1)
+def test_heat_that_is_missing_or_left_counts_as_what_it_costs_later():
+    own = Lived(cost=10.0, energy_kWh=40.0, below_Kh=0.0, above_Kh=0.0, after=7.0)
+    warmer = Lived(cost=11.0, energy_kWh=44.0, below_Kh=0.0, above_Kh=0.0, after=5.5)
+    colder = Lived(cost=9.0, energy_kWh=36.0, below_Kh=0.0, above_Kh=0.0, after=7.5)
+    assert own.saved_by(warmer) == pytest.approx(0.05)
     assert own.saved_by(colder) == pytest.approx(0.05)
 
 
@@ -27,7 +27,7 @@ def test_what_a_plan_saves_is_lived_through_without_moving_the_house():
         return Plan((), PlanStatus.SOLVED, "", settings=((HeldCommand(begin_s, end_s, value),),) * ROOMS)
 
     saved, cost = came_true(home, by(None), ahead)
-    assert saved == 0.0
+    assert saved == pytest.approx(0.0, abs=1e-9)
     assert cost > 0.0
     cooler, again = came_true(home, by(float(home.usual(np.array([begin_s])).min() - 2.0)), ahead)
     assert again == cost

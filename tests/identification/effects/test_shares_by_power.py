@@ -53,3 +53,17 @@ def test_three_open_valves_take_more_than_one():
     )
     assert one == pytest.approx(500.0, rel=0.1)
     assert all_of_them == pytest.approx(1500.0, rel=0.05)
+
+
+def test_the_law_of_a_machine_is_fitted_as_it_is_used():
+    """Levels of valves that water holds: a law of levels held for a step was used as one of on-times."""
+    rng = np.random.default_rng(3)
+    water = np.repeat(rng.uniform(0.2, 0.9, 14 * 8), 12)
+    u = np.array([1.0, 0.9, 0.8])[:, None] * water
+    layout = replace(LAYOUT, shares=(0.5, 0.3, 0.2))
+    load = layout.weights @ u
+    record = record_of(u, 800.0 * np.minimum(load / 0.4, 1.0) + 200.0 * load)
+    power = power_of_machine([record], IdentificationConfig(), layout, 0)
+    said_W = power.of_actuators(record.u, layout.weights, record.T_out_C[:-1])
+    error_W = float(np.sqrt(np.mean((said_W - record.power_W[0]) ** 2)))
+    assert error_W == pytest.approx(power.rmse_W, rel=0.01)

@@ -123,3 +123,18 @@ def test_the_tank_follows_its_target_and_is_charged_at_once_where_it_is_told():
     assert after < before
     plant.tank_target_C, plant.charges = before, True
     assert plant.advance(None, HOUR_S).points["T_tank_C"] == pytest.approx(before, abs=1.0)
+
+
+def test_a_circuit_mixes_the_water_down_to_its_curve():
+    """Behind an offset that was just taken back the buffer is still hot: the rooms get water of the curve."""
+    plant = house_of_rooms("house:3rooms:901")
+    plant.device = draw_device(plant.house)
+    plant.reset(_START, DAY_S)
+    for offset_K in (6.0, -6.0):
+        plant.curve_offset_K = offset_K
+        plant.advance(None, 6 * HOUR_S)
+    times = _START + HOUR_S * np.array([5.5, 6.0, 6.25])
+    before_C, after_C = plant.flow_C(times).T
+    _, rows = plant.recorded(times[1], times[2])
+    assert (before_C - after_C > 5.0).all()
+    assert float(rows[1:, physics.SUPPLY].mean()) > after_C.max() + 1.0

@@ -49,7 +49,7 @@ class Still:
         self.T, self.on, self.now = np.full(physics.N_BLOCKS * n, 20.0), np.zeros(n), 0.0
 
     def run(self, levels, hours: float, setpoint: float = 20.0) -> np.ndarray:
-        rows = np.empty((round(hours * 120), physics.ROOMS + 3 * self.n))
+        rows = np.empty((round(hours * 120), physics.ROOMS + 4 * self.n))
         setpoints = np.full((ROWS, self.n), setpoint)
         forced = np.broadcast_to(np.asarray(levels, dtype=float), (self.n,)).copy()
         physics.advance(
@@ -76,7 +76,7 @@ class Still:
         return rows[:, physics.ROOMS : physics.ROOMS + self.n].T
 
     def heats(self, rows: np.ndarray) -> np.ndarray:
-        return rows[:, physics.ROOMS + 2 * self.n :].T
+        return rows[:, physics.ROOMS + 2 * self.n : physics.ROOMS + 3 * self.n].T
 
 
 @pytest.mark.slow
@@ -93,7 +93,7 @@ def test_the_energy_balance_closes(emitters):
     into = STEP_S * (rows[:, physics.HEAT] + rows[:, physics.GAIN] - rows[:, physics.LOSS])[1:].sum()
     assert rows[:, physics.HEAT].max() > 0
     assert stored == pytest.approx(into, abs=1e-9 * STEP_S * rows[1:, physics.LOSS].sum())
-    assert rows[:, physics.HEAT] == pytest.approx(rows[:, physics.ROOMS + 10 :].sum(axis=1))
+    assert rows[:, physics.HEAT] == pytest.approx(rows[:, physics.ROOMS + 10 : physics.ROOMS + 15].sum(axis=1))
 
 
 @pytest.mark.slow

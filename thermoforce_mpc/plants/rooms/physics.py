@@ -39,8 +39,8 @@ N_BLOCKS = 5
 # Weather columns, interpolated: °C, W/m²; then the sun through each room's windows, W, and each room's air change
 # relative to the mean infiltration.
 T_OUT, GLOBAL, SUN = range(3)
-# Record of a step: machine, house and tank (°C, NaN without one); then for each room operative temperature °C, level
-# and heat to its circuit W.
+# Record of a step: machine, house and tank (°C, NaN without one); then for each room operative temperature °C, level,
+# heat to its circuit W, and water that flows into it °C, which is mixed down to what its curve asks for.
 POWER, HEAT, SUPPLY, OUTDOOR, SOLAR, LOSS, GAIN, STORED, TANK, ROOMS = range(10)
 
 # Native thermostats: half of the dead band, K.
@@ -321,7 +321,7 @@ def advance(
         forced: levels in [0, 1], shape (Z,); NaN: native control.
         weather: year every 15 min, shape (35041, 2 + 2 Z), see `T_OUT` and following; interpolated.
         gains, setpoints: internal gains W and native set-points °C, shape (35041, Z); held for 15 min.
-        record: one row per step, shape (n_steps, 9 + 3 Z), see `POWER` and following.
+        record: one row per step, shape (n_steps, 9 + 4 Z), see `POWER` and following.
         state, device, draws: of the machine's own controller, see `device`; no `device`: an ideal machine.
         contact: state of its SG-Ready contacts.
     """
@@ -343,6 +343,9 @@ def advance(
             heat, power, supply = own_controller(h, T, levels, w[T_OUT], q, state, device, contact, draws[row], dt)
         else:
             heat, power, supply = machine(h, T, levels, w[T_OUT], q)
+        raised = device[RAISE] if device.size and contact >= RECOMMENDED else 0.0
+        for i in range(n):
+            record[k, ROOMS + 3 * n + i] = min(_curve_C(h, i, raised, w[T_OUT]), supply)
         # Weather at the end of the step, schedules of its start.
         drawn_houses.read(weather, now + dt, w)
         T_out = w[T_OUT]

@@ -262,13 +262,13 @@ class HouseOfRooms(DrawnHousePlant):
         )
 
     def recorded(self, start_s: float, final_s: float) -> tuple[Array, Array]:
-        """Return times (n,), s, and rows (n, 9 + 3 Z) of `physics.advance` between two times, both included."""
+        """Return times (n,), s, and rows (n, 9 + 4 Z) of `physics.advance` between two times, both included."""
         return self._samples.between(start_s, final_s)
 
-    def supply_C(self, edges: Array) -> Array:
-        """Mean supply temperature between `edges` (n + 1,), s: (n,), °C."""
-        times, rows = self._samples.times, self._samples.rows
-        return means_between(times, rows[:, [physics.SUPPLY]].T, edges)[0]
+    def flow_C(self, edges: Array) -> Array:
+        """Mean temperature between `edges` (n + 1,), s, of the water that flows into each circuit: (Z, n), °C."""
+        times, rows, n = self._samples.times, self._samples.rows, len(self.zones)
+        return means_between(times, rows[:, physics.ROOMS + 3 * n : physics.ROOMS + 4 * n].T, edges)
 
     def tank_C(self, start_s: float, final_s: float) -> tuple[Array, Array]:
         """Times (n,), s, and temperature of the tank of hot water (n,), °C, NaN without one; as `recorded`."""
@@ -348,7 +348,7 @@ class HouseOfRooms(DrawnHousePlant):
         self._T = np.tile([room.lower_C for room in self.house.rooms], physics.N_BLOCKS)
         self._on = np.zeros(n)
         self._device_state = np.zeros(N_STATES) if self.device is None else self.device.begin()
-        row = np.zeros(physics.ROOMS + 3 * n)
+        row = np.zeros(physics.ROOMS + 4 * n)
         row[self._blocks()[0]] = self._T[:n]
         row[physics.OUTDOOR], row[physics.SOLAR] = self._weather_now()
         row[physics.STORED] = float(self._network.capacity_J_K @ self._T)
@@ -356,6 +356,7 @@ class HouseOfRooms(DrawnHousePlant):
         _, _, row[physics.SUPPLY] = physics.machine(
             self._network, self._T, off, float(row[physics.OUTDOOR]), off.copy()
         )
+        row[physics.ROOMS + 3 * n :] = row[physics.SUPPLY]
         return row
 
 
