@@ -26,6 +26,7 @@ from thermoforce_mpc.execution.keys import canonical, digest
 from thermoforce_mpc.model.card import Competence, HorizonScore, ModelCard
 from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.free_response.calibrated import CalibratedState, IssuedForecasts, Scores
+from thermoforce_mpc.model.free_response.following import MeanState
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.substitute import SubstituteState
 from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, HourEffects, HourSeen
@@ -69,6 +70,7 @@ STATE_CLASSES: tuple[type[Any], ...] = (
     CalibratedState,
     IssuedForecasts,
     Scores,
+    MeanState,
     # What a watch made of the model, and that model.
     ScaledModel,
     ZoneModel,

@@ -203,7 +203,8 @@ class Connection(Protocol):
     def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
         """Set the level of each actuator, in [0, 1], by its name in the map; None gives it back to its own control.
 
-        Of an actuator with a command in the map it is the command, in its unit (a set-point in °C, an offset in K).
+        Of an actuator with a command in the map it is the command: temperatures in °C, whatever the map's `unit` is for
+        what is read and shown, an offset in K.
         `seconds`: how long this holds. Where nothing else was written by then, the building should take over itself.
         """
 

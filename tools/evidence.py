@@ -26,6 +26,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from string import Formatter
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -86,9 +87,10 @@ def table_lines(table: Mapping[str, Any]) -> str:
 
 
 def _cell(key: str, row: Mapping[str, Any]) -> str:
-    """A value by its key, or several in a format such as '{cost_tot:.3f} / {tdis_tot:.2f}'."""
+    """A value by its key, or several in a format such as '{cost_tot:.3f} / {tdis_tot:.2f}'; – without one."""
     if "{" in key:
-        return key.format(**row)
+        known = all(row.get(name) is not None for _, name, _, _ in Formatter().parse(key) if name)
+        return (key.format(**row) if known else "") or "–"
     value = row[key]
     return "–" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 

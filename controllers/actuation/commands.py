@@ -15,10 +15,8 @@ import numpy as np
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.clock import PLAN_STEP_S
 
-# A command changes at multiples of this within a step, s, or at its beginning where it is shorter: the default control
-# step.
-_PART_S = 900.0
 # What a change of the command and the scatter of a loop count, as level over a step, and a step outside its limits. By
 # judgement (2026-11-28): `bench commands` was set up with them.
 _CHANGE, _SCATTER, _OUTSIDE = 0.35, 0.5, 10.0
@@ -82,7 +80,7 @@ class CommandedLoop:
     @cached_property
     def parts(self) -> int:
         """Parts of a step at whose beginnings the command may change."""
-        return max(1, int(self.step_s // _PART_S)) if self.step_s % _PART_S == 0.0 else 1
+        return max(1, int(self.step_s // PLAN_STEP_S)) if self.step_s % PLAN_STEP_S == 0.0 else 1
 
     def choose(
         self, k: int, wanted: Array, T_start_C: float, T_end_C: Array, before: float, state: CommandState

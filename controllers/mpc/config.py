@@ -19,6 +19,7 @@ from controllers.optimisation.solvers.sqp import SQPConfig
 from controllers.safety.fallback_policy import FallbackConfig
 from controllers.safety.overrides import GateConfig, GuardConfig
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data.clock import PLAN_H, PLAN_STEP_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.registry import check_free_response, own_options
 from thermoforce_mpc.scenario.bill import Bill
@@ -151,11 +152,10 @@ class MoveBlockingConfig(StrictModel):
 class MPCConfig(StrictModel):
     """Options of the MPC."""
 
-    # Power is metered and priced by the quarter hour: a plan can keep to both.
-    step_s: float | None = Field(900.0, ge=300, le=14400, description="control step, s; null: the step of the model")
-    # A slab's effect comes and goes within two days, and prices are known to the end of the next; so no more would
-    # change what is done now.
-    horizon_h: float = Field(48.0, gt=0, le=168, description="prediction horizon, h")
+    step_s: float | None = Field(
+        PLAN_STEP_S, ge=300, le=14400, description="control step, s; null: the step of the model"
+    )
+    horizon_h: float = Field(PLAN_H, gt=0, le=168, description="prediction horizon, h")
     # By judgement, with the first plans of BOPTEST's heat pump (2026-11-21): readings and solvers round by as much.
     comfort_margin_K: float = Field(0.02, ge=0, le=2, description="margin inside both comfort bounds, K")
     # By judgement, with the first plans of BOPTEST's heat pump (2026-11-21): one forecast in four may be too warm.

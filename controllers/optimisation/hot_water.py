@@ -210,7 +210,7 @@ class TankWays:
             most = np.array([command.most_change(one) for one in now_s - since])
             wanted = np.clip(values[:, k], last - most, last + most)
             if isinstance(command, StepwiseCommand):
-                wanted = np.where(most < np.inf, np.round(wanted / command.resolution) * command.resolution, wanted)
+                wanted = np.where(most < np.inf, command.nearest(wanted), wanted)
             out[:, k] = np.where(held, last, wanted)
             since = np.where(np.abs(out[:, k] - last) > SAME, now_s, since)
             last = out[:, k]

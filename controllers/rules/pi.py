@@ -20,6 +20,7 @@ from controllers.actuation.actuator import Actuation, ActuationConfig, Actuation
 from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError, check_later, checked_state
 from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
+from thermoforce_mpc.data.clock import PLAN_STEP_S
 from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K, Comfort
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -46,8 +47,7 @@ class PIConfig(StrictModel):
     # Half of `lowest_level`: rounded to the nearer of off and that.
     off_below: float = Field(0.15, ge=0, lt=1, description="output below which the machine is off, share of full")
     actuation: ActuationConfig = ActuationConfig()
-    # As plans are made, so that they can be compared.
-    step_s: float = Field(900.0, ge=300, le=86400, description="control step, s")
+    step_s: float = Field(PLAN_STEP_S, ge=300, le=86400, description="control step, s")
     mode: Literal["heating", "cooling"] = Field(
         "heating", description="heating follows the lower comfort bound, cooling the upper"
     )

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from controllers.checks import check_names, checked_state
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Layout, Observation, Plan, PlanStatus
+from thermoforce_mpc.data.clock import PLAN_STEP_S
 from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K, Comfort
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -52,8 +53,7 @@ class ThermostatConfig(StrictModel):
     # A sensor's step to either side (`SENSOR_STEP_K` of `data.limits`): less would be its rounding.
     deadband_K: float = Field(0.1, gt=0, le=5, description="half-width of the dead band, K")
     level: float = Field(1.0, gt=0, le=1, description="level while on")
-    # As plans are made, so that they can be compared.
-    step_s: float = Field(900.0, ge=60, le=86400, description="control step, s")
+    step_s: float = Field(PLAN_STEP_S, ge=60, le=86400, description="control step, s")
     min_on_s: float = Field(0.0, ge=0, le=86400, description="shortest time for which a machine stays on, s")
     min_off_s: float = Field(0.0, ge=0, le=86400, description="shortest time for which it stays off, s")
     mode: Literal["heating", "cooling"] = Field(

@@ -52,6 +52,30 @@ def test_commands_are_printed_and_written_with_their_units(files, suffix):
     assert rows[0]["from"] == "2025-01-29T00:00:00+00:00"
 
 
+def test_a_thermostat_in_fahrenheit_is_read_and_told_in_its_degrees(files, tmp_path):
+    """The same home: what is told differs by the steps of the device alone."""
+    rows = {}
+    for unit, resolution in (("°C", 0.5), ("°F", 1.0)):
+        rules = json.loads(json.dumps(RULES))
+        own = rules["actuators"]["actuator"]["command"]
+        own |= {"unit": unit, "resolution": resolution}
+        table = pd.read_csv(files / "house.csv")
+        if unit == "°F":
+            table[own["column"]] = (1.8 * table[own["column"]] + 32.0).round()
+        table.to_csv(tmp_path / "house.csv", index=False)
+        (tmp_path / "map.yaml").write_text(yaml.safe_dump(rules))
+        given = ["--model", files / "model", "--map", tmp_path / "map.yaml", "--data", tmp_path / "house.csv"]
+        given += ["--forecast", files / "tomorrow.csv", "--hours", "12", "--commands", tmp_path / "c.json"]
+        assert CliRunner().invoke(cli, ["plan", *map(str, given)]).exit_code == 0
+        rows[unit] = json.loads((tmp_path / "c.json").read_text())["commands"]
+    told = rows["°F"]
+    assert {row["unit"] for row in told} == {"°F"}
+    assert all(abs(row["value"] - round(row["value"])) < 1e-6 and 59 < row["value"] < 86 for row in told)
+    assert all(row["text"] == f"{row['value']:.0f} °F" for row in told)
+    most_K = [max(row["value"] for row in rows[unit]) for unit in ("°C", "°F")]
+    assert most_K[0] == pytest.approx((most_K[1] - 32.0) / 1.8, abs=1.0)
+
+
 def test_what_may_not_be_acted_on_has_no_value(files):
     thermal = simple_model()
     unjudged = replace(thermal, cards=(replace(thermal.cards[0], source="a record"),))

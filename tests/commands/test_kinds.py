@@ -46,6 +46,22 @@ def test_between_steps_the_nearest_inside_the_limits_is_set(low, high):
     assert not one.allows(22.5)
 
 
+def test_a_device_in_fahrenheit_takes_whole_degrees_of_its_own():
+    """Inside are °C; limits and steps of the map are the device's."""
+    one = command("setpoint", unit="°F", maximum=72, change_per_h=2)
+    low, high = one.limits(LOWER, UPPER, USUAL)
+    values = one.values(low[0], high[0])
+    assert [one.in_words(value) for value in values] == [f"{degree} °F" for degree in range(65, 73)]
+    np.testing.assert_allclose(one.as_told(values), np.arange(65.0, 73.0), atol=1e-6)
+    assert all(one.allows(value) for value in values)
+    assert not one.allows(one.from_told(73.0))
+    assert one.step == pytest.approx(1.0 / 1.8)
+    assert one.most_change(7200.0) == pytest.approx(4.0 / 1.8)
+    assert one.nearest(21.3, 1.0) == pytest.approx(one.from_told(71.0))
+    assert (command("setpoint", unit="°F").minimum, command("setpoint", unit="°F").resolution) == (41, 1)
+    assert command("flow_temperature", unit="°F").in_words(50.0) == "122 °F flow"
+
+
 def test_a_change_is_as_slow_as_the_map_says_but_a_step_at_least():
     slow = command("flow_temperature", change_per_h=2.0)
     assert (slow.most_change(7200.0), slow.most_change(60.0)) == (4.0, 1.0)
@@ -64,6 +80,9 @@ def test_sg_ready_is_blocked_for_two_hours_at_most():
         ({"kind": "sg_ready", "states": [2, 5]}, "states of SG-Ready are 1 blocked"),
         ({"kind": "sg_ready", "states": [1]}, "blocked alone cannot be held"),
         ({"kind": "setpoint", "minimum": 20.2, "maximum": 20.4}, "no multiple of resolution (0.5) from minimum (20.2)"),
+        ({"kind": "setpoint", "minimum": 3}, "minimum (3 °C) lies outside 5 to 30"),
+        ({"kind": "setpoint", "unit": "°F", "minimum": 18}, "minimum (18 °F) lies outside 41 to 86"),
+        ({"kind": "setpoint", "unit": "K"}, "unit"),
         ({"kind": "sg_ready", "hold_min": 5}, "greater than or equal to 10"),
         ({"kind": "setpoint", "setpoint": 21}, "Extra inputs are not permitted"),
     ],

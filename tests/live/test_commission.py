@@ -144,7 +144,7 @@ def by_another_wall(rows):
     [
         (fahrenheit, "problems", "zones.living.temperature (column T_living): 6"),
         (fahrenheit, "problems", "unit: '°F'"),
-        (setpoint_fahrenheit, "problems", "°F is likelier (2"),
+        (setpoint_fahrenheit, "problems", "in °F it were one: unit: '°F'"),
         (swapped, "problems", "rooms swapped: living and bath"),
         (measured_setpoint, "problems", "command is no command: command of living (column set_living)"),
         (gone, "problems", "zones.bath.temperature (column T_bath): nothing came of it"),

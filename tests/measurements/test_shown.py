@@ -90,6 +90,15 @@ def test_a_set_point_and_a_window_are_those_of_their_room(tmp_path):
     zone = yaml.safe_load(text)["zones"]["living"]
     assert (zone["lower"], zone["upper"], zone["window"]) == (21, 24, {"column": "living window"})
     assert "# not used: kitchen window" in text
+    for name in ("living temperature", "living setpoint", "outdoor temperature"):
+        df[name] = (1.8 * df[name] + 32.0).round(1)
+    df["living setpoint"] = np.where(at.hour < 6, 63.0, 71.0)
+    df.rename(columns=lambda name: f"{name} (°F)" if "temp" in name or "setpoint" in name else name).to_csv(
+        tmp_path / "us.csv", index=False
+    )
+    own = yaml.safe_load(starting_map(tmp_path / "us.csv"))
+    (command,) = (one["command"] for one in own["actuators"].values())
+    assert command == {"kind": "setpoint", "column": "living setpoint (°F)", "unit": "°F"}
 
 
 def test_what_a_mode_says_is_for_hot_water_is_not_of_the_rooms(tmp_path):

@@ -64,6 +64,8 @@ def test_what_a_level_is_where_heat_has_a_fixed_part(part_load):
     tolerance = 0.025 * fixed if part_load == "smooth" else 1e-10
     np.testing.assert_allclose(found / per_v, expected, atol=tolerance)
     levels = np.linspace(0.0, 1.0, 200)
+    off = (0.0, 0.0) if part_load == "split" else (0.0,)
+    assert float(step(0.0, *off, x[0])) == pytest.approx(0.0, abs=1e-12), "off is no heat"
     if part_load != "split":
         rising = np.diff([float(step(0.0, level, x[0])) for level in levels])
         assert (rising > 0).all(), "more level is more heat"

@@ -1,9 +1,13 @@
-"""A command: what can be set at a building's own control, with unit, limits, resolution, slowest change and hold."""
+"""A command: what can be set at a building's own control, with unit, limits, resolution, slowest change and hold.
+
+Inside, temperatures are in °C. Where a device has °F, its command is read, set and shown in °F (`told_in`).
+"""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -26,7 +30,6 @@ class Command(StrictModel):
 
     of_zone: ClassVar[float | None] = None
     of_outdoor: ClassVar[float | None] = None
-    unit: ClassVar[str] = ""
     name_in_words: ClassVar[str] = "a command"
 
     kind: str
@@ -37,6 +40,19 @@ class Command(StrictModel):
         "the median at each time of the week in the record; say it where the record is of planned commands",
     )
     hold_min: float = Field(30.0, ge=0, le=720, description="least time between two changes, min")
+
+    @property
+    def told_in(self) -> str:
+        """Unit in which it is read, set and shown."""
+        return ""
+
+    def as_told(self, value: Any) -> Any:
+        """A command, or several, as its device has it."""
+        return value
+
+    def from_told(self, told: Any) -> Any:
+        """Inverse of `as_told`."""
+        return told
 
     @abstractmethod
     def values(self, low: float, high: float) -> Array:
@@ -103,27 +119,95 @@ class StepwiseCommand(Command):
 
     def values(self, low: float, high: float) -> Array:
         """See `Command.values`."""
-        first, last = np.ceil(low / self.resolution - SAME), np.floor(high / self.resolution + SAME)
+        steps_low, steps_high = (self.as_told(one) / self.resolution for one in (low, high))
+        first, last = np.ceil(steps_low - SAME), np.floor(steps_high + SAME)
         if first > last:
-            around = np.round(np.array([last, first]) * self.resolution, 9)
+            around = self._at_steps(np.array([last, first]))
             around = around[[self.allows(value) for value in around]]
             return around[[int(np.argmin(np.abs(around - 0.5 * (low + high))))]]
-        last = min(last, first + _MOST_VALUES)
-        return np.asarray(np.round(np.arange(first, last + 1.0) * self.resolution, 9))
+        return self._at_steps(np.arange(first, min(last, first + _MOST_VALUES) + 1.0))
+
+    def nearest(self, value: Any, steps: float = 0.0) -> Array:
+        """The commands nearest to `value` (n,), or those so many steps of its resolution above."""
+        return self._at_steps(np.round(self.as_told(np.asarray(value)) / self.resolution) + steps)
+
+    def _at_steps(self, steps: Array) -> Array:
+        """Commands (n,) at whole numbers of steps from zero of the device's scale."""
+        return np.asarray(np.round(self.from_told(np.round(steps * self.resolution, 9)), 9))
+
+    @property
+    def step(self) -> float:
+        """From one command to the next, °C or K."""
+        return float(self.from_told(self.resolution) - self.from_told(0.0))
 
     def allows(self, value: float) -> bool:
         """See `Command.allows`."""
-        above = self.minimum is None or value >= self.minimum - SAME
-        return above and (self.maximum is None or value <= self.maximum + SAME) and super().allows(value)
+        told = self.as_told(value)
+        above = self.minimum is None or told >= self.minimum - SAME
+        return above and (self.maximum is None or told <= self.maximum + SAME) and super().allows(value)
 
     def within(self, low: Array, high: Array) -> tuple[Array, Array]:
         """`low` and `high` (N,) inside `minimum` and `maximum`, in order."""
-        least = -np.inf if self.minimum is None else self.minimum
-        most = np.inf if self.maximum is None else self.maximum
+        least = -np.inf if self.minimum is None else self.from_told(self.minimum)
+        most = np.inf if self.maximum is None else self.from_told(self.maximum)
         return np.clip(low, least, most), np.clip(np.maximum(low, high), least, most)
 
     def most_change(self, seconds: float) -> float:
         """See `Command.most_change`."""
         if self.change_per_h is None:
             return float("inf")
-        return max(self.change_per_h * seconds / HOUR_S, self.resolution)
+        steps = max(self.change_per_h * seconds / HOUR_S, self.resolution) / self.resolution
+        return steps * self.step
+
+
+class TemperatureCommand(StepwiseCommand):
+    """A command that is a temperature, in `unit`; so are the numbers of its keys, but for those of `beyond_K`."""
+
+    # What it is by default, and what it may be: least and largest temperature, °C; the device's step, °C and °F.
+    usual_C: ClassVar[tuple[float, float]]
+    possible_C: ClassVar[tuple[float, float]]
+    usual_steps: ClassVar[tuple[float, float]] = (1.0, 1.0)
+
+    unit: Literal["°C", "°F"] = Field("°C", description="unit of the column, of what is set, and of these numbers")
+    resolution: float = Field(1.0, gt=0, description="step between two commands; default: 1, of a set-point in °C 0.5")
+    minimum: float | None = Field(None, description="lowest command; default: by kind")
+    maximum: float | None = Field(None, description="highest command; default: by kind")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_defaults(cls, given: Any) -> Any:
+        if not isinstance(given, Mapping):
+            return given
+        in_F = given.get("unit") == "°F"
+        least, most = (round(1.8 * one + 32.0) if in_F else one for one in cls.usual_C)
+        usual = {"resolution": cls.usual_steps[in_F], "minimum": least, "maximum": most}
+        return {**usual, **given}
+
+    @model_validator(mode="after")
+    def _are_possible(self) -> TemperatureCommand:
+        for key in ("minimum", "maximum"):
+            if getattr(self, key) is None:
+                continue
+            value_C = self.from_told(getattr(self, key))
+            if not self.possible_C[0] - SAME <= value_C <= self.possible_C[1] + SAME:
+                least, most = (self.as_told(one) for one in self.possible_C)
+                raise ValueError(f"{key} ({getattr(self, key):g} {self.unit}) lies outside {least:g} to {most:g}")
+        return self
+
+    @property
+    def told_in(self) -> str:
+        """See `Command.told_in`."""
+        return self.unit
+
+    def as_told(self, value: Any) -> Any:
+        """See `Command.as_told`."""
+        # Inside values have nine decimals: whole degrees come out whole.
+        return value if self.unit == "°C" else np.round(1.8 * value + 32.0, 6)
+
+    def from_told(self, told: Any) -> Any:
+        """See `Command.from_told`."""
+        return told if self.unit == "°C" else (told - 32.0) / 1.8
+
+    def in_words(self, value: float) -> str:
+        """See `Command.in_words`."""
+        return f"{self.as_told(value):.10g} {self.unit}"

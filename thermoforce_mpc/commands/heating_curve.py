@@ -7,14 +7,12 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from thermoforce_mpc.commands.command import StepwiseCommand
+from thermoforce_mpc.commands.command import StepwiseCommand, TemperatureCommand
 from thermoforce_mpc.data import Array
 
 
 class CurveOffset(StepwiseCommand):
     """Offset of the heating curve, in K or in the steps of the device."""
-
-    unit: ClassVar[str] = "K"
 
     name_in_words: ClassVar[str] = "the offset of the heating curve"
 
@@ -22,6 +20,11 @@ class CurveOffset(StepwiseCommand):
     resolution: float = Field(1.0, gt=0, description="step between two offsets")
     minimum: float | None = Field(-3.0, description="lowest offset")
     maximum: float | None = Field(3.0, description="highest offset")
+
+    @property
+    def told_in(self) -> str:
+        """See `Command.told_in`."""
+        return "K"
 
     def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
         """See `Command.limits`."""
@@ -32,17 +35,14 @@ class CurveOffset(StepwiseCommand):
         return f"{value:+.10g} K" if value else "0 K"
 
 
-class FlowTemperature(StepwiseCommand):
-    """Flow temperature, °C, within `beyond_K` of what it usually is at that time."""
+class FlowTemperature(TemperatureCommand):
+    """Flow temperature, within `beyond_K` of what it usually is at that time."""
 
-    unit: ClassVar[str] = "°C"
-
+    usual_C: ClassVar[tuple[float, float]] = (20.0, 45.0)
+    possible_C: ClassVar[tuple[float, float]] = (5.0, 90.0)
     name_in_words: ClassVar[str] = "the flow temperature"
 
     kind: Literal["flow_temperature"]
-    resolution: float = Field(1.0, gt=0, description="step between two flow temperatures, K")
-    minimum: float | None = Field(20.0, ge=5, le=90, description="lowest flow temperature, °C")
-    maximum: float | None = Field(45.0, ge=5, le=90, description="highest flow temperature, °C")
     beyond_K: float = Field(5.0, ge=0, le=30, description="largest difference from what it usually is, K")
 
     def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
@@ -51,4 +51,4 @@ class FlowTemperature(StepwiseCommand):
 
     def in_words(self, value: float) -> str:
         """See `Command.in_words`."""
-        return f"{value:.10g} °C flow"
+        return f"{super().in_words(value)} flow"

@@ -538,7 +538,8 @@ def command_rows(plan: Plan, commands: Mapping[str, LearnedCommand]) -> list[dic
             command = commands[of_actuator].command
             text = "its own control" if one.value is None else command.in_words(one.value)
             row = {"actuator": name, "kind": command.kind, "from": begin.isoformat(), "until": end.isoformat()}
-            rows.append(row | {"value": one.value, "unit": command.unit, "text": text})
+            value = None if one.value is None else command.as_told(one.value)
+            rows.append(row | {"value": value, "unit": command.told_in, "text": text})
     return rows
 
 

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Tag
 
-from thermoforce_mpc.commands.command import Command, StepwiseCommand, SwitchCommand
+from thermoforce_mpc.commands.command import Command, SwitchCommand, TemperatureCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, HotWaterPlan, Plan
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.series import stretches
@@ -66,16 +66,14 @@ ANY_TANK = TankComfort(schedule="else 20-80")
 """No wish of a tank's temperature."""
 
 
-class TankTarget(StepwiseCommand):
-    """Target temperature of a tank of hot water, °C: the device charges below it by its own band, up to it."""
+class TankTarget(TemperatureCommand):
+    """Target temperature of a tank of hot water: the device charges below it by its own band, up to it."""
 
-    unit: ClassVar[str] = "°C"
+    usual_C: ClassVar[tuple[float, float]] = (35.0, 60.0)
+    possible_C: ClassVar[tuple[float, float]] = (10.0, 80.0)
     name_in_words: ClassVar[str] = "the target of the tank"
 
     kind: Literal["tank_target"]
-    resolution: float = Field(1.0, gt=0, description="step between two targets, K")
-    minimum: float | None = Field(35.0, ge=10, le=80, description="lowest target, °C")
-    maximum: float | None = Field(60.0, ge=10, le=80, description="highest target, °C")
 
     def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
         """See `Command.limits`; of the tank's comfort."""
@@ -83,7 +81,7 @@ class TankTarget(StepwiseCommand):
 
     def in_words(self, value: float) -> str:
         """See `Command.in_words`."""
-        return f"tank target {value:.10g} °C"
+        return f"tank target {super().in_words(value)}"
 
 
 class TankCharge(SwitchCommand):
@@ -298,7 +296,8 @@ def tank_rows(plan: Plan, command: Command | None) -> list[dict[str, Any]]:
         value = told.command[first]
         text = "left to the device" if value is None else command.in_words(value)
         row = {"actuator": TANK_NAME, "kind": command.kind, "from": ends[first].isoformat()}
-        rows.append(row | {"until": ends[stop].isoformat(), "value": value, "unit": command.unit, "text": text})
+        told_value = None if value is None else command.as_told(value)
+        rows.append(row | {"until": ends[stop].isoformat(), "value": told_value, "unit": command.told_in, "text": text})
     return rows
 
 

@@ -30,8 +30,8 @@ class FilesConnection:
             measurements: recent measurements, which something appends to; or a pattern, such as `data/*.csv`.
             forecast: a file of weather, prices and bounds, or services, see docs/how-to/forecasts.md.
             levels: what is to be set, `{"levels": {"heat_pump": 1.0}, "from": …, "until": …}`, times in UTC; never
-                half-written. Of an actuator with a command in the map that command, in its unit. A level null, or an
-                `until` that has passed: the building's own control.
+                half-written. Of an actuator with a command in the map that command, temperatures in °C. A level null,
+                or an `until` that has passed: the building's own control.
         """
         self._measurements, self._outlook, self._levels = measurements, Outlook(forecast), levels
 

@@ -54,7 +54,8 @@ class MqttActuator(StrictModel):
     topic: str
     release: float | str = Field(description="value that is published when the building is given back")
     payload: str = Field("$value", description="what is published; $value: the value, $until: until when it holds, UTC")
-    scale: float = Field(1.0, gt=0, description="the level or command times this is published")
+    scale: float = Field(1.0, gt=0, description="the level or command times this, and `offset` more, is published")
+    offset: float = Field(0.0, description="of a set-point in °F: scale 1.8 and offset 32")
     options: dict[float, str] = Field(default_factory=dict, description="word in the place of each command")
     retain: bool = Field(False, description="whether the broker keeps it for who subscribes later")
     state: str | None = Field(None, description="topic, or topic#key, that says what the device took: it is waited for")
@@ -260,7 +261,7 @@ class MqttConnection:
             value = None if said is None else by_option.get(said, SWITCH.get(said.lower()))
             if value is None:
                 try:
-                    value = float(said or "") / one.scale
+                    value = (float(said or "") - one.offset) / one.scale
                 except ValueError:
                     continue
             held[name] = value
@@ -519,7 +520,7 @@ def _text(one: MqttActuator, level: float | None) -> str:
         return one.options[float(level)]
     if not math.isfinite(level):
         raise PlantError(f"{one.topic}: {level} is no value")
-    return f"{level * one.scale:.10g}"
+    return f"{round(level * one.scale + one.offset, 9):.10g}"
 
 
 def _value(text: str, key: str) -> str | None:

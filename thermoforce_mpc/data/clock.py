@@ -13,6 +13,11 @@ from thermoforce_mpc.errors import DataError, InputError
 HOUR_S = 3600.0
 DAY_S = 86400.0
 DAY_H = 24
+PLAN_STEP_S, PLAN_H = 900.0, 48.0
+"""Step, s, and horizon, h, of plans where nobody names others, and the step of records and rules beside them.
+
+Power is metered and priced by the quarter hour. A slab's effect comes and goes within two days, and prices are known to
+the end of the next: no more would change what is done now."""
 YEAR_S = 365 * DAY_S
 """A year of weather, prices and schedules, s: it has no 29 February, and repeats."""
 

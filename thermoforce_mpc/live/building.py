@@ -388,7 +388,7 @@ class LiveBuilding:
     def nearness(self, name: str) -> float | None:
         """How far what a device holds may be from the command that it was set to; None where a level is set."""
         command = self.command_of(name)
-        return None if command is None else 0.51 * float(getattr(command, "resolution", 1.0))
+        return None if command is None else 0.51 * float(getattr(command, "step", 1.0))
 
     def _compare(self, name: str, value: float, now: pd.Timestamp) -> None:
         """Keep `value` as a person's where it is neither what was set nor what was before; NaN: not known."""

@@ -193,9 +193,8 @@ def _tried_value(
         return 0.0 if before >= 0.5 else 1.0
     if not isinstance(command, StepwiseCommand):
         return None
-    at = round(before / command.resolution) * command.resolution
-    away = [max(1.0, round(abs(one) / command.resolution)) * math.copysign(1.0, one) for one in _AWAY[command.kind]]
-    values = [round(at + steps * command.resolution, 9) for steps in away]
+    away = [max(1.0, round(abs(one) / command.step)) * math.copysign(1.0, one) for one in _AWAY[command.kind]]
+    values = [float(command.nearest(before, steps)) for steps in away]
     values = [one for one in values if command.allows(one) and command.allows(before)]
     if isinstance(command, Setpoint):
         lower = max((low for low, _ in bounds if math.isfinite(low)), default=-math.inf)
@@ -216,8 +215,9 @@ def _crossing(command: Setpoint, before: float, T_C: float, lower: float, upper:
         return None
     rises = before < T_C
     first = T_C + math.copysign(_CLEARLY_K, 1.0 if rises else -1.0)
-    steps = math.ceil(first / command.resolution) if rises else math.floor(first / command.resolution)
-    value = round(steps * command.resolution, 9)
+    value = float(command.nearest(first))
+    if (value < first) is rises and value != first:
+        value = float(command.nearest(first, 1.0 if rises else -1.0))
     return value if lower <= value <= upper and command.allows(value) and value != before else None
 
 

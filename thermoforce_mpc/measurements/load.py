@@ -26,6 +26,7 @@ from thermoforce_mpc.measurements.map.mapping import (
     MeasurementMap,
     Signal,
     load_map,
+    signal_of,
 )
 from thermoforce_mpc.measurements.signals import SignalReader, SignalSummary, Understood, missing, of_changes, of_clock
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
@@ -482,11 +483,15 @@ def _held(state: Level) -> Level:
 
 def _commanded(reader: SignalReader, where: str, command: Command) -> CommandRecord:
     """What was set: a command holds until the next reading."""
-    signal = Signal(column=command.column, hold_h=_COMMAND_HOLDS_H)
+    signal = signal_of(command, command.column, _COMMAND_HOLDS_H)
     at = reader.scheduled(f"{where}.command", signal, readings.COMMAND)
     usual = None
     if command.usual is not None:
-        own = Signal(column=command.usual, hold_h=_COMMAND_HOLDS_H) if isinstance(command.usual, str) else command.usual
+        own: Signal | float = (
+            signal_of(command, command.usual, _COMMAND_HOLDS_H)
+            if isinstance(command.usual, str)
+            else command.from_told(command.usual)
+        )
         usual = reader.scheduled(f"{where}.command.usual", own, readings.COMMAND)
     return CommandRecord(at, reader.again(signal, readings.COMMAND), usual)
 

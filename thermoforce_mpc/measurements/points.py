@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from thermoforce_mpc.commands.command import TemperatureCommand
 from thermoforce_mpc.commands.kinds import AnyCommand
 from thermoforce_mpc.commands.setpoint import Setpoint
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
@@ -136,7 +137,7 @@ def _point(
     kind = key.rpartition(".")[2]
     rule, declared = readings.with_map(_RULES[kind], signal), getattr(signal, "unit", "")
     command = _command(key, rules)
-    unit = rule.unit if command is None else command.unit
+    unit = rule.unit if command is None else "°C" if isinstance(command, TemperatureCommand) else command.told_in
     base = LivePoint(
         key, " + ".join(signal.columns), _zone_of(key, rules), unit, declared, np.empty(0), np.empty(0), np.nan, np.nan
     )
@@ -191,9 +192,10 @@ def _problem(point: LivePoint, rule: SignalRule, raw: Array, command: AnyCommand
 
 def _problem_of_command(point: LivePoint, command: AnyCommand) -> str:
     if isinstance(command, Setpoint) and not 0.0 < point.last < 40.0:
-        as_C = (point.last - 32.0) / 1.8
-        hint = f"°F is likelier ({as_C:.1f} °C): give factor and column in °C" if 5.0 <= as_C <= 30.0 else "check it"
-        return f"{point.last:.4g} °C is no set-point of a room; {hint}"
+        sent = float(command.as_told(point.last))
+        unit = likelier(np.array([sent]), command.unit, "temperature", readings.SETPOINTS_C)
+        hint = f"in {unit} it were one: unit: '{unit}'" if unit else "check column and unit"
+        return f"{sent:.4g} {command.unit} is no set-point of a room; {hint}"
     return ""
 
 

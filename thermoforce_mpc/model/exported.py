@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import casadi as ca
 import numpy as np
 
+from thermoforce_mpc.data.clock import PLAN_STEP_S
 from thermoforce_mpc.errors import DataError, suggestion
 from thermoforce_mpc.model.operator import casadi_export
 from thermoforce_mpc.model.operator.casadi_export import heat_input_expression
@@ -45,7 +46,7 @@ def modulation_function(model: ThermalModel, *, actuator: str | None = None) -> 
 
 def step_function(
     model: ThermalModel,
-    step_s: float = 900.0,
+    step_s: float = PLAN_STEP_S,
     *,
     zone: str | None = None,
     actuator: str | None = None,
@@ -80,7 +81,7 @@ def step_function(
 def rollout_function(
     model: ThermalModel,
     n_steps: int,
-    step_s: float = 900.0,
+    step_s: float = PLAN_STEP_S,
     *,
     zone: str | None = None,
     actuator: str | None = None,

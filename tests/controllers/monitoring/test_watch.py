@@ -268,6 +268,8 @@ def due(lead: int, errors_K: list[float], promise_K: float = 0.4, last_s: float 
 
 
 BEFORE_K = [0.1, -0.3, 0.4, 0.2] * 4
+# Errors 6 h and an hour ahead of a day with sun that was not foreseen.
+SUNNY_K = ([*BEFORE_K, 0.33, 1.05, 1.8, 2.08, 2.28, 2.46, 2.08], [0.38, 0.68, 0.69, 0.4, 0.23, 0.38, 0.19])
 
 
 @pytest.mark.parametrize(
@@ -283,6 +285,8 @@ BEFORE_K = [0.1, -0.3, 0.4, 0.2] * 4
         ([1.2, *BEFORE_K, 1.0, 1.6, 1.8, 1.9, 2.0, 1.9], [0.0, 0.0, 0.0], 0.4, 0.0),  # errors like that are usual
         ([*BEFORE_K, 0.4, 1.0, 1.6, 1.9, 2.0, 1.9], [1.1, 0.5, 0.1], 2.0, 0.0),  # not much was promised
         ([0.4, 1.0, 1.6, 1.9, 2.0, 1.9], [1.1, 0.5, 0.1], 0.4, 0.0),  # what is usual is not known
+        (SUNNY_K[0], [1.0, -0.3, *SUNNY_K[1]], 0.7, 0.0),  # bestest_hydronic, day 340: sun, in hours as wrong as others
+        (SUNNY_K[0], [0.3, -0.3, 0.1, *SUNNY_K[1][1:]], 0.7, 2.27),  # the same where hours are never so wrong
     ],
 )
 def test_readings_that_were_shifted_go_on_as_predicted_from_where_they_are(long_K, short_K, promise_K, shift_K):

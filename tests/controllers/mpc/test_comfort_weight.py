@@ -53,6 +53,20 @@ def first_plan(model: ThermalModel, price: float = 0.25, **objective: float) -> 
     return controller(model, **objective).plan(seen(len(model.operator.zones), price))
 
 
+def test_carbon_is_a_price_of_the_hour_in_which_it_is_emitted():
+    observation = seen()
+    dirty = 0.5 * (np.arange(observation.boundary.n_steps + 1) % 8 < 4)[None]
+    emitting = replace(observation.boundary, emission_kg_per_kWh=dirty)
+    prices = observation.boundary.price_per_kWh + 0.4 * dirty
+    dearer = replace(observation.boundary, price_per_kWh=prices, heating_price_per_kWh=prices)
+    plans = [
+        controller(house(), carbon_price_per_kg=carbon).plan(replace(observation, boundary=boundary))
+        for carbon, boundary in ((0.4, emitting), (0.0, dearer), (0.0, emitting))
+    ]
+    np.testing.assert_allclose(plans[0].u, plans[1].u, atol=1e-6)
+    assert np.abs(plans[0].u - plans[2].u).max() > 0.1
+
+
 def test_discomfort_counts_per_floor_area():
     large = 44 * 192.0
     assert weights(house()) == pytest.approx([192.0 * PER_M2])

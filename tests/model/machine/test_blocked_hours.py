@@ -58,6 +58,7 @@ def test_what_is_no_schedule_blocks_nothing():
     assert told([1, 1, 1], [1, 1, 1], [20, 20, 20]).hours == frozenset()
     warm = told([1, np.nan, np.nan, np.nan], [0, 0, 0, 1], [20.0, 20.4, 21.0, 20.0])
     assert warm.hours == {0}, "native control need not heat a zone that is warmer than when heat was asked for"
+    assert told([1, np.nan, np.nan], [0, 0, 1], [20.5, 20.5, 20.5]).hours == {0, 1}, "as cold as then it must"
     unknown = told([1, 1, 1], [np.nan, np.nan, 1], [20, 20, 20])
     assert unknown.hours == frozenset(), "what several actuators take of a machine that is too small is not known"
     outage = told([1] * 14 + [1], [0] * 14 + [1], [20.0] * 15)

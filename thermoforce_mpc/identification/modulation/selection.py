@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data.clock import PLAN_H, PLAN_STEP_S
 from thermoforce_mpc.data.series import interpolated
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -41,8 +42,6 @@ _PROPORTIONAL = 0.1
 _STEEP_1_K = 0.04
 # Share of the steps on from which levels below full are not mere trials. By judgement.
 _OFTEN = 0.25
-# Step, s, and horizon, h, of plans by default (`MPCConfig`).
-_PLAN_STEP_S, _PLAN_H = 900.0, 48.0
 
 
 def modulate(
@@ -233,7 +232,7 @@ def prove(operator: OperatorParameters) -> None:
 
     It must be at the operator's own step and at the controllers', over their horizon (the file states 48 steps).
     """
-    for step_s in dict.fromkeys((operator.step_s, _PLAN_STEP_S)):
-        proof = certificate(operator.resampled(step_s), max(48, round(_PLAN_H * HOUR_S / step_s)))
+    for step_s in dict.fromkeys((operator.step_s, PLAN_STEP_S)):
+        proof = certificate(operator.resampled(step_s), max(48, round(PLAN_H * HOUR_S / step_s)))
         if not proof.certified:
             raise DataError(f"the identified operator at {step_s:g} s is not certified: {'; '.join(proof.reasons)}")

@@ -31,7 +31,7 @@ from thermoforce_mpc.data import (
     Record,
 )
 from thermoforce_mpc.data.boundary import SET_BACK_K
-from thermoforce_mpc.data.clock import DAY_H
+from thermoforce_mpc.data.clock import DAY_H, PLAN_STEP_S
 from thermoforce_mpc.data.series import interpolated
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.probing.design import choose
@@ -64,8 +64,7 @@ _TRIED, _TRIES = 0.5, 2
 class ProbingConfig(StrictModel):
     """Options of the probing."""
 
-    # The step of plans, so that what is found needs no conversion.
-    step_s: float = Field(900.0, ge=60, le=3600, description="step of the record, s")
+    step_s: float = Field(PLAN_STEP_S, ge=60, le=3600, description="step of the record, s")
     # Off and full tell most of an effect: its size grows with the difference.
     levels: tuple[float, ...] = Field((0.0, 1.0), min_length=2, description="levels to draw from, in [0, 1], off first")
     trial_levels: tuple[float, ...] = Field(

@@ -116,7 +116,7 @@ def _no_command(record: Record, layout: Layout, name: str, command: AnyCommand, 
     known = at[np.isfinite(at)]
     if not isinstance(command, StepwiseCommand) or not known.size:
         return None
-    steps = known / command.resolution
+    steps = command.as_told(known) / command.resolution
     beside = np.abs(steps - np.round(steps)) > _BESIDE
     values = np.unique(np.round(known[beside], 3)).size
     if beside.mean() <= _MOST_BESIDE or values < min(_VALUES, known.size):
@@ -126,6 +126,6 @@ def _no_command(record: Record, layout: Layout, name: str, command: AnyCommand, 
     return Remark(
         "command is no command",
         f"command of {name} (column {command.column})",
-        f"{values} values between its steps of {command.resolution:g} {command.unit}, {what}".replace("  ", " "),
+        f"{values} values between its steps of {command.resolution:g} {command.told_in}, {what}".replace("  ", " "),
         "name the column that says what was set, or set resolution",
     )

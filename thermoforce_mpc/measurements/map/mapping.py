@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
+from thermoforce_mpc.commands.command import Command, TemperatureCommand
 from thermoforce_mpc.commands.kinds import AnyCommand
 from thermoforce_mpc.commands.tank import AnyTankCommand
 from thermoforce_mpc.data import J_PER_KWH, ZERO_C_K, Array, Layout, Names
@@ -116,6 +117,13 @@ class Temperature(Signal):
     """A temperature."""
 
     unit: TemperatureUnit = "°C"
+
+
+def signal_of(command: Command, column: str, hold_h: float | None = None) -> Signal:
+    """What was set, as it stands in a column."""
+    if isinstance(command, TemperatureCommand):
+        return Temperature(column=column, hold_h=hold_h, unit=command.unit)
+    return Signal(column=column, hold_h=hold_h)
 
 
 class Power(Signal):
@@ -511,15 +519,15 @@ class MeasurementMap(StrictModel):
         for kind in ("actuators", "machines"):
             for name, item in getattr(self, kind).items():
                 if item.command is not None:
-                    yield f"{kind}.{name}.command", Signal(column=item.command.column)
+                    yield f"{kind}.{name}.command", signal_of(item.command, item.command.column)
                     if isinstance(item.command.usual, str):
-                        yield f"{kind}.{name}.command.usual", Signal(column=item.command.usual)
+                        yield f"{kind}.{name}.command.usual", signal_of(item.command, item.command.usual)
         if (tank := self.hot_water) is not None:
             yield "hot_water.temperature", tank.temperature
             if tank.charging is not None:
                 yield "hot_water.charging", tank.charging
             if tank.command is not None:
-                yield "hot_water.command", Signal(column=tank.command.column)
+                yield "hot_water.command", signal_of(tank.command, tank.command.column)
 
     @property
     def tank_machine(self) -> str:

@@ -363,7 +363,7 @@ class _Text:
                     key = "heat" if guess.role == "heat" else "level"
                     lines.append(f"    {key}: {self._signal(guess)}{_comment(guess.doubt)}")
                 asked = self._only_one("setpoint", zone) if self._mode(guess) == "heating" else None
-                if asked is not None and asked.unit in ("", "°C"):
+                if asked is not None and asked.unit in ("", "°C", "°F"):
                     lines.append(self._command(asked))
         else:
             lines.append("# actuators: {heater: {level: {column: ..., unit: '%'}}}  # nothing looks like what acts")
@@ -402,7 +402,8 @@ class _Text:
 
     def _command(self, asked: Guess) -> str:
         """The line of what people set; commented where the record has it at one value, which teaches nothing."""
-        line = f"command: {{kind: setpoint, column: {_quoted(asked.name)}}}"
+        unit = ", unit: °F" if asked.unit == "°F" else ""
+        line = f"command: {{kind: setpoint, column: {_quoted(asked.name)}{unit}}}"
         self.used.add(asked.name)
         if self._still(asked):
             return f"    # {line}  # set it to other values at times: from one nothing is learned"

@@ -310,7 +310,10 @@ def _part(text: _Text, content: bytes, first: int) -> _Part:
             if table.by_file != "point"
             else of_one_signal(one, next(iter(columns)), columns)
         )
-    return _Part(0, count, one, at.reset_index(drop=True), offset, left, known, alone)
+    at = at.reset_index(drop=True)
+    if text.clock.unit is None and text.clock.zone is not None:  # what is kept for the next reading is not text
+        one = replace(one, stamps=at)
+    return _Part(0, count, one, at, offset, left, known, alone)
 
 
 def frame_appended(

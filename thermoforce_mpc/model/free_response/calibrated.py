@@ -20,7 +20,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, R
 from thermoforce_mpc.data.series import at_instants
 from thermoforce_mpc.execution.cooperative import Computation
 from thermoforce_mpc.model.free_response.checks import checked_free
-from thermoforce_mpc.model.free_response.following import Computed, following
+from thermoforce_mpc.model.free_response.following import Computed, MeanState, following
 from thermoforce_mpc.protocols import FreeResponse
 
 # Share of values that a band promises to hold, and hours of forecasts that it is fitted to: six days are those of a
@@ -76,7 +76,7 @@ class CalibratedState:
     """State of a run: forecasts issued and not yet fully compared, and the width of each of G groups of lead times.
 
     `steering` (G,): adaptation of the log width; `window` (G,): width from the `scores` of the last days, NaN with too
-    few of them. `latest_s`: time of the last forecast, s; `n_steps`: its length.
+    few of them. `latest_s`: time of the last forecast, s; `n_steps`: its length. `inner`: what the method inside keeps.
     """
 
     issued: IssuedForecasts | None = None
@@ -85,13 +85,14 @@ class CalibratedState:
     window: Array = field(default_factory=lambda: np.full(_GROUPS, np.nan))
     latest_s: float = -np.inf
     n_steps: int = 0
+    inner: MeanState | None = None
 
 
 class CalibratedFreeResponse(Computed):
     """`inner` with intervals scaled to a coverage of 80 %; a step back in time or another horizon begins anew."""
 
     def __init__(self, inner: FreeResponse) -> None:
-        """Wrap `inner`, which keeps no state; its own intervals are used until enough errors are known."""
+        """Wrap `inner`; its own intervals are used until enough errors are known."""
         super().__init__(inner)
         self.inner = inner
 
@@ -102,7 +103,7 @@ class CalibratedFreeResponse(Computed):
         free = checked_free(free_C, history)
         now, n = float(history.time_s[-1]), boundary.n_steps
         last = state if isinstance(state, CalibratedState) else CalibratedState()
-        raw, _ = yield from following(self.inner, free, history, boundary, None)
+        raw, inner = yield from following(self.inner, free, history, boundary, last.inner)
         if now < last.latest_s or n != last.n_steps:
             last = CalibratedState()
         lead_s = np.asarray(np.arange(1, n + 1) * boundary.step_s, dtype=np.float64)
@@ -128,7 +129,8 @@ class CalibratedFreeResponse(Computed):
                 )
         note = f"{raw.note}; interval times {scale.min():.1f} to {scale.max():.1f}"
         forecast = FreeForecast(raw.levels, np.asarray(median + scale * (raw.quantiles_C - median)), note)
-        return forecast, replace(compared, issued=issued, latest_s=now, n_steps=n)
+        kept = inner if isinstance(inner, MeanState) else None
+        return forecast, replace(compared, issued=issued, latest_s=now, n_steps=n, inner=kept)
 
 
 def _scored(

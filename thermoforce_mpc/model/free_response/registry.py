@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 def _residual(
     backbone: str = "shipped_weather", calibrate: bool = True, *, rc: RcParameters | None = None
 ) -> FreeResponse:
-    """Linear weather models plus a frozen forecaster on what they leave over, and the model's own linear free part, in
-    equal shares: the default, for every building.
+    """Linear weather models plus a frozen forecaster on what they leave over, and the model's own linear free part,
+    by how both have erred: the default, for every building.
     """
     from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
     from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse

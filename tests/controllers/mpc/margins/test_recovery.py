@@ -48,6 +48,7 @@ def test_half_of_what_was_to_spare_is_given_back():
     assert after(21.2, known_K=(0.4, 0.0)) == pytest.approx([0.3, 0.0])
     assert after(22.5, known_K=(0.4, 0.0)) == [0.0, 0.0], "never below nothing"
     assert after(21.0, known_K=(0.4, 0.0)) == pytest.approx([0.4, 0.0])
+    assert after(20.95, known_K=(0.3, 0.0)) == pytest.approx([0.35, 0.0]), "little that is missing is no spare"
 
 
 def test_cooling_is_learned_as_heating_is():
