@@ -1,27 +1,18 @@
 """HTTP requests to the service: time limits, the JSON envelope, and patience with a service that is away.
 
-Its connections limit the whole time of a request and the length of its answer.
+requests and tenacity are loaded with the first service: 11 MB of a process that asks none.
 """
 
 from __future__ import annotations
 
-import functools
 import logging
 import math
 import os
-import socket
-import threading
 import time
-import weakref
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from urllib.parse import urlsplit
-
-import requests
-import tenacity
-from requests.adapters import HTTPAdapter
 
 from boptest_client.answers import safe_text
 from boptest_client.errors import (
@@ -38,89 +29,9 @@ from boptest_client.errors import (
     UnknownTest,
 )
 
-# A year of fifty points every half minute, unpacked, has 1 GB; no request of ours asks for a tenth of it.
-_MOST_BYTES = 200_000_000
-
-
-class Bearer(requests.auth.AuthBase):
-    """Sends a token with every request, whatever a `.netrc` file says about the host."""
-
-    def __init__(self, token: str) -> None:
-        self._header = f"Bearer {token}"
-
-    def __call__(self, request: requests.PreparedRequest) -> requests.PreparedRequest:
-        """The request with the token."""
-        request.headers["Authorization"] = self._header
-        return request
-
-
-class CuttableAdapter(HTTPAdapter):
-    """HTTP adapter that can close its open sockets after a total time; socket timeouts only limit single reads."""
-
-    def __init__(self) -> None:
-        self._sockets: weakref.WeakSet[socket.socket] = weakref.WeakSet()
-        super().__init__()
-
-    def build_response(self, req: requests.PreparedRequest, resp: Any) -> requests.Response:
-        """The answer, which raises `ProtocolError` when it is read beyond `_MOST_BYTES`."""
-        stream = resp.stream
-
-        def bounded(*args: Any, **kwargs: Any) -> Iterator[bytes]:
-            size = 0
-            for piece in stream(*args, **kwargs):
-                size += len(piece)
-                if size > _MOST_BYTES:
-                    resp.close()
-                    raise ProtocolError(f"{req.method} {req.url}", f"the answer is longer than {_MOST_BYTES:,} bytes")
-                yield piece
-
-        resp.stream = bounded
-        return super().build_response(req, resp)
-
-    def get_connection_with_tls_context(self, *args: Any, **kwargs: Any) -> Any:
-        """The pool, whose connections remember their sockets."""
-        pool: Any = super().get_connection_with_tls_context(*args, **kwargs)
-        if "ConnectionCls" not in vars(pool):
-            pool.ConnectionCls = functools.partial(self._connection, pool.ConnectionCls)
-        return pool
-
-    def _connection(self, make: Callable[..., Any], **settings: Any) -> Any:
-        connection = make(**settings)
-        connect = connection.connect
-
-        def connect_and_remember() -> None:
-            connect()
-            self._sockets.add(connection.sock)
-
-        connection.connect = connect_and_remember
-        return connection
-
-    @contextmanager
-    def cut_after(self, seconds: float, endpoint: str, say_s: float) -> Iterator[threading.Event]:
-        """Close all connections after `seconds` unless the block has ended; the event is set if they were closed.
-
-        After `say_s`, and whenever that has doubled, it is said that `endpoint` has not answered.
-        """
-        cut, ended, began_s = threading.Event(), threading.Event(), time.monotonic()
-
-        def watch() -> None:
-            said_s = say_s
-            while not ended.wait(began_s + min(said_s, seconds) - time.monotonic()):
-                if time.monotonic() - began_s >= seconds:
-                    cut.set()
-                    for open_socket in list(self._sockets):
-                        with suppress(OSError):
-                            open_socket.shutdown(socket.SHUT_RDWR)
-                    return
-                _LOG.warning("%s: no answer for %.3g s already; it is waited for %.3g s", endpoint, said_s, seconds)
-                said_s *= 2.0
-
-        threading.Thread(target=watch, daemon=True).start()
-        try:
-            yield cut
-        finally:
-            ended.set()
-
+if TYPE_CHECKING:
+    import requests
+    import tenacity
 
 Method = Literal["GET", "PUT", "POST"]
 
@@ -194,6 +105,10 @@ class Transport:
     """Sends requests and unpacks `{"status", "message", "payload"}`."""
 
     def __init__(self, url: str, config: TransportConfig, user_agent: str) -> None:
+        import requests
+
+        from boptest_client.connections import Bearer, CuttableAdapter
+
         if "@" in url:  # requests would take what is before it for a user and a password
             raise BadAddress(
                 f"…@{url.rpartition('@')[2]}",
@@ -238,6 +153,8 @@ class Transport:
             passing: errors that may pass; a refused request is repeated `refusals` times.
             most_s: gives up after this time, s, if patience lasts longer.
         """
+        import tenacity
+
         c, around, refused = self.config, self._wait, 0
         wait = self._wait = _Wait(min(self.patience_s, most_s))
 
@@ -288,6 +205,8 @@ class Transport:
         self, method: Method, path: str, body: dict[str, Any] | None = None, *, most_s: float = math.inf
     ) -> ServiceAnswer:
         """Send one request, once; the answer is waited for `most_s` at most, s; raises `BoptestError`s."""
+        import requests
+
         endpoint = f"{method} {self.url}/{path}"
         verb, began_s = path.partition("/")[0], time.monotonic()
         # No request of a run takes longer than its patience, and no repeat than what is left of that; a first one may
@@ -358,6 +277,8 @@ def _came(response: requests.Response) -> str:
 
 def _is_address(url: str) -> bool:
     """Whether `url` is an http(s) address with a host and, if it names one, a port that can be."""
+    import requests
+
     try:
         parts = urlsplit(url)
         port = parts.port  # raises ValueError if it is none
@@ -368,6 +289,8 @@ def _is_address(url: str) -> bool:
 
 
 def _failure(endpoint: str, error: requests.RequestException, connect_s: float, read_s: float) -> TransportError:
+    import requests
+
     if isinstance(error, requests.exceptions.SSLError) or "handshake" in str(_root(error)):
         return TlsError(endpoint, f"no TLS ({_root(error)}); if it speaks plain http, write http:// in its address")
     if isinstance(error, requests.ConnectTimeout):

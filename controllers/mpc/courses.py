@@ -40,6 +40,7 @@ class Courses:
         """In the instance of a plan, from the temperatures (Z,), °C, that were read; NaN: what the model has."""
         self._operator, self._layout, self._machinery = operator, layout, problem.machinery
         self._rules, self._boundary = tuple(rules), boundary
+        self._sees_plan = operator.of_actuator(0).feedback_active
         self._forced_K, self._features, self._T_free_C = problem.forced_state_K, problem.features, problem.T_free_C
         known_C = problem.features[:, 0, ZONE] + problem.forced_state_K.sum(axis=(1, 2))
         self._T_now_C = np.where(np.isfinite(T_zone_C), T_zone_C, known_C)
@@ -73,38 +74,42 @@ class Courses:
         n = self._boundary.n_steps
         u = np.zeros((self._machinery.u_max.size, n))
         forced, T_C = self._forced_K, self._T_now_C
+        actuators, T_free_C = range(u.shape[0]), self._T_free_C.T
         for k in range(n):
-            for a in range(u.shape[0]):
+            for a in actuators:
                 u[a, k] = law(a, k, T_C, forced, u)
             u[:, k] = self._limited_at(u[:, k], k)
             forced = self._next(forced, u[:, k], k)
-            T_C = compose(self._T_free_C[:, k], forced.sum(axis=(1, 2)))
+            T_C = compose(T_free_C[k], np.add.reduce(forced, axis=(1, 2)))
         return u
 
     def _limited_at(self, u: Array, k: int) -> Array:
         """`limited` for the levels (A,) of step `k`."""
         if self._clipped:  # each is within its limits, and no machine is short
-            return np.clip(u, self._u_min[:, k], self._u_max[:, k])
+            return np.minimum(np.maximum(u, self._u_min[:, k]), self._u_max[:, k])
         return self.limited(u[:, None], k)[:, 0]
 
     def _next(self, forced: Array, u: Array, k: int) -> Array:
         """Forced state (Z, A, r), K, after step `k` with levels (A,); a rule knows few, whose drives are kept."""
-        if self._operator.of_actuator(0).feedback_active:
+        if self._sees_plan:
             return self._after(forced, u[:, None], k)
-        return self._operator.advance(forced, np.array([self._driven_by(a, level)[k] for a, level in enumerate(u)]))
+        return self._operator.advance(
+            forced, np.array([self._driven_by(a, level)[k] for a, level in enumerate(u.tolist())])
+        )
 
     def _driven_by(self, a: int, level: float) -> list[float]:
         """Drive (N,) of actuator `a` at a level, as far as it comes."""
-        if (a, level) not in self._by_level:
+        found = self._by_level.get((a, level))
+        if found is None:
             u = np.full(self._features.shape[1], level)
             drive = self._operator.of_actuator(a).drive(u, self._features[self._operator.home[a]])
-            self._by_level[a, level] = (drive * self._comes[a]).tolist()
-        return self._by_level[a, level]
+            found = self._by_level[a, level] = (drive * self._comes[a]).tolist()
+        return found
 
     def _after(self, forced: Array, u: Array, k: int) -> Array:
         """Forced state (..., Z, A, r), K, after step `k` with levels (..., A, 1), of which what comes acts."""
         features = self._features[:, k : k + 1]
-        if self._operator.of_actuator(0).feedback_active:
+        if self._sees_plan:
             return self._operator.rollout(forced, u, features)[..., 0, :]
         drive = self._operator.drive(u, features) * self._comes[:, k : k + 1]
         return self._operator.driven(forced, drive)[..., 0, :]
@@ -147,7 +152,7 @@ class Courses:
         m = self._machinery
         levels = np.linspace(m.u_min[a], m.u_max[a], _LEVELS if m.u_min[a] == 0.0 else 2 * _LEVELS - 1)
         levels = levels[np.argsort(np.abs(levels), kind="stable")]
-        if self._operator.of_actuator(0).feedback_active:
+        if self._sees_plan:
             return levels, None
         u = np.repeat(levels[:, None], self._features.shape[1], axis=1)
         drives = self._operator.of_actuator(a).drive(u, self._features[self._operator.home[a]]) * self._comes[a]

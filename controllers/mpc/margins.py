@@ -565,7 +565,7 @@ class MarginRules:
             inside_K = c.comfort_margin_K + np.stack([below, above]) + reserves_K[:, None] + learned_K
             now_C = np.array([boundary.lower_C[z, 0], boundary.upper_C[z, 0]])
             outside_K = np.array([boundary.lower_C[z, 1:] - T_C[z], T_C[z] - boundary.upper_C[z, 1:]])
-            unsure_K = self._unsure[:, z, None] * np.maximum(np.nan_to_num(outside_K), 0.0)
+            unsure_K = self._unsure[:, z, None] * np.fmax(outside_K, 0.0)
             inside_K += learned.at_begin_K(z, now_C, np.stack([lower_C, upper_C]), unsure_K)
             protected = np.array([1 in signs, -1 in signs]) & (c.corrections and not by_loops)
             inside_K = np.clip(inside_K, np.minimum(protected[:, None] * self._half_K[z], half), half)
@@ -588,7 +588,7 @@ class MarginRules:
         """Whether what protects the lower and the upper bound of each zone had more to give in the last 12 h (2, Z)."""
         steps = min(history.n_steps, round(_BEFORE_H * HOUR_S / self._step_s))
         u = history.u[:, history.n_steps - steps :]
-        return self._had_more(np.nan_to_num(u, nan=1.0).mean(axis=1) if steps else np.ones(len(self._layout.home)))
+        return self._had_more(np.where(np.isnan(u), 1.0, u).mean(axis=1) if steps else np.ones(len(self._layout.home)))
 
     def _had_more(self, used: Array) -> NDArray[np.bool_]:
         """Whether what protects the lower and the upper bound of each zone had more to give (2, Z) at levels (A,).
@@ -657,7 +657,8 @@ class MarginRules:
             return before
         lower_C, upper_C = forecast.lower_C[:, 0], forecast.upper_C[:, 0]
         beyond_K = np.stack([lower_C - T_C, T_C - upper_C])
-        spare = self._had_more(np.nan_to_num(observation.history.u[:, -1], nan=1.0)) & self._config.corrections
+        last = observation.history.u[:, -1]
+        spare = self._had_more(np.where(np.isnan(last), 1.0, last)) & self._config.corrections
         if by_loops:
             spare &= before.set_back(slice(None), lower_C, upper_C)
         reserve_K = learned_K(before.reserve_K, beyond_K, spare, self._step_s, learning)

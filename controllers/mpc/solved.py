@@ -239,7 +239,8 @@ def reason_of(
     """
     band = forecast.quantile_C(0.9) - forecast.quantile_C(0.1)
     lower_C, upper_C, zones = problem.lower_C, problem.upper_C, operator.zones
-    beyond_K = np.nan_to_num(np.maximum(comfort_C[0] - T_zone_C, T_zone_C - comfort_C[1])[:, :free_steps])
+    beyond_K = np.maximum(comfort_C[0] - T_zone_C, T_zone_C - comfort_C[1])[:, :free_steps]
+    beyond_K = np.where(np.isnan(beyond_K), 0.0, beyond_K)
     z, when = (int(i) for i in np.unravel_index(int(np.argmax(beyond_K)), beyond_K.shape))
     if beyond_K[z, when] > _BINDING_K:
         cold = bool(T_zone_C[z, when] < comfort_C[0, z, when])

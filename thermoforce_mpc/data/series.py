@@ -38,17 +38,19 @@ def first_order(poles: Array, drive: Array, start: Array) -> Array:
         return np.asarray(poles * start[..., None, :] + drive)[..., :n, :]
     width = min(_BLOCK, n)
     within, fading, whole = _powers(np.asarray(poles, dtype=np.float64).tobytes(), width)
-    count = -(-n // width)
-    padded = np.zeros((*drive.shape[:-2], count * width, poles.size))
+    count, first, q = -(-n // width), drive.shape[:-2], poles.size
+    padded = np.zeros((*first, count * width, q))
     padded[..., :n, :] = drive
-    blocks = np.moveaxis(padded.reshape(*drive.shape[:-2], count, width, poles.size), -1, -3)
-    own = blocks @ np.swapaxes(within, -1, -2)  # (..., q, count, width), each block from 0
-    begin = np.broadcast_to(start, (*drive.shape[:-2], poles.size))[..., None]
+    # Axes by number: what finds them by name takes as long as all else of a short series.
+    axes, (block, step, mode) = tuple(range(len(first))), range(len(first), len(first) + 3)
+    blocks = padded.reshape(*first, count, width, q).transpose(*axes, mode, block, step)
+    own = blocks @ within.swapaxes(-1, -2)  # (..., q, count, width), each block from 0
+    begin = start[..., None]
     if count > 1:
-        ends = first_order(whole, np.swapaxes(own[..., :-1, -1], -1, -2), begin[..., 0])
-        begin = np.concatenate([begin, np.swapaxes(ends, -1, -2)], axis=-1)
+        ends = first_order(whole, own[..., :-1, -1].swapaxes(-1, -2), start)
+        begin = np.concatenate([np.broadcast_to(begin, (*first, q, 1)), ends.swapaxes(-1, -2)], axis=-1)
     states = own + begin[..., None] * fading
-    return np.moveaxis(states, -3, -1).reshape(padded.shape)[..., :n, :]
+    return states.transpose(*axes, block + 1, block + 2, block).reshape(padded.shape)[..., :n, :]
 
 
 @lru_cache(32)

@@ -350,8 +350,8 @@ def check_memory() -> None:
         if limit != resource.RLIM_INFINITY:
             used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
             left_MB["of this process's limit (ulimit -v)"] = (limit - used) / 1e6
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        (available,) = (line.split()[1] for line in lines if line.startswith("MemAvailable:"))
+        with open("/proc/meminfo", "rb", buffering=0) as file:
+            available = file.read(4096).partition(b"MemAvailable:")[2].split()[0]  # the whole table
         left_MB["of the machine"] = int(available) * 1024 / 1e6
     for what, left in left_MB.items():
         if left < _LEAST_MB:

@@ -84,7 +84,9 @@ class RecordedPlant:
         """The plant itself, for what is not journaled here."""
         self._journal, self._names = journal, SINGLE
         self._entries = deque(entries)
+        # Asked once: a protocol is looked through at each question.
         self._outlives = isinstance(plant, OutlivingPlant)
+        self._restarting = plant if isinstance(plant, RestartingPlant) else None
         self._away, self._cut = self._outlives and bool(self._entries), cut
         self._periods: dict[str, Period] = {}
         self._reset: Json = {}
@@ -197,7 +199,7 @@ class RecordedPlant:
 
     def _told(self, measurement: Measurement) -> Json:
         """A measurement, with how the plant was started again since its reset."""
-        restarts = self.inside.restarts if isinstance(self.inside, RestartingPlant) else ()
+        restarts = () if self._restarting is None else self._restarting.restarts
         return measurement_json(measurement) | ({"restarts": list(restarts)} if restarts else {})
 
     def _compare(self, entry: JournalEntry, kind: str, recorded: object, call: Callable[[], object]) -> None:
@@ -205,10 +207,10 @@ class RecordedPlant:
 
         One that was started again then is started again now, whether it fails once more or not.
         """
-        if isinstance(self.inside, RestartingPlant):
+        if self._restarting is not None:
             restarts = recorded.get("restarts", ()) if isinstance(recorded, Mapping) else ()
             with making_sense(entry.where):
-                self.inside.restart_as([str(words) for words in restarts])
+                self._restarting.restart_as([str(words) for words in restarts])
         if not self._outlives and call() != recorded:
             raise JournalError(
                 f"{entry.where}: the plant answers '{kind}' otherwise than it did then. "
@@ -282,7 +284,10 @@ class JournaledPlant(RecordedPlant):
         """See `Plant.forecast`; recorded with the decision that it is made for, also where there was none."""
         request = {"horizon_s": float(horizon_s), "interval_s": float(interval_s)}
 
+        rows: Array | None = None
+
         def call() -> Json:
+            nonlocal rows
             try:
                 rows = boundary_rows(self.inside.forecast(horizon_s, interval_s))
                 return {"asked": request, "forecast": rows_json(rows, self._rows)}
@@ -303,7 +308,8 @@ class JournaledPlant(RecordedPlant):
             self._ahead = call()
         if self._ahead["forecast"] is None:
             raise NoForecast(str(self._ahead["no_forecast"]), past=bool(self._entries))
-        self._rows = repeated_rows(self._ahead["forecast"], self._rows)
+        # What was just recorded is what was answered.
+        self._rows = repeated_rows(self._ahead["forecast"], self._rows) if rows is None else rows
         return boundary_of(self._rows, self._names)
 
     def kpis_so_far(self) -> dict[str, float]:

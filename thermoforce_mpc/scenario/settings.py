@@ -87,7 +87,8 @@ class StrictModel(BaseModel):
     """
 
     gone: ClassVar[Mapping[str, tuple[Any, str]]] = {}
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    # What validates a model is built with its first value: a process has values of few of them.
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """As pydantic's; what was derived from the values (`cached_property`) is derived anew from the copy's."""

@@ -20,11 +20,11 @@ class Wrong:
     """What follows in `series`, wrong by `errors_K`; a quarter of a kelvin between levels."""
 
     def __init__(self, name: str, series: Array, errors_K: Array) -> None:
-        self.name, self._told = name, series + errors_K
+        self.name, self.told_C = name, series + errors_K
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         at = np.round(boundary.time_s[1:] / HOUR_S).astype(int)
-        return FreeForecast(LEVELS, self._told[at] + (LEVELS[:, None] - 0.5), self.name)
+        return FreeForecast(LEVELS, self.told_C[at] + (LEVELS[:, None] - 0.5), self.name)
 
 
 def course(n: int = 400) -> Array:
@@ -61,7 +61,7 @@ def test_shares_begin_even_and_go_to_what_errs_less(first_errs: float) -> None:
     forecasts, _ = run(MeanFreeResponse(first, second), series, 240)
     np.testing.assert_allclose(
         forecasts[0].quantiles_C,
-        0.5 * (first._told + second._told)[FIRST + 1 :][:AHEAD] + LEVELS[:, None] - 0.5,
+        0.5 * (first.told_C + second.told_C)[FIRST + 1 :][:AHEAD] + LEVELS[:, None] - 0.5,
     )
     assert forecasts[0].note == "mean of first (50% to 50%) and second"
     found = np.abs(error_K(forecasts, series)[-48:]).mean()

@@ -228,10 +228,28 @@ def _joined(text: _Text, parts: Sequence[_Part], latest: pd.Timestamp, left: _Le
     )
 
 
-# Parts of files that were read last, by how they are read and what stands there: of a log that grows only the end is
-# new. Of so many bytes each, half a tenth of a second to read; of so many files, as of a year with one a day.
-_PART_BYTES, _MOST_FILES = 2**19, 400
-_LATELY: OrderedDict[tuple[Any, ...], dict[bytes, _Part]] = OrderedDict()
+class PartsKept:
+    """Parts of files that were read last, by how they are read and what stands there: of a log only the end is new.
+
+    `part_bytes`: of each, half a tenth of a second to read; `most_files`: of so many, as of a year with one a day;
+    `read_bytes`: what was not known, since the start.
+    """
+
+    def __init__(self, part_bytes: int = 2**19, most_files: int = 400) -> None:
+        self.part_bytes, self.most_files, self.read_bytes = part_bytes, most_files, 0
+        self._of_files: OrderedDict[tuple[Any, ...], dict[bytes, _Part]] = OrderedDict()
+
+    def turn_over(self, key: tuple[Any, ...]) -> tuple[dict[bytes, _Part], dict[bytes, _Part]]:
+        """What was known of a file, and an empty place for what is known of it from now on."""
+        before = self._of_files.pop(key, {})
+        here = self._of_files[key] = {}
+        while len(self._of_files) > self.most_files:
+            self._of_files.popitem(last=False)
+        return before, here
+
+
+PARTS = PartsKept()
+"""The parts that this process keeps."""
 
 
 def _parts(text: _Text, content: bytes, first: int) -> list[_Part] | None:
@@ -247,17 +265,17 @@ def _parts(text: _Text, content: bytes, first: int) -> list[_Part] | None:
     if not text.in_parts:
         return None
     cuts = [begin]
-    while len(content) - cuts[-1] > 2 * _PART_BYTES and (end := content.find(b"\n", cuts[-1] + _PART_BYTES) + 1):
+    least = PARTS.part_bytes
+    while len(content) - cuts[-1] > 2 * least and (end := content.find(b"\n", cuts[-1] + least) + 1):
         cuts.append(end)
     key = (text.name, text.names, text.wanted, *(one.model_dump_json() for one in (text.clock, text.form, text.table)))
-    before, parts, line = _LATELY.get(key, {}), list[_Part](), first
-    here = _LATELY[key] = {}
-    _LATELY.move_to_end(key)
-    while len(_LATELY) > _MOST_FILES:
-        _LATELY.popitem(last=False)
+    before, here = PARTS.turn_over(key)
+    parts, line = list[_Part](), first
     for cut, end in pairwise([*cuts, len(content)]):
         digest = hashlib.blake2b(memoryview(content)[cut:end], digest_size=16).digest()
-        part = here[digest] = before.get(digest) or _part(text, content[cut:end], 0)
+        if (known := before.get(digest)) is None:
+            PARTS.read_bytes += end - cut
+        part = here[digest] = known or _part(text, content[cut:end], 0)
         if not part.alone and len(cuts) > 1:
             return None
         parts.append(replace(part, line=line))
@@ -310,7 +328,10 @@ def _part(text: _Text, content: bytes, first: int) -> _Part:
             if table.by_file != "point"
             else of_one_signal(one, next(iter(columns)), columns)
         )
-    return _Part(0, count, one, at.reset_index(drop=True), offset, left, known, alone)
+    at = at.reset_index(drop=True)
+    if text.clock.unit is None and text.clock.zone is not None:  # what is kept for the next reading is not text
+        one = replace(one, stamps=at)
+    return _Part(0, count, one, at, offset, left, known, alone)
 
 
 def frame_appended(

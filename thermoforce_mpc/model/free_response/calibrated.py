@@ -184,4 +184,5 @@ def _quantile(values: Array, level: float) -> float:
 
 def _width(window: Array | float, steering: Array | float) -> Array:
     """Return the factor on the distance of each quantile from the median; 1 with too few values."""
-    return np.nan_to_num(np.clip(window * np.exp(steering), *_SCALE_RANGE), nan=1.0)
+    width = np.clip(window * np.exp(steering), *_SCALE_RANGE)
+    return np.where(np.isnan(width), 1.0, width)

@@ -17,7 +17,8 @@ Answer = tuple[FreeForecast, object]
 
 # Days of a run after which shares of a mean are half way to what erred least, and in which what is known fades: by
 # judgement. Over 1 to 24 h the error is .93 of that of equal shares on five runs of one and two weeks (heat pump from
-# days 72 and 95, an office's cold week, two generated houses), 1.01 at worst (29 November 2026).
+# days 72 and 95, an office's cold week, two generated houses), 1.01 at worst; .91 on seven others (an air unit, houses,
+# days 44 and 108), 1.06 at worst (29 November 2026).
 _HALF_SURE_DAYS, _FADING_S = 2.0, 10.0 * DAY_S
 # Mean square of the difference of two forecasts, as a share of both errors', below which they err alike: rounding.
 _ALIKE = 1e-6

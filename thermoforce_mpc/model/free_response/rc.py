@@ -18,6 +18,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.data.series import first_order
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution.cooperative import Computation
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 
 if TYPE_CHECKING:
@@ -164,6 +165,13 @@ class RcFreeResponse:
         quantiles = center + _normal_scores()[:, None] * np.sqrt(variance)
         note = f"linear free model of order {ahead.order}, weather-driven"
         return FreeForecast(levels=LEVELS, quantiles_C=quantiles, note=note)
+
+    def following(
+        self, free_C: Array, history: Record, boundary: Boundary, state: object
+    ) -> Computation[tuple[FreeForecast, object]]:
+        """See `ComputedFreeResponse.following`; it requests nothing: a thread of its own costs as much as its work."""
+        yield from ()
+        return self.forecast(free_C, history, boundary), None
 
     def _resampled(self, step_s: float) -> RcParameters:
         if step_s not in self._at_step:

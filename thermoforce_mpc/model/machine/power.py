@@ -115,7 +115,7 @@ def above_zone(T_return_C: Array, T_zone_C: Array, u: Array) -> float:
     weight = np.where(np.isfinite(T_return_C) & np.isfinite(T_zone_C) & (u > LEVEL_EDGE), u, 0.0)
     if not weight.sum() > 0:
         return float("nan")
-    return float(np.average(np.nan_to_num(T_return_C - T_zone_C), weights=weight))
+    return float(np.average(np.where(weight > 0.0, T_return_C - T_zone_C, 0.0), weights=weight))
 
 
 def fit_return_water(
