@@ -135,8 +135,8 @@ def plan(
         ) from error
     ahead = ahead.head(round(controller.horizon_s / step_s))
     plan = controller.plan(Observation(history, ahead, *(measured.tank.now() if measured.tank else ())))
-    display.say(f"Plan from {record.stamps()[-1]} for {horizon_h:.4g} h: {plan.why}")
-    display.say(f"Actuation: {controller.actuation_in_words}")
+    display.say(_listed(f"Plan from {record.stamps()[-1]} for {horizon_h:.4g} h", plan.why))
+    display.say(_listed("Actuation", controller.actuation_in_words))
     for note in notes:
         display.say(f"Prices: {note}")
     if not plan.u.size:
@@ -254,6 +254,12 @@ def _told(plan: Plan, layout: Layout | None) -> tuple[NDArray[np.bool_], NDArray
     zones = [not own or bool(followed[own].any()) for own in served]
     machines = [bool(followed[layout.fed_by(m)].all()) for m in range(len(plan.names.machines))]
     return np.array(zones), np.array(machines)
+
+
+def _listed(what: str, said: str) -> str:
+    """What is said of something, several things on lines of their own."""
+    parts = said.split("; ")
+    return f"{what}: {said}" if len(parts) == 1 else "\n".join([f"{what}:", *(f"  {part}" for part in parts)])
 
 
 def _show(plan: Plan, table: pd.DataFrame, layout: Layout, display: RunDisplay, *, by_commands: bool) -> None:
