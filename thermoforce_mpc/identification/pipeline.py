@@ -22,6 +22,7 @@ from thermoforce_mpc.identification.effects.confounding import unknown_heat
 from thermoforce_mpc.identification.effects.couplings import (
     assembled,
     others_of,
+    sizes_by_power,
     with_metered_shares,
     with_shares_by_power,
 )
@@ -218,7 +219,7 @@ def _estimates(
 ) -> list[Estimate]:
     """Linear estimate of each actuator's home zone (A,), from the runs without sun."""
     if config.method == "joint":
-        return network_estimates(runs, records.pairs, layout, data, config)
+        return network_estimates(runs, records.pairs, layout, data, config, sizes_by_power(layout, records.histories))
     found = []
     for a, zone in enumerate(data):
         with _told(records, layout, a):

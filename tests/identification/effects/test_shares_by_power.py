@@ -9,7 +9,7 @@ import pytest
 
 from thermoforce_mpc.data import Layout, Names, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.effects.couplings import with_shares_by_power
+from thermoforce_mpc.identification.effects.couplings import sizes_by_power, with_shares_by_power
 from thermoforce_mpc.identification.effects.meters import power_of_machine
 
 NAMES = Names(("living", "bedroom", "bath"), ("a", "b", "c"), ("heat_pump",))
@@ -38,6 +38,19 @@ def test_valves_on_one_machine_share_it_by_what_its_power_says_of_each():
     np.testing.assert_allclose(with_shares_by_power(LAYOUT, [not_metered]).shares, np.full(3, 1 / 3))
     given = replace(LAYOUT, shares=(0.5, 0.3, 0.2))
     assert with_shares_by_power(given, [record_of(u, taken_W)]).shares == given.shares
+
+
+def test_rooms_are_as_large_as_what_their_emitters_take():
+    """Emitters of one room count together; rooms are alike without a meter, or where a machine feeds one alone."""
+    rng = np.random.default_rng(4)
+    u = np.repeat(rng.random((3, 14 * 8)), 12, axis=1)
+    record = record_of(u, 40.0 + np.array([900.0, 300.0, 300.0]) @ u)
+    np.testing.assert_allclose(sizes_by_power(LAYOUT, [record]), (1.8, 0.6, 0.6), atol=0.1)
+    of_two = replace(LAYOUT, home=(0, 1, 1))
+    np.testing.assert_allclose(sizes_by_power(of_two, [record]), (1.2, 0.8, 1.0), atol=0.1)
+    not_metered = record_of(u, np.full(u.shape[1], np.nan))
+    np.testing.assert_allclose(sizes_by_power(LAYOUT, [not_metered]), np.ones(3))
+    np.testing.assert_allclose(sizes_by_power(replace(LAYOUT, home=(0, 0, 0)), [record]), np.ones(3))
 
 
 def test_three_open_valves_take_more_than_one():

@@ -109,6 +109,20 @@ def test_rooms_know_their_heat_only_where_it_was_measured():
     assert [room.room.signs for room in fit.rooms] == [(1,), (-1,)]
 
 
+@pytest.mark.slow
+def test_effects_across_rooms_go_by_their_sizes_where_no_area_is_known():
+    """A small room's emitter gives little to a large one: the effects are those of rooms with areas in that ratio."""
+    actuators = acting(TWO, IDENTITY, IDENTITY)
+    known = building_fit(actuators, [[room_run(of_two(), z, actuators, 0.0)] for z in (0, 1)])
+    unknown = replace(known, layout=replace(TWO, floor_area_m2=(np.nan, np.nan)))
+    alike = unknown.responses
+    sized = replace(unknown, sizes=np.array([0.8, 1.2])).responses
+    np.testing.assert_allclose(sized, known.responses, rtol=1e-6)
+    assert abs(alike[1, 0, -1]) > 1.2 * abs(sized[1, 0, -1])
+    one_known = replace(known, layout=replace(TWO, floor_area_m2=(20.0, np.nan)), sizes=np.array([0.8, 1.2]))
+    np.testing.assert_allclose(one_known.area_m2, (20.0, 24.0))
+
+
 def test_what_two_do_together_is_surer_than_what_each_does():
     """Two rooms with one neighbour each, whose walls are not told apart from their own heat."""
     layout = replace(TWO, signs=(1, 1))

@@ -152,6 +152,27 @@ def with_shares_by_power(layout: Layout, histories: Sequence[Record]) -> Layout:
     return replace(layout, shares=tuple(shares))
 
 
+def sizes_by_power(layout: Layout, histories: Sequence[Record]) -> Array:
+    """Sizes of the zones (Z,) as multiples of their mean, by what a machine takes for the emitters of each: they are
+    sized for their rooms. 1 where no meter of a machine that feeds several zones tells.
+
+    Rooms whose floor area is not known would all be as large as one another: what a small one gives to others was then
+    as many times too large (a bath's valve on the bedroom of `../shared/home_truth` 5.8 K, true 0.4).
+    """
+    sizes = np.ones(len(layout.floor_area_m2))
+    for m in range(len(layout.names.machines)):
+        fed = layout.fed_by(m)
+        zones = sorted({layout.home[a] for a in fed})
+        if len(zones) < 2:
+            continue
+        u = np.concatenate([h.u[fed] for h in histories], axis=1)
+        power_W = np.concatenate([h.power_W[m] for h in histories])
+        of_each = _power_of_each(np.abs(u), power_W, histories[0].step_s)
+        of_zone = np.array([sum(W for a, W in zip(fed, of_each, strict=True) if layout.home[a] == z) for z in zones])
+        sizes[zones] = of_zone / of_zone.mean()
+    return sizes
+
+
 def _power_of_each(u: Array, power_W: Array, step_s: float) -> Array:
     """What full level of each actuator takes of its machine, from levels `u` (A, n) and its power (n,); above 0."""
     equal = np.ones(len(u))

@@ -100,11 +100,15 @@ class RcNetwork:
 
 @dataclass(frozen=True)
 class BuildingFit:
-    """Fits of the `rooms` of a building (Z,), and what is known of its `circuits` by actuator."""
+    """Fits of the `rooms` of a building (Z,), and what is known of its `circuits` by actuator.
+
+    `sizes` (Z,): of the rooms as multiples of their mean, for those whose floor area is not known; None: alike.
+    """
 
     layout: Layout
     rooms: tuple[RoomFit, ...]
     circuits: Mapping[int, Circuit] = field(default_factory=dict)
+    sizes: Array | None = None
 
     @cached_property
     def responses(self) -> Array:
@@ -168,9 +172,10 @@ class BuildingFit:
 
     @property
     def area_m2(self) -> Array:
-        """Floor area of each zone (Z,), m²; where one is not known, the mean of the others or 1."""
+        """Floor area of each zone (Z,), m²; where one is not known, its size times the mean of the others, or 1."""
         area = np.asarray(self.layout.floor_area_m2, dtype=np.float64)
-        return np.where(np.isfinite(area), area, np.nanmean(area) if np.isfinite(area).any() else 1.0)
+        sizes = np.ones(area.size) if self.sizes is None else self.sizes
+        return np.where(np.isfinite(area), area, sizes * (np.nanmean(area) if np.isfinite(area).any() else 1.0))
 
     def _steps(self, thetas: Sequence[Array]) -> Array:
         """`responses` at θ of each room."""

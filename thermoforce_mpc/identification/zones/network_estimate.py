@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, Layout, Record
+from thermoforce_mpc.data import DAY_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import others_of
 from thermoforce_mpc.identification.effects.level_laws import (
@@ -60,10 +60,11 @@ def network_estimates(
     layout: Layout,
     data: Sequence[ZoneData],
     config: IdentificationConfig,
+    sizes: Array | None = None,
 ) -> list[Estimate]:
     """What the network says of each actuator's home zone (A,), fold by fold.
 
-    Without cross effects the neighbours are not part of the network.
+    Without cross effects the neighbours are not part of the network. `sizes` (Z,): see `BuildingFit`.
     """
     by_fold: dict[str, BuildingFit] = {}
     inputs: dict[str, list[HeatInput]] = {}
@@ -79,7 +80,7 @@ def network_estimates(
             first = layout.actuators_of(zone)[:1]
             weight = _weight(seen, zone, layout, heat_inputs, config)
             rooms.append(_seen(runs, pairs, zone, actuators, data[first[0]] if first else data[0], fold, weight))
-        fit = building_fit(actuators, rooms, fit)
+        fit = replace(building_fit(actuators, rooms, fit), sizes=sizes)
         circuits = {}
         for a, (home, heat_input) in enumerate(zip(layout.home, heat_inputs, strict=True)):
             circuit = circuit_of(fit.rooms[home], a, seen, rooms[home][: len(seen)], layout, heat_input)
