@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data.clock import in_celsius, in_fahrenheit
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Commands nearer to one another than this are one, in their unit.
@@ -179,7 +180,7 @@ class TemperatureCommand(StepwiseCommand):
         if not isinstance(given, Mapping):
             return given
         in_F = given.get("unit") == "°F"
-        least, most = (round(1.8 * one + 32.0) if in_F else one for one in cls.usual_C)
+        least, most = (round(in_fahrenheit(one)) if in_F else one for one in cls.usual_C)
         usual = {"resolution": cls.usual_steps[in_F], "minimum": least, "maximum": most}
         return {**usual, **given}
 
@@ -202,11 +203,11 @@ class TemperatureCommand(StepwiseCommand):
     def as_told(self, value: Any) -> Any:
         """See `Command.as_told`."""
         # Inside values have nine decimals: whole degrees come out whole.
-        return value if self.unit == "°C" else np.round(1.8 * value + 32.0, 6)
+        return value if self.unit == "°C" else np.round(in_fahrenheit(value), 6)
 
     def from_told(self, told: Any) -> Any:
         """See `Command.from_told`."""
-        return told if self.unit == "°C" else (told - 32.0) / 1.8
+        return told if self.unit == "°C" else in_celsius(told)
 
     def in_words(self, value: float) -> str:
         """See `Command.in_words`."""

@@ -24,6 +24,7 @@ import requests
 from pydantic import Field
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.clock import in_celsius, in_fahrenheit
 from thermoforce_mpc.errors import ConfigError, PlantError, suggestion
 from thermoforce_mpc.files import no_secret_in, secret_from
 from thermoforce_mpc.measurements.tables.raw_table import SWITCH
@@ -238,7 +239,7 @@ class HomeAssistantConnection:
                 if one.domain in _HOLDS_NUMBER:
                     value /= one.scale
                 elif one.domain in _HOLDS_TEMPERATURE and self._in_fahrenheit():
-                    value = (value - 32.0) / 1.8
+                    value = in_celsius(value)
             held[name] = value
         return held
 
@@ -282,7 +283,7 @@ class HomeAssistantConnection:
             least, most, step = (attributes.get(key) for key in ("min_temp", "max_temp", "target_temp_step"))
             # Its API has the unit of the house; what is given back is written as the entity has it.
             if level is not None and self._in_fahrenheit():
-                number = 1.8 * number + 32.0
+                number = in_fahrenheit(number)
         elif level is not None:
             number *= actuator.scale
         if not math.isfinite(number):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from datetime import datetime
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,16 @@ Array = NDArray[np.float64]
 CLOCK_ROUNDING_S = 0.01
 # Tolerance on instants and steps that should be the same, s: plants round their clocks.
 CLOCK_TOLERANCE_S = 1.0
+
+
+def in_fahrenheit(T_C: Any) -> Any:
+    """Temperatures of any shape, °C, in °F."""
+    return 1.8 * T_C + 32.0
+
+
+def in_celsius(T_F: Any) -> Any:
+    """Inverse of `in_fahrenheit`."""
+    return (T_F - 32.0) / 1.8
 
 
 def check_clock(time_s: Array, what: str) -> None:

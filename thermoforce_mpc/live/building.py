@@ -27,6 +27,7 @@ from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.tank import TANK_NAME, LearnedTank
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Record
+from thermoforce_mpc.data.clock import in_celsius
 from thermoforce_mpc.errors import DataError, InputError, NoForecast, PlantError, StorageError
 from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.experiment.run_models import origin
@@ -439,7 +440,7 @@ def _doubt_of_outdoors(record: Record, ahead: Boundary) -> tuple[str, ...]:
         return ()
     found = f"outdoors it is {now_C:.1f} °C as measured and {given:.1f} °C by the forecast"
     for what, one, other in (("measured", now_C, given), ("in the forecast", given, now_C)):
-        if abs((one - 32.0) / 1.8 - other) < _NEAR_K:
+        if abs(in_celsius(one) - other) < _NEAR_K:
             return (f"{found}: °F {what}? set unit",)
     return (f"{found}: is the sensor in the sun, at a warm wall, or another one, or the forecast of another place?",)
 

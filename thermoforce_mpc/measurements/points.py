@@ -193,7 +193,7 @@ def _problem(point: LivePoint, rule: SignalRule, raw: Array, command: AnyCommand
 def _problem_of_command(point: LivePoint, command: AnyCommand) -> str:
     if isinstance(command, Setpoint) and not 0.0 < point.last < 40.0:
         sent = float(command.as_told(point.last))
-        unit = likelier(np.array([sent]), command.unit, "temperature", readings.SETPOINTS_C)
+        unit = likelier(np.array([sent]), command.unit, "temperature", command.possible_C)
         hint = f"in {unit} it were one: unit: '{unit}'" if unit else "check column and unit"
         return f"{sent:.4g} {command.unit} is no set-point of a room; {hint}"
     return ""

@@ -38,10 +38,8 @@ LEVEL_SLACK = 0.02
 # or gaps, from which on readings do not come by the clock.
 _LEAST_CHANGES, _MOST_SAME, _ALIVE, _STEPS, _RESTS, _STAYED = 3, 0.02, 0.7, 3.0, 0.2, 0.7
 _IRREGULAR, _LEAST_GAPS = 0.15, 3
-SETPOINTS_C = (10.0, 32.0)
-"""Set-points of rooms, °C."""
-# The same in °F.
-_SETPOINTS_F = (50.0, 90.0)
+# Set-points of rooms, °C and °F.
+_SETPOINTS = ((10.0, 32.0), (50.0, 90.0))
 # Longest time between readings that is no gap: this many times their 90th percentile.
 LOOSE, _PERCENTILE = 1.5, 90.0
 
@@ -157,7 +155,7 @@ def looks_like_setpoints(values: Array) -> bool:
         5.0 * distinct, np.round(5.0 * distinct)
     )
     low, high = float(distinct[0]), float(distinct[-1])
-    return bool(steps and any(least <= low and high <= most for least, most in (SETPOINTS_C, _SETPOINTS_F)))
+    return bool(steps and any(least <= low and high <= most for least, most in _SETPOINTS))
 
 
 @dataclass(frozen=True)

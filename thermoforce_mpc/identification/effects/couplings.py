@@ -144,9 +144,7 @@ def with_shares_by_power(layout: Layout, histories: Sequence[Record]) -> Layout:
         fed = layout.fed_by(m)
         if len(fed) < 2 or any(shares[a] for a in fed):
             continue
-        u = np.concatenate([h.u[fed] for h in histories], axis=1)
-        power_W = np.concatenate([h.power_W[m] for h in histories])
-        of_each = _power_of_each(np.abs(u), power_W, histories[0].step_s)
+        of_each = _power_of_each(fed, m, histories)
         for a, share in zip(fed, of_each / of_each.sum(), strict=True):
             shares[a] = float(share)
     return replace(layout, shares=tuple(shares))
@@ -165,16 +163,18 @@ def sizes_by_power(layout: Layout, histories: Sequence[Record]) -> Array:
         zones = sorted({layout.home[a] for a in fed})
         if len(zones) < 2:
             continue
-        u = np.concatenate([h.u[fed] for h in histories], axis=1)
-        power_W = np.concatenate([h.power_W[m] for h in histories])
-        of_each = _power_of_each(np.abs(u), power_W, histories[0].step_s)
+        of_each = _power_of_each(fed, m, histories)
         of_zone = np.array([sum(W for a, W in zip(fed, of_each, strict=True) if layout.home[a] == z) for z in zones])
         sizes[zones] = of_zone / of_zone.mean()
     return sizes
 
 
-def _power_of_each(u: Array, power_W: Array, step_s: float) -> Array:
-    """What full level of each actuator takes of its machine, from levels `u` (A, n) and its power (n,); above 0."""
+def _power_of_each(fed: Sequence[int], machine: int, histories: Sequence[Record]) -> Array:
+    """What full level of each of the actuators `fed` (A,) by a machine takes of its power, W, above 0; alike where its
+    meter does not tell.
+    """
+    u = np.abs(np.concatenate([h.u[fed] for h in histories], axis=1))
+    power_W, step_s = np.concatenate([h.power_W[machine] for h in histories]), histories[0].step_s
     equal = np.ones(len(u))
     known = np.isfinite(power_W) & np.isfinite(u).all(axis=0)
     if known.sum() * step_s < _LEAST_S or not u[:, known].sum() > 0.0:

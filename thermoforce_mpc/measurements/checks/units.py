@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, ZERO_C_K, Array, Layout, Record
+from thermoforce_mpc.data.clock import in_celsius
 from thermoforce_mpc.data.limits import LOAD_W_PER_M2, RULES, SignalRule
 from thermoforce_mpc.measurements.checks.common import Remark, fitted
 
@@ -67,9 +68,9 @@ def _of_temperature(where: str, values_C: Array, rule: SignalRule) -> Remark | N
     as_K = middle + ZERO_C_K  # what was sent, where K is converted
     for sent, unit, value_C in (
         (as_K, "°C where the protocol says K", as_K),
-        (as_K, "°F where the protocol says K", (as_K - 32.0) / 1.8),
+        (as_K, "°F where the protocol says K", in_celsius(as_K)),
         (middle, "K where °C is expected", middle - ZERO_C_K),
-        (middle, "°F where °C is expected", (middle - 32.0) / 1.8),
+        (middle, "°F where °C is expected", in_celsius(middle)),
     ):
         if usual_C[0] <= value_C <= usual_C[1]:
             words = f"{outside.size} readings of {sent:.4g}: {unit}?"
@@ -236,7 +237,7 @@ def _of_outdoors(record: Record, layout: Layout) -> list[Remark]:
         return []
     warm = rows & (T_out > T_zone - _WARM_K)
     share = float(u[warm].sum() / u[rows].sum())
-    as_fahrenheit = float(np.median((T_out[rows] - 32.0) / 1.8))
+    as_fahrenheit = float(np.median(in_celsius(T_out[rows])))
     if share < _MOST_WARM_SHARE or as_fahrenheit > float(np.median(T_zone[rows])) - _COLDER_K:
         return []
     return [

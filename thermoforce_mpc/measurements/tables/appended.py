@@ -146,7 +146,7 @@ def _read(
     for part in parts:
         left.add_all(part.left, part.line)
         known |= dict.fromkeys(part.known)
-    found = _joined(text, [part for part in parts if part.table is not None], latest, left)
+    found = _joined(text, parts, latest, left)
     notes += left.notes()
     if found is None:
         raise DataError(f"{path}: nothing of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
@@ -199,12 +199,12 @@ class _Part:
 
 
 def _joined(text: _Text, parts: Sequence[_Part], latest: pd.Timestamp, left: _Left) -> RawTable | None:
-    """One table of parts with rows, without rows whose time cannot be right; None where none is left."""
-    tables = [part.table for part in parts if part.table is not None]
+    """One table of the rows of parts, without those whose time cannot be right; None where none is left."""
+    tables = [replace(part.table, line=part.line + np.asarray(part.table.line)) for part in parts if part.table]
     if not tables:
         return None
     at, offset = pd.concat([part.at for part in parts], ignore_index=True), np.concatenate([p.offset for p in parts])
-    lines = np.concatenate([part.line + np.asarray(table.line) for part, table in zip(parts, tables, strict=True)])
+    lines = np.concatenate([np.asarray(one.line) for one in tables])
     keep = _with_times(at, offset, latest, lines, left, in_order=not text.points)
     if not keep.any():
         return None
@@ -303,10 +303,7 @@ def _part(text: _Text, content: bytes, first: int) -> _Part:
     written = frame[stamps[0]]
     for more in stamps[1:]:
         written = written + " " + frame[more]
-    at, offset = parsed_or_nat(written, text.clock)
-    read = at.notna().to_numpy()
-    for row in np.flatnonzero(~read):
-        left.add("no time stamp", int(lines[row]), written.iloc[row] if isinstance(written.iloc[row], str) else "")
+    at, offset, read = _stamped(written, text.clock, lines, left)
     frame, lines, at, offset = frame[read].reset_index(drop=True), lines[read], at[read], offset[read]
     if frame.empty:
         return _Part(0, count, None, at, offset, left, (), alone)
@@ -354,10 +351,7 @@ def frame_appended(
     at = frame[stamps[0]]
     for more in stamps[1:]:
         at = at.astype(str) + " " + frame[more].astype(str)
-    times, offset = parsed_or_nat(at, clock)
-    keep = np.array(times.notna())
-    for row in np.flatnonzero(~keep):
-        left.add("no time stamp", int(rows[row]), at.iloc[row] if isinstance(at.iloc[row], str) else "")
+    times, offset, keep = _stamped(at, clock, rows, left)
     keep[keep] = _with_times(times[keep], offset[keep], latest, rows[keep], left, in_order=True)
     frame = frame[keep].reset_index(drop=True)
     notes += left.notes()
@@ -475,6 +469,17 @@ def _numbers(
     for row in np.flatnonzero((numbers.isna() & column.notna()).to_numpy() & ours):
         left.add(f"column '{key}' holds no number", int(lines[row]), str(column.iloc[row]))
     return numbers.astype(float)
+
+
+def _stamped(
+    written: pd.Series, clock: TimeStampRules, lines: NDArray[np.intp], left: _Left
+) -> tuple[pd.Series, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Times of stamps (n,) as they are `written`, UTC, which have an offset, and which are times at all."""
+    at, offset = parsed_or_nat(written, clock)
+    read = np.array(at.notna())
+    for row in np.flatnonzero(~read):
+        left.add("no time stamp", int(lines[row]), written.iloc[row] if isinstance(written.iloc[row], str) else "")
+    return at, offset, read
 
 
 def _with_times(

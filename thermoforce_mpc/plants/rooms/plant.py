@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather as WeatherYear
-from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Commands, Levels, Measurement, Record
+from thermoforce_mpc.data import HOUR_S, Array, Commands, Levels, Measurement, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.drawn_houses import (
     GRID_S,
@@ -27,7 +27,7 @@ from thermoforce_mpc.plants.people import PERSON_W, at_home, hour_of_day, live, 
 from thermoforce_mpc.plants.points import means_between
 from thermoforce_mpc.plants.random_houses.plant import PREHEAT_H, SET_BACK_K
 from thermoforce_mpc.plants.rooms import physics
-from thermoforce_mpc.plants.rooms.device import N_STATES, NORMAL, TANK, TANK_J_K, Device
+from thermoforce_mpc.plants.rooms.device import N_STATES, NORMAL, Device
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import USES, DrawnHouse, Kind, Room
 from thermoforce_mpc.plants.shell import check_levels
@@ -274,11 +274,6 @@ class HouseOfRooms(DrawnHousePlant):
         """Times (n,), s, and temperature of the tank of hot water (n,), °C, NaN without one; as `recorded`."""
         time_s, rows = self.recorded(start_s, final_s)
         return time_s, rows[:, physics.TANK]
-
-    def stored_kWh(self) -> float:
-        """Heat in the house and its tank of hot water now, above 0 °C, kWh."""
-        tank_J = 0.0 if self.device is None else self.device.parameters[TANK_J_K] * self._device_state[TANK]
-        return float(self._network.capacity_J_K @ self._T + tank_J) / J_PER_KWH
 
     def _blocks(self) -> tuple[range, range, range]:
         """Columns of the rows with temperatures, levels and heat."""
