@@ -65,6 +65,11 @@ def _powers(poles: bytes, width: int) -> tuple[Array, Array, Array]:
     return within, a[:, None, None] ** np.arange(1, width + 1), a**width
 
 
+def means_of(values: Array, n: int) -> Array:
+    """Means (m // n,) of `n` values (m,) each, a rest left out; NaN where one is."""
+    return np.asarray(values[: values.size // n * n].reshape(-1, n).mean(axis=1))
+
+
 def lagged(signal: Array, pole: float, start: float = 0.0) -> Array:
     """States (n + 1,) of a lag of steady gain 1 of `signal` (n,), constant in each step; `pole`: exp(−step/τ)."""
     followed = first_order(np.array([pole]), (1.0 - pole) * np.asarray(signal)[:, None], np.array([start]))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, month_of
+from thermoforce_mpc.data.series import means_of
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.settings import StrictModel, read_yaml, validate
 
@@ -198,9 +199,8 @@ class Bill(StrictModel):
             together = self.peak.minutes / 60.0 / step_h
             if together < 1.0 - 1e-6 or abs(together - round(together)) > 1e-6:
                 raise ConfigError(f"peak.minutes: {self.peak.minutes} min are no whole steps of {60.0 * step_h:g} min")
-            n = power_kW.size // round(together) * round(together)
-            means = np.maximum(power_kW, 0.0)[:n].reshape(-1, round(together)).mean(axis=1)
-            day = np.asarray(stamps[: n : round(together)].day_of_year)
+            means = means_of(np.maximum(power_kW, 0.0), round(together))
+            day = np.asarray(stamps[:: round(together)][: means.size].day_of_year)
             highest = np.array([means[day == one].max() for one in np.unique(day)])
             items["peak"] = self.peak.fee(self.peak.of_days(highest)) * taxed
         return items

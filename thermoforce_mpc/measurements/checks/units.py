@@ -19,6 +19,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, ZERO_C_K, Array, Layout, Record
 from thermoforce_mpc.data.clock import in_celsius
 from thermoforce_mpc.data.limits import LOAD_W_PER_M2, RULES, SignalRule
+from thermoforce_mpc.data.series import means_of
 from thermoforce_mpc.measurements.checks.common import Remark, fitted
 
 # Heat per energy: least of any heater over a season; share of Carnot's between outdoor air and water of 35 °C that no
@@ -142,7 +143,7 @@ def _of_ratio(
     time_s = record.time_s[:-1]
     if np.unique(heat[both].round(1)).size < _FEW_VALUES * both.sum():
         n = max(round(_WHILE_S / record.step_s), 1)
-        heat, power, T_out, time_s = (_in_blocks(one, n) for one in (heat, power, T_out, time_s))
+        heat, power, T_out, time_s = (means_of(one, n) for one in (heat, power, T_out, time_s))
         on = np.asarray((power > _ON * _most(power)) & (heat > _ON * _most(heat)))
     rows = on & np.isfinite(T_out)
     if rows.sum() < _LEAST_ROWS:
@@ -166,11 +167,6 @@ def _of_ratio(
         wrong = steady and _LEAST_RATIO <= ratio * step_h <= _NO_HEAT_PUMP
         words = "too much for a boiler, and it does not go with the outdoor temperature as that of a heat pump does"
     return [_ratio_remark(ratio, step_h, where, words)] if wrong else []
-
-
-def _in_blocks(values: Array, n: int) -> Array:
-    """Means of `n` values (m,) each, the last of them left out where they are fewer; NaN where one is not known."""
-    return np.asarray(values[: values.size // n * n].reshape(-1, n).mean(axis=1))
 
 
 def _slope(columns: Array, target: Array, days: Array) -> tuple[float, float, Array]:
