@@ -80,21 +80,24 @@ _EQUAL, _NO_MODEL = 1e-6, "left alone: no model may act"
 
 
 @dataclass(frozen=True)
-class Lived:
-    """What days cost, in currency, their energy, kWh, and K·h below and above the bounds of all rooms.
-
-    `after`: what the days after them cost, left alone, see `left_alone_cost`.
-    """
+class DaysLived:
+    """What days cost, in currency, and their energy, kWh; `after`: the cost of those after them, `left_alone_cost`."""
 
     cost: float
     energy_kWh: float
-    below_Kh: float
-    above_Kh: float
     after: float
 
-    def saved_by(self, other: Lived) -> float:
+    def saved_by(self, other: DaysLived) -> float:
         """Share of the cost that `other` saves, with what it saves or costs in the days after."""
         return (self.cost + self.after - other.cost - other.after) / self.cost
+
+
+@dataclass(frozen=True)
+class Lived(DaysLived):
+    """And K·h below and above the bounds of all rooms."""
+
+    below_Kh: float
+    above_Kh: float
 
 
 def run_commands_bench(
@@ -338,7 +341,7 @@ def _days(
             # The bounds of the hour; of its end, a room that others set back may already be let cool.
             below += float(np.maximum(ahead.lower_C[:, :2].min(axis=1) - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S
             above += float(np.maximum(done.T_zone_C - ahead.upper_C[:, :2].max(axis=1), 0.0).sum()) * seconds / HOUR_S
-    return Lived(cost, energy, below, above, left_alone_cost(home)), said
+    return Lived(cost, energy, left_alone_cost(home), below, above), said
 
 
 def left_alone_cost(home: Home) -> float:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import run_all
-from benchmarks.commands.bench import Home, learned, left_alone_C, left_alone_cost, priced
+from benchmarks.commands.bench import DaysLived, Home, learned, left_alone_C, left_alone_cost, priced
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.commands.tank import TankRecord, TankTarget, learn_tank
@@ -50,21 +50,11 @@ def wanted(home: Home) -> TankComfort:
 
 
 @dataclass(frozen=True)
-class LivedWithTank:
-    """What days cost, in currency, their energy, kWh, and K·h below the bounds of rooms and tank.
+class LivedWithTank(DaysLived):
+    """And K·h below the bounds of rooms and tank."""
 
-    `after`: see `Lived`.
-    """
-
-    cost: float
-    energy_kWh: float
     rooms_below_Kh: float
     tank_below_Kh: float
-    after: float
-
-    def saved_by(self, other: LivedWithTank) -> float:
-        """See `Lived.saved_by`."""
-        return (self.cost + self.after - other.cost - other.after) / self.cost
 
 
 def run_tank_bench(
@@ -187,7 +177,7 @@ def _days(
     n = days * DAY_S / _STEP_S
     told["solves"] /= n
     plant.tank_target_C = None
-    return LivedWithTank(cost, energy, below, tank_below, left_alone_cost(home)), told
+    return LivedWithTank(cost, energy, left_alone_cost(home), below, tank_below), told
 
 
 def targets(rows: list[Row]) -> list[Target]:

@@ -189,7 +189,9 @@ def test_what_comes_is_recorded_but_for_what_was_retained(connect, broker, tmp_p
 
 
 @needs_broker
-def test_a_record_that_is_written_to_for_months_keeps_its_days_and_what_comes_meanwhile(connect, broker, monkeypatch):
+def test_a_record_that_is_written_to_for_months_keeps_its_days_and_what_comes_meanwhile(
+    connect, broker, monkeypatch, tmp_path
+):
     """It was cut to its days when a controller began, and grew until the next beginning."""
     other, now = broker.client(), [pd.Timestamp("2026-01-01 12:00", tz="UTC").to_pydatetime()]
     monkeypatch.setattr("thermoforce_mpc.connections.mqtt.utc_now", lambda: now[0])
@@ -200,6 +202,7 @@ def test_a_record_that_is_written_to_for_months_keeps_its_days_and_what_comes_me
     time.sleep(0.2)
     for day in range(20):
         other.publish("z/out", f"{day}", qos=1).wait_for_publish(5)
+        wait_for("a record", (tmp_path / "mqtt.csv").exists)
         wait_for("the record", lambda day=day: home.measurements().read_text().endswith(f",z/out,{day}\n"))
         now[0] += pd.Timedelta("1D")
     table = pd.read_csv(home.measurements())
