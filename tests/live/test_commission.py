@@ -94,6 +94,32 @@ def test_a_house_as_it_should_be_has_no_remark(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("command", "set_to", "unit", "value"),
+    [
+        ({"kind": "tank_target"}, 48.0, "°C", 48.0),
+        ({"kind": "tank_target", "unit": "°F"}, 118.4, "°C", 48.0),
+        ({"kind": "tank_charge"}, 0.0, "", 0.0),
+    ],
+)
+def test_a_tank_of_hot_water_and_what_is_set_there_are_points(command, set_to, unit, value, tmp_path):
+    k = np.arange(len(table()))
+    rows = table().assign(T_tank=48.0 - (k % 200) / 40.0, tank_set=set_to, charges=1.0 * (k % 200 < 8), mode=0.0)
+    tank = {"temperature": "T_tank", "comfort": "6:00-9:00 44-58, else 38-58"}
+    rules = TWO_ROOMS | {"hot_water": tank | {"charging": "charges", "command": command | {"column": "tank_set"}}}
+    written(tmp_path, rows, rules)
+    result, said = told(tmp_path, "--dry-run")
+    assert (result.exit_code, said["problems"], said["doubts"]) == (0, [], []), result.output
+    point = {one["key"]: one for one in said["points"]}
+    said_of = point["hot_water.command"]
+    assert (said_of["unit"], said_of["value"]) == (unit, pytest.approx(value))
+    assert point["hot_water.temperature"]["value"] > 40.0
+    machine = TWO_ROOMS["machines"]["boiler"] | {"hot_water": "mode"}
+    written(tmp_path, rows, TWO_ROOMS | {"machines": {"boiler": machine}})
+    result, said = told(tmp_path, "--dry-run")
+    assert (result.exit_code, said["problems"], said["doubts"]) == (0, [], []), result.output
+
+
 def fahrenheit(rows):
     return rows.assign(T_living=1.8 * rows["T_living"] + 32.0)
 

@@ -14,6 +14,7 @@ import pandas as pd
 from thermoforce_mpc.commands.command import TemperatureCommand
 from thermoforce_mpc.commands.kinds import AnyCommand
 from thermoforce_mpc.commands.setpoint import Setpoint
+from thermoforce_mpc.commands.tank import TANK_NAME, AnyTankCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.errors import ConfigError
@@ -39,7 +40,7 @@ _RULES = {
     "outdoor": readings.OUTDOOR, "sun": readings.SOLAR, "humidity": readings.HUMIDITY, "temperature": readings.ZONE,
     "lower": readings.BOUND, "upper": readings.BOUND, "level": readings.LEVEL, "flow": readings.WATER,
     "heat": readings.POWER, "power": readings.POWER, "return_water": readings.WATER, "price": readings.PRICE,
-    "command": readings.COMMAND, "usual": readings.COMMAND,
+    "command": readings.COMMAND, "usual": readings.COMMAND, "hot_water": readings.LEVEL, "charging": readings.LEVEL,
 }  # fmt: skip
 _HELD = ("level", "command", "price", "irradiance")
 
@@ -134,8 +135,8 @@ def _point(
     readings_of: Sequence[tuple[pd.DatetimeIndex, Array]],
     now: pd.Timestamp,
 ) -> LivePoint:
-    kind = key.rpartition(".")[2]
-    rule, declared = readings.with_map(_RULES[kind], signal), getattr(signal, "unit", "")
+    usual_rule = readings.TANK if key == f"{TANK_NAME}.temperature" else _RULES[key.rpartition(".")[2]]
+    rule, declared = readings.with_map(usual_rule, signal), getattr(signal, "unit", "")
     command = _command(key, rules)
     unit = rule.unit if command is None else "°C" if isinstance(command, TemperatureCommand) else command.told_in
     base = LivePoint(
@@ -175,7 +176,7 @@ def _summed(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
     return every, total
 
 
-def _problem(point: LivePoint, rule: SignalRule, raw: Array, command: AnyCommand | None) -> str:
+def _problem(point: LivePoint, rule: SignalRule, raw: Array, command: AnyCommand | AnyTankCommand | None) -> str:
     """Why a point that came cannot be used now."""
     if point.age_s > DAY_S:
         return f"the last reading is {duration(point.age_s)} old: does its device report, and the logger run?"
@@ -190,7 +191,7 @@ def _problem(point: LivePoint, rule: SignalRule, raw: Array, command: AnyCommand
     return f"{value} is no {rule.kind} from {low:g} to {high:g}; {hint}"
 
 
-def _problem_of_command(point: LivePoint, command: AnyCommand) -> str:
+def _problem_of_command(point: LivePoint, command: AnyCommand | AnyTankCommand) -> str:
     if isinstance(command, Setpoint) and not 0.0 < point.last < 40.0:
         sent = float(command.as_told(point.last))
         unit = likelier(np.array([sent]), command.unit, "temperature", command.possible_C)
@@ -199,7 +200,7 @@ def _problem_of_command(point: LivePoint, command: AnyCommand) -> str:
     return ""
 
 
-def _doubts(point: LivePoint, rule: SignalRule, command: AnyCommand | None) -> tuple[str, ...]:
+def _doubts(point: LivePoint, rule: SignalRule, command: AnyCommand | AnyTankCommand | None) -> tuple[str, ...]:
     out = []
     old_s = max(_OLD_S, _TIMES_USUAL * np.nan_to_num(point.every_s))
     if rule.kind not in _HELD and point.age_s > old_s:
@@ -251,11 +252,12 @@ def _zone_of(key: str, rules: MeasurementMap) -> str:
     return ""
 
 
-def _command(key: str, rules: MeasurementMap) -> AnyCommand | None:
-    """The command whose column a key names; None for other keys."""
-    kind, _, rest = key.partition(".")
-    if not key.endswith((".command", ".command.usual")):
+def _command(key: str, rules: MeasurementMap) -> AnyCommand | AnyTankCommand | None:
+    """The command whose column a key names, of an actuator, a machine or the tank; None for other keys."""
+    at = key.removesuffix(".usual")
+    if not at.endswith(".command"):
         return None
-    of: Mapping[str, Any] = getattr(rules, kind)
-    command: AnyCommand | None = of[rest.removesuffix(".usual").removesuffix(".command")].command
+    kind, _, name = at.removesuffix(".command").partition(".")
+    owner = getattr(rules, kind)
+    command: AnyCommand | AnyTankCommand | None = (owner[name] if name else owner).command
     return command

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.building.plan import drawn_plan, plan_table
@@ -277,6 +279,16 @@ def test_a_step_of_a_plan_is_refused_by_its_name(folder, model, step, message):
     done = tf_mpc(folder, "plan", *words, "--step", step)
     assert isinstance(done.exception, ConfigError)
     assert message in str(done.exception)
+
+
+def test_what_a_plan_rests_on_stands_in_whole_sentences(folder, model, monkeypatch):
+    why = "levels of a rule act (5.93 over the horizon (24 h); comfort +1.20); the least total (heat 0.30 more; peak)"
+    planned = ThermoForceMPC.plan
+    monkeypatch.setattr(ThermoForceMPC, "plan", lambda self, seen, state=None: replace(planned(self, seen), why=why))
+    words = ("--model", str(model), "--data", "probed.csv", "--map", "map.yaml", "--forecast", "ahead.csv")
+    lines = [line.strip() for line in tf_mpc(folder, "plan", *words, "--hours", "6").output.splitlines()]
+    assert "levels of a rule act (5.93 over the horizon (24 h); comfort +1.20)" in lines
+    assert "the least total (heat 0.30 more; peak)" in lines
 
 
 def test_a_plan_refuses_what_does_not_belong_together(folder, model):

@@ -257,8 +257,14 @@ def _told(plan: Plan, layout: Layout | None) -> tuple[NDArray[np.bool_], NDArray
 
 
 def _listed(what: str, said: str) -> str:
-    """What is said of something, several things on lines of their own."""
-    parts = said.split("; ")
+    """What is said of something, several things on lines of their own; what stands in brackets stays in its line."""
+    parts, depth = [""], 0
+    for piece in re.split(r"(; |[()])", said):
+        depth = max(depth + {"(": 1, ")": -1}.get(piece, 0), 0)
+        if piece == "; " and not depth:
+            parts.append("")
+        else:
+            parts[-1] += piece
     return f"{what}: {said}" if len(parts) == 1 else "\n".join([f"{what}:", *(f"  {part}" for part in parts)])
 
 
