@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -45,6 +45,11 @@ class WithComfort:
     that of true temperatures, this one has the error of its sensors.
     """
 
+    def __new__(cls, plant: Plant, comfort: Comfort, testcase: TestCase) -> WithComfort:
+        """One of a class that has what the plant inside has: since Python 3.12 protocols do not ask `__getattr__`."""
+        others = {name: _of_the_plant(name) for name in dir(plant) if not (name.startswith("_") or hasattr(cls, name))}
+        return super().__new__(type(cls.__name__, (cls,), others))
+
     def __init__(self, plant: Plant, comfort: Comfort, testcase: TestCase) -> None:
         """Wrap `plant`; raises `ConfigError` for a zone that the test case does not have."""
         self._plant, self._comfort, self._zones = plant, comfort, testcase.layout.names.zones
@@ -52,9 +57,6 @@ class WithComfort:
         self._first = "monday" if testcase.energyplus or testcase.plant == "small_office" else "tuesday"
         self._start_s = 0.0
         self._comfort.bounds_C(np.zeros(1), self._zones, self._first)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._plant, name)
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
         """See `Plant.reset`."""
@@ -79,6 +81,10 @@ class WithComfort:
         of_zones = np.atleast_1d(np.trapezoid(np.nan_to_num(outside), time_s / HOUR_S, axis=1))
         named = {f"tdis_tot[{zone}]": float(Kh) for zone, Kh in zip(self._zones, of_zones, strict=True)}
         return {"tdis_tot": float(of_zones.mean()), **(named if len(self._zones) > 1 else {})}
+
+
+def _of_the_plant(name: str) -> property:
+    return property(lambda self: getattr(self._plant, name))
 
 
 WEATHER, PRICES, UNCERTAINTY, PEOPLE = "weather", "prices_file", "forecast_uncertainty", "people"
@@ -155,7 +161,7 @@ def with_comfort(plant: Plant, comfort: Comfort | None, testcase: TestCase) -> P
     if comfort is None:
         return plant
 
-    return WithComfort(plant, comfort, testcase)
+    return cast(Plant, WithComfort(plant, comfort, testcase))
 
 
 def plant_name(spec: PlantSpec, testcase: TestCase) -> str:

@@ -82,11 +82,12 @@ def test_a_record_tells_all_at_once_and_later_it_is_known():
     nothing = np.zeros(time_s.size)
     record = Record(time_s, np.append(T_C[:1], T_C), nothing, nothing, got, nothing[1:], nothing[1:])
     found = BlockedHours.found(asked, record, 1)
-    assert found == told(*NIGHT)
+    # Compared as text: what is not known is NaN, which since Python 3.13 is no longer equal in a dataclass.
+    assert repr(found) == repr(told(*NIGHT))
     assert BlockedHours.found(np.full(asked.size, np.nan), record, 1).hours == frozenset(), "nothing was asked for"
     known = BlockedHours.known(found.hours, 40 * DAY_S)
     assert known.hours == found.hours
-    assert BlockedHours.known((), 40 * DAY_S) == BlockedHours()
+    assert repr(BlockedHours.known((), 40 * DAY_S)) == repr(BlockedHours())
     midnight = 40 * DAY_S + 900.0 * np.arange(8)
     np.testing.assert_array_equal(known.available(midnight, 900.0), np.arange(8) < 4)  # only probing has seen it
     confirmed = told([1.0, 1.0], [0.0, 0.0], [20.0, 20.0], known=told([1.0], [0.0], [20.0], known=known))
@@ -216,7 +217,7 @@ def test_a_schedule_goes_by_the_clock_on_the_wall_also_after_it_was_changed():
     assert (ahead_s(0.0, new_year), ahead_s(in_summer, new_year), ahead_s(in_summer, None)) == (0.0, HOUR_S, 0.0)
     winter = BlockedHours.known(range(5), 0.0)
     assert sorted(winter.moved(-HOUR_S).hours) == [0, 1, 2, 3, 23]
-    assert winter.moved(-HOUR_S).moved(HOUR_S) == winter
+    assert repr(winter.moved(-HOUR_S).moved(HOUR_S)) == repr(winter)
     seen = tuple(HourSeen(day * DAY_S + 20 * HOUR_S, -1.5, 1.5, 0.3) for day in (1, 2))
     assert list(HourEffects(1, seen).laws) == [19]
     assert list(HourEffects(1, seen).moved(-HOUR_S).laws) == [18]
