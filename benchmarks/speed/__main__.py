@@ -103,7 +103,9 @@ def measured(row: Row, checkout: Path) -> dict[str, Any]:
             own |= {name: beside for name in ("XDG_CACHE_HOME", "NUMBA_CACHE_DIR", "PYTHONPYCACHEPREFIX")}
         found = Path(beside) / "found.json"
         call = [python, "-S", "-c", _STARTER, str(found), python, *row.command]
-        done = subprocess.run(call, cwd=folder, env=os.environ | own, capture_output=True, text=True, check=True)
+        # Users have compiled modules, whatever this shell says: else every process would compile half a second.
+        shell = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+        done = subprocess.run(call, cwd=folder, env=shell | own, capture_output=True, text=True, check=True)
         code, *used = json.loads(found.read_text(encoding="utf-8"))
     if code:
         raise ConfigError(f"{row.name}: failed in {checkout}: {(done.stdout + done.stderr)[-2000:]}")

@@ -41,6 +41,13 @@ def test_ours_is_a_share_of_theirs(other, tmp_path, monkeypatch):
     }
 
 
+def test_modules_are_compiled_once_whatever_the_shell_says(other, monkeypatch):
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    row = speed.Row("keeps: what it compiled", ("-c", "import sys, thermoforce_mpc; sys.exit(sys.dont_write_bytecode)"))
+    speed.measured(row, other)
+    assert list((other / "thermoforce_mpc" / "__pycache__").iterdir())
+
+
 def test_what_cannot_be_measured_is_refused(other, tmp_path):
     row = speed.Row("fails", ("-c", "raise SystemExit('out of heat')"))
     with pytest.raises(ConfigError, match=r"fails: failed in .*out of heat"):
