@@ -16,6 +16,7 @@ predictions an hour ahead with what came, by hour of the day.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -282,9 +283,10 @@ class HourEffects:
     @cached_property
     def laws(self) -> dict[int, HourLaw]:
         """What the hours do that are believed to differ, by hour."""
-        found = {}
-        for hour in sorted({one.hour for one in self.seen}):
-            of_hour = [one for one in self.seen if one.hour == hour]
+        found, seen = {}, defaultdict[int, list[HourSeen]](list)
+        for one in self.seen:
+            seen[one.hour].append(one)
+        for hour, of_hour in sorted(seen.items()):
             asked = [one for one in of_hour if self.sign * one.effect_K >= _TELLS_K][-_DAYS:]
             if len(asked) == _DAYS and all(map(self._misses, asked)):
                 found[hour] = self._law(of_hour)
@@ -310,7 +312,8 @@ class HourEffects:
 
     def over(self, start_s: float, lasts_s: float) -> bool:
         """Whether an hour that is believed to differ lies in the time from `start_s` on, s."""
-        return any(_hour(start_s + k * HOUR_S) in self.laws for k in range(math.ceil(lasts_s / HOUR_S)))
+        laws, hours = self.laws, range(math.ceil(lasts_s / HOUR_S))
+        return bool(laws) and any(_hour(start_s + k * HOUR_S) in laws for k in hours)
 
     def share(self, time_s: Array, step_s: float) -> Array:
         """Share of the effect of each step from `time_s` (n,), s, on that plans count with, (n,).
