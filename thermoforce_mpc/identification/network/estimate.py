@@ -131,13 +131,17 @@ def posterior(room: RoomNetwork, theta: Array, runs: Sequence[RoomRun]) -> tuple
 
     equations, n = room.equations(theta), room.n_states
     value, gradient = room.prior(theta)
-    size, sensor = n + room.n_inputs, room.place.get(SUN_ON_SENSOR, -1)
+    sensor = room.place.get(SUN_ON_SENSOR, -1)
     for step_h in dict.fromkeys(run.step_h for run in runs):
-        whole = np.zeros((size, size))
-        whole[:n] = equations.matrix * step_h
-        transition = expm(whole)
-        A, B = np.ascontiguousarray(transition[:n, :n]), np.ascontiguousarray(transition[:n, n:])
-        by_transition = np.zeros((size, size))
+        # The exponential of the states' part over a step, and its integral, in which the inputs are linear (Van Loan
+        # 1978): 14 rows instead of 27 with the inputs among nine rooms.
+        by_step = equations.matrix * step_h
+        held = np.zeros((2 * n, 2 * n))
+        held[:n, :n], held[:n, n:] = by_step[:, :n], np.eye(n)
+        transition = expm(held)
+        A, integral = np.ascontiguousarray(transition[:n, :n]), transition[:n, n:]
+        B = integral @ by_step[:, n:]
+        by_A, by_B = np.zeros(A.shape), np.zeros(B.shape)
         for run in (run for run in runs if run.step_h == step_h):
             Q, stationary, reading = room.noise(theta, step_h)
             share = _PAIR_SHARE**2 if run.pair else 1.0
@@ -156,15 +160,16 @@ def posterior(room: RoomNetwork, theta: Array, runs: Sequence[RoomRun]) -> tuple
             if run.on_sensor is not None:
                 gradient[sensor] -= counts * run.on_sensor @ slopes.readings
             value += counts * half
-            by_transition[:n, :n] += counts * slopes.A
-            by_transition[:n, n:] += counts * slopes.B
+            by_A += counts * slopes.A
+            by_B += counts * slopes.B
             by_stationary = part * stationary * slopes.P0[room.disturbances]
             gradient = gradient + room.noise_slopes(Q, part * slopes.Q, by_stationary, counts * reading * slopes.R)
         # The derivative of an exponential is a block of one twice as large (Van Loan 1978).
-        twice = np.zeros((2 * size, 2 * size))
-        twice[:size, :size] = twice[size:, size:] = whole.T
-        twice[:size, size:] = by_transition * step_h
-        by_matrix = expm(twice)[:n, size:]
+        twice = np.zeros((4 * n, 4 * n))
+        twice[: 2 * n, : 2 * n] = twice[2 * n :, 2 * n :] = held.T
+        twice[:n, 2 * n : 3 * n], twice[:n, 3 * n :] = by_A, by_B @ by_step[:, n:].T
+        by_states = expm(twice)[:n, 2 * n : 3 * n]
+        by_matrix = step_h * np.concatenate([by_states, integral.T @ by_B], axis=1)
         gradient = gradient + room.slopes(theta, equations, by_matrix)
     return value, gradient
 
