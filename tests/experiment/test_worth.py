@@ -160,6 +160,17 @@ def test_what_plans_would_have_saved_is_what_they_save_in_the_house() -> None:
     assert dearer.sentence == "Plans would have cost 0.31 more (90 % band 0.28 to 0.33 more) than 19.42"
 
 
+def test_what_a_meter_holds_beside_the_levels_is_no_heat_of_the_rooms() -> None:
+    record = _run(_levels(2))
+    hot_water = replace(record, power_W=record.power_W + 1000.0)
+    conditions = replace(_conditions(record), price_per_kWh=np.full((1, record.time_s.size), 0.3))
+    saved = [
+        worth(_model(0.1), one, conditions, _Nightly(), start_s=_FIRST * HOUR_S, days=4.0, draws=2).saved
+        for one in (record, hot_water)
+    ]
+    assert saved[1] == pytest.approx(saved[0], abs=0.01 * abs(saved[0])), "a kelvin less is as much heat in both"
+
+
 def test_what_is_not_known_widens_the_band_and_colder_rooms_are_warmed_again() -> None:
     record = _run(_levels(3))
     asked = {"start_s": _FIRST * HOUR_S, "days": 2.0, "draws": 3}

@@ -24,6 +24,7 @@ from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.machine.change import Share, weight_of_demand
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
+from thermoforce_mpc.whatif.counterfactual import machine_W
 from thermoforce_mpc.whatif.identified_house import HouseState, IdentifiedHouse
 
 LEAST_BEFORE_DAYS = 7.0
@@ -287,7 +288,7 @@ class Houses:
         """What house `k` saved under plans, what it cost and its energy; `warmer_Kh` (Z,): of its rooms at the end.
 
         Heat that is stored then need not be given later: it fades with each mode's time constant, and a kelvin for an
-        hour costs what it did in the record.
+        hour costs what it did in the record. What meters hold beside the levels, such as hot water, warms no room.
         """
         hours, layout = record.step_s / HOUR_S, self._model.layout
         of_law, of_demand, of_valves = self._unknown[k]
@@ -298,7 +299,8 @@ class Houses:
             cost_was, cost_law = float(before @ price[m]), float(after @ price[m])
             lost_K = [max(float(np.nanmean(one.T_zone_C[fed, 1:] - one.T_out_C[1:])), 0.0) for one in (was, record)]
             over_K = max(lost_K[0], 1.0)
-            asked_kWh = float(before.sum()) * lost_K[1] / over_K
+            rooms_kWh = self._of_levels_kWh(m, was)
+            asked_kWh = float(before.sum()) + rooms_kWh * (lost_K[1] / over_K - 1.0)
             by_demand = of_demand * weight_of_demand(share.spread)
             factor = 1.0 + by_demand * (asked_kWh / max(float(after.sum()), 1e-9) - 1.0)
             planned = cost_law * factor
@@ -306,11 +308,19 @@ class Houses:
             valves = [a for a in layout.fed_by(m) if self._of_water[a]]
             planned += cost_law * _VALVES_SD * _other(was.u[valves], record.u[valves]) * of_valves
             mean_price = cost_was / max(float(before.sum()), 1e-9)
-            an_hour_kWh = float(before.sum()) / max(record.n_steps * hours, 1e-9)
+            an_hour_kWh = rooms_kWh / max(record.n_steps * hours, 1e-9)
             stored_kWh = float(warmer_Kh[fed].mean()) * an_hour_kWh / over_K
             saved += cost_was - planned + stored_kWh * mean_price
             cost, energy = cost + planned, energy + float(after.sum()) * factor
         return saved, cost, energy
+
+    def _of_levels_kWh(self, m: int, was: Record) -> float:
+        """What levels took of the energy of machine `m`, kWh, by the law; where there is none, all of it."""
+        metered_kWh = float(was.power_W[m].sum()) * was.step_s / J_PER_KWH
+        T_out_C = was.T_out_C[:-1]
+        by_law_W, idle_W = (machine_W(self._model, m, u, T_out_C) for u in (was.u, np.zeros_like(was.u)))
+        of_levels_kWh = float((by_law_W - idle_W).sum()) * was.step_s / J_PER_KWH
+        return min(max(of_levels_kWh, 0.0), metered_kWh) if np.isfinite(of_levels_kWh) else metered_kWh
 
 
 def effect_spreads(model: ThermalModel) -> Array:
