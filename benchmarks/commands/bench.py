@@ -19,6 +19,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -190,8 +191,13 @@ class Home:
 
     def _wanted_C(self, time_s: Array) -> Array:
         """What thermostats of its own would keep rooms at while they are used (Z, n), °C."""
-        own_C = native_setpoints_C(self.plant.house, DAY_S * _START + HOUR_S * np.arange(7 * 24.0)).max(axis=1)
-        return np.repeat(own_C[:, None], time_s.size, axis=1)
+        return np.repeat(self._most_C[:, None], time_s.size, axis=1)
+
+    @cached_property
+    def _most_C(self) -> Array:
+        """The highest set-point of a week that people have in each room (Z,), °C."""
+        week_s = DAY_S * _START + HOUR_S * np.arange(7 * 24.0)
+        return np.asarray(native_setpoints_C(self.plant.house, week_s).max(axis=1))
 
     def usual(self, time_s: Array) -> Array:
         """What the commands are when they are left alone (Z, n)."""

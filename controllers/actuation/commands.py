@@ -59,7 +59,8 @@ class CommandedLoop:
 
     def is_on(self, values: Array) -> Array:
         """Share of a step in which the machine may run, with commands (S, n) in its parts, (S,)."""
-        return np.asarray(1.0 - np.isclose(values[..., None], self.off, atol=SAME).any(axis=-1).mean(axis=-1))
+        is_off = np.abs(values[..., None] - np.array(self.off)) <= SAME
+        return np.asarray(1.0 - is_off.any(axis=-1).mean(axis=-1))
 
     def begin(self) -> CommandState:
         """What is set where no plan acted in the last step: as it was read, or later what it usually is."""

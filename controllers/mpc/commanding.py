@@ -355,7 +355,7 @@ class CommandedPlan:
                 rows[first].append(np.concatenate([np.full(round(s / part_s), value) for value, s in turns]))
             return rows[first][k][None]
 
-        _followed(self.operator, self.problem, self.loops, u, choose)
+        _followed(self.operator, self.problem, self._tables, u, choose)
         return {a: np.concatenate(row) for a, row in rows.items()}
 
     @property
@@ -474,6 +474,10 @@ class CommandedPlan:
         nothing = np.zeros((len(self.spread), self.problem.n_steps))
         return self._brought(nothing, {a: self._usual_row(a)[None] for a in self.loops}, 1)
 
+    @cached_property
+    def _tables(self) -> _LoopTables:
+        return _LoopTables(self.operator, self.problem, self.loops)
+
     def _usual_row(self, a: int) -> Array:
         """What the command of actuator `a` usually is, in all parts (P,)."""
         return np.repeat(self.loops[a].usual, self.loops[a].parts)
@@ -494,7 +498,7 @@ class CommandedPlan:
         def told(a: int, k: int, T_C: Array, before: Array) -> Array:
             return of_step[a][:, k]
 
-        return _followed(self.operator, self.problem, self.loops, u, told, gain, z, away_K)
+        return _followed(self.operator, self.problem, self._tables, u, told, gain, z, away_K)
 
     def _dearest(self, evaluator: Evaluator) -> _MeanCost:
         """What the building costs when it is left alone."""
@@ -603,14 +607,14 @@ class _Followed:
 def _followed(
     operator: BuildingOperator,
     problem: MPCProblem,
-    loops: Mapping[int, CommandedLoop],
+    tables: _LoopTables,
     u: Array,
     values_of: Callable[[int, int, Array, Array], Array],
     gain: Array | None = None,
     z: Array | None = None,
     away_K: Array | float = 0.0,
 ) -> _Followed:
-    """Follow a building under commands, step by step; an actuator without one has its levels `u` (A, N).
+    """Follow a building under the commands of `tables`, step by step; an actuator without one has levels `u` (A, N).
 
     `values_of`: of an actuator in a step, for rooms now (S, Z), °C, and the last levels (S, A), its commands in the
     parts of the step (S or 1, n). `gain` (S, A): effect of what the actuators do from now on, as a multiple; `z` (S,):
@@ -625,16 +629,14 @@ def _followed(
     last = np.zeros(A) if problem.last_u is None else problem.last_u
     before, levels, course = np.repeat(last[None], S, axis=0), np.empty((S, A, n)), [T]
     nothing, scatter = np.zeros(A), np.zeros(S)
-    tables = _LoopTables(operator, problem, loops) if loops else None
     for k in range(n):
-        values = {a: values_of(a, k, T, before) for a in loops}
+        values = {a: values_of(a, k, T, before) for a in tables.loops}
         faded = operator.advance(old, nothing)
         at_rest = T_free[..., k] + faded.sum(axis=(1, 2)) + (operator.poles * new).sum(axis=(2, 3))
         seen = old + new[0]
         modulation = operator.modulated(np.ones(A), problem.features[:, k], seen)
         level = np.repeat(u[None, :, k], S, axis=0)
-        if tables is not None:
-            tables.settle(k, values, level, before, z, T, at_rest, modulation * gain, scatter)
+        tables.settle(k, values, level, before, z, T, at_rest, modulation * gain, scatter)
         drive = modulation * _heat(operator, problem, level, k) * gain
         old, new = faded, operator.poles * new + operator.gains * drive[:, None, :, None]
         T = T_free[..., k] + old.sum(axis=(1, 2)) + new.sum(axis=(2, 3))
@@ -644,11 +646,13 @@ def _followed(
 
 
 class _LoopTables:
-    """Loops and heat by level as arrays, for `_settle`."""
+    """`loops` by number of the actuator, one at least, and heat by level as arrays, for `_settle`."""
 
     def __init__(self, operator: BuildingOperator, problem: MPCProblem, loops: Mapping[int, CommandedLoop]) -> None:
         maps = [loop.learned.loop for loop in loops.values()]
-        self._operator, self._problem, self._loops = operator, problem, loops
+        self.loops = loops
+        table = np.repeat(np.linspace(0.0, 1.0, _TABLE)[:, None], len(operator.home), axis=1)
+        self._heat = [np.ascontiguousarray(_heat(operator, problem, table, k)) for k in range(problem.n_steps)]
 
         def filled(of: Sequence[Array]) -> Array:
             m = max(one.size for one in of)
@@ -688,15 +692,13 @@ class _LoopTables:
         asked = np.stack(
             [
                 np.broadcast_to(loop.learned.loop.index(values[a], 0.0, loop.T_out_C[k]), (S, np.shape(values[a])[1]))
-                for a, loop in self._loops.items()
+                for a, loop in self.loops.items()
             ]
         )
-        table = np.linspace(0.0, 1.0, _TABLE)[:, None]
-        heat = _heat(self._operator, self._problem, np.repeat(table, level.shape[1], axis=1), k)
         arrays = (before, z, T_C, at_rest_C, np.broadcast_to(factor, level.shape))
-        numbers = [np.ascontiguousarray(one, dtype=np.float64) for one in (asked, *arrays, heat)]
-        _settle(level, scatter, *numbers, self._per_drive, self._per_u, *self._of_loop)
-        for a, loop in self._loops.items():
+        numbers = [np.ascontiguousarray(one, dtype=np.float64) for one in (asked, *arrays)]
+        _settle(level, scatter, *numbers, self._heat[k], self._per_drive, self._per_u, *self._of_loop)
+        for a, loop in self.loops.items():
             if loop.off:
                 level[:, a] *= loop.is_on(values[a])
 
