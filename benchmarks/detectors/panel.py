@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.faults.faulty_plant import FaultyPlant
-from thermoforce_mpc.boundary.weather import CONTINENTAL, synthetic_weather
+from thermoforce_mpc.boundary.weather import CONTINENTAL, MARITIME, synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.plants.drawn_houses import GRID_S, WEEKS
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, PointEmulator
@@ -117,12 +117,16 @@ def _rooms(use: str) -> Callable[[PanelCase], BuiltCase]:
 
 
 def _by_points(name: str, days: tuple[str, ...]) -> Callable[[PanelCase], BuiltCase]:
-    """An embedded plant that acts by the points of its test case file, one of its windows after another."""
+    """An embedded plant that acts by the points of its test case file, one of its windows after another.
+
+    From the second round on in other years: weeks that are alike tell no more than one of them.
+    """
 
     def of(case: PanelCase) -> BuiltCase:
         testcase = load_testcase(name)
-        weather = synthetic_weather(climate=CONTINENTAL) if name == "bestest_air" else synthetic_weather()
-        plant = PointEmulator(testcase, weather)
+        lap = case.number // len(days)
+        climate = CONTINENTAL if name == "bestest_air" else MARITIME
+        plant = PointEmulator(testcase, synthetic_weather(case.seed + lap if lap else 0, climate=climate))
         return BuiltCase(plant, testcase, plant.period(days[case.number % len(days)]))
 
     return of

@@ -65,6 +65,16 @@ def test_nothing_is_claimed_where_something_else_may_be_the_cause():
     assert not steep_falls(fell[200:], out_C[200:], u[:, 200:], STEP_S)[0].any(), "not known how it usually falls"
 
 
+@pytest.mark.parametrize(("before", "after"), [(0.05, 0.0), (0.0, -0.03), (-0.04, -0.12)])
+def test_a_small_level_that_ends_or_cools_is_no_window(before, after):
+    """A light room that an air unit holds at a twentieth of its power, and one that it begins to cool."""
+    T, out_C, u = room()
+    u = np.where(np.arange(u.size) < 300, before, after)[None]
+    assert not steep_falls(aired(T, 300), out_C, u, STEP_S)[0].any()
+    held = np.full_like(u, before)
+    assert np.flatnonzero(steep_falls(aired(T, 300), out_C, held, STEP_S)[0]).tolist() == [300]
+
+
 def test_the_pause_ends_after_half_an_hour_or_when_the_room_comes_back():
     T, out_C, u = room()
     whole = record(aired(T, 300), out_C, u)

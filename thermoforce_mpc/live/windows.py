@@ -24,8 +24,10 @@ PAUSE_S, _LONGEST_S = 1800.0, 7200.0
 # than this, K in 15 min, also falls that much for other reasons (an office of air units where its people go home).
 _LEAST_K, _TIMES, _USUAL, _COLDER_K, _LIGHT_K = 0.5, 2.5, 0.97, 5.0, 0.25
 _STEP_S = 900.0
-# Turned down: by so much against the step before, or the mean of so long before, h.
-_DOWN, _BEFORE_H = 0.05, 2.0
+# Turned down against the step before, or the mean of so long before, h: by so much, or to less than half. An air unit
+# holds a light room by a level of 0.05, and one that begins to cool takes 1.3 K from it by 0.03 (`bench detectors`, seed
+# 640401, 2026-11-29). Levels this small are rounding.
+_DOWN, _BEFORE_H, _ROUNDING = 0.05, 2.0, 0.005
 # It comes back: by this share of the fall. Least steps from which a usual fall is known: two days of 15 min.
 _BACK, _LEAST_STEPS = 0.4, 192
 
@@ -58,7 +60,9 @@ def steep_falls(T_C: Array, T_out_C: Array, u: Array, step_s: float) -> tuple[ND
         sums = np.cumsum(np.concatenate([np.zeros(back), np.nan_to_num(level)]))
         before = (sums[back - 1 : -1] - np.concatenate([[0.0], sums[: -back - 1]])) / back
         last = np.concatenate([level[:1], level[:-1]])
-        down |= ~(level >= np.fmax(before, last) - _DOWN)  # also where it is not known
+        usual_u = np.fmax(before, last)
+        less = np.clip(0.5 * np.abs(usual_u), _ROUNDING, _DOWN)
+        down |= ~(level >= usual_u - less)  # also where it is not known
     down[:back] = True
     by_itself = np.isfinite(fall) & ~down
     if by_itself.sum() < _LEAST_STEPS * min(_STEP_S / step_s, 1.0):

@@ -181,3 +181,11 @@ def test_a_week_in_which_a_window_was_opened_claims_it_once():
     (claim,) = rule.claims(ControlledWeek(SimpleNamespace(layout=Layout.single()), result))
     assert claim.startswith("day 3.12: zone fell 1.")
     assert rule.claims(ControlledWeek("no model", result)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["embedded", "bestest_air", "bestest_hydronic"])
+def test_no_two_weeks_of_a_plant_are_alike(kind):
+    places = [built(PanelCase(kind, number, 5)) for number in (1, 5, 9)]
+    begun = {(place.period.start_s, place.plant.reset(place.period.start_s, 0.0).T_out_C) for place in places}
+    assert len(begun) == 3
