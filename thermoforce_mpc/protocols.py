@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, runtime_checkable
 
 from thermoforce_mpc.data import (
     Array,
@@ -234,3 +234,41 @@ class Provider(Protocol):
 
     def answer(self, now: pd.Timestamp, state: dict[str, str]) -> Answer:
         """What is known at `now`, from then or before; `state`: that of its last answer, such as Last-Modified."""
+
+
+def outlives(plant: Plant) -> TypeGuard[OutlivingPlant]:
+    """Whether `plant` is an `OutlivingPlant`, also one that hands on what it is asked for (`__getattr__`)."""
+    return hasattr(plant, "go_on") and hasattr(plant, "leave")
+
+
+def can_restart(plant: Plant) -> TypeGuard[RestartingPlant]:
+    """Whether `plant` is a `RestartingPlant`, also one that hands on what it is asked for (`__getattr__`)."""
+    return hasattr(plant, "restarts") and hasattr(plant, "restart_as")
+
+
+class StandsFor:
+    """What stands in the place of `inside`: it has what that has, but for the names that its class defines.
+
+    Each is of a class of its own: since Python 3.12 `isinstance` of a protocol does not ask `__getattr__`.
+    """
+
+    def __new__(cls, inside: object = None, *_: object) -> StandsFor:
+        """One of a class that names what `inside` has (None: that is being copied)."""
+        others = {name: _OfInside(name) for name in dir(inside) if not (name.startswith("_") or hasattr(cls, name))}
+        return super().__new__(type(cls.__name__, (cls,), others))
+
+    def __init__(self, inside: Any) -> None:
+        self._inside = inside
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "_inside":  # not made yet: while it is copied
+            raise AttributeError(name)
+        return getattr(self._inside, name)
+
+
+class _OfInside:
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, owner: StandsFor | None, kind: type | None = None) -> Any:
+        return self if owner is None else getattr(owner._inside, self._name)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from controllers.checks import ControllerConfigError
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.protocols import Controller
+from thermoforce_mpc.protocols import Controller, StandsFor
 from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.own_code import called, first_line, options_model, unfit
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -93,14 +93,14 @@ def build_on_model(
     return kind(replace(model, exclusive=testcase.layout.exclusive), config, name=name)
 
 
-class _Named:
+class _Named(StandsFor):
     """A controller by the name that it is registered by: results, journals and reports go by it."""
 
-    def __init__(self, controller: Controller, name: str) -> None:
-        self._controller, self.name = controller, name
+    name = ""
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._controller, name)
+    def __init__(self, controller: Controller, name: str) -> None:
+        super().__init__(controller)
+        self.name = name
 
 
 def named(controller: Controller, name: str) -> Controller:

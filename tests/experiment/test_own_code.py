@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 
@@ -17,6 +18,7 @@ from thermoforce_mpc.experiment.run import run
 from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.records.run_folder import own_kpis
 
 TESTCASE = "bestest_hydronic_heat_pump"
@@ -265,6 +267,16 @@ def test_python_takes_objects_and_classes(folder, controller):
     assert math.isnan(done.kpis["native"]["mean_level, –"])
     with pytest.raises(ConfigError, match="unknown controller 'half'"):
         find_entry("half")
+
+
+def test_a_controller_by_the_name_of_its_file_is_one_and_can_be_copied(folder):
+    controller = build_controller("my_rules.py:Night", {"from_h": 6.0}, load_testcase(TESTCASE))
+    assert isinstance(controller, Controller), "since Python 3.12 protocols do not ask __getattr__"
+    controller.later = 1
+    for one in (controller, copy.copy(controller)):
+        assert (one.name, one.from_h, one.later) == ("my_rules.py:Night", 6.0, 1)
+    with pytest.raises(AttributeError, match="'Night' object has no attribute 'until_h'"):
+        controller.until_h  # noqa: B018 - what is asked for is not there
 
 
 def test_a_name_that_is_taken_is_refused():

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from hands_on import HandsOn
 from places import ROOT
 from simple_house import SimpleHouse
 from waiting import LONG_S, wait_for
@@ -149,13 +150,14 @@ def test_a_probing_that_is_whole_is_not_made_again(whole, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_service_is_taken_up_where_it_stands(whole, tmp_path):
+@pytest.mark.parametrize("seen_as", [lambda house: house, HandsOn])
+def test_a_service_is_taken_up_where_it_stands(whole, tmp_path, seen_as):
     house, folder = Served(fail_at_s=ON_DAY_2_S), tmp_path / "run"
     assert isinstance(house, OutlivingPlant)
-    assert isinstance(run(house, folder).exception, PlantError)
+    assert isinstance(run(seen_as(house), folder).exception, PlantError)
     house.fail_at_s, n_before = float("inf"), len(house.applied)
     assert n_before > 96
-    done = resumed(house, folder)
+    done = resumed(seen_as(house), folder)
     assert done.exit_code == 0, done.output
     assert (house.taken_up, house.resets) == (1, 3), "no probing step is made twice"
     assert results(folder)["arrays.safetensors"] == results(whole)["arrays.safetensors"]

@@ -35,7 +35,7 @@ from thermoforce_mpc.errors import ConfigError, NoForecast
 from thermoforce_mpc.files import check_plain, storage_errors
 from thermoforce_mpc.loop.closed_loop import StepRecord, advanced
 from thermoforce_mpc.loop.probing import Probed
-from thermoforce_mpc.protocols import OutlivingPlant, Plant, RestartingPlant
+from thermoforce_mpc.protocols import Plant, can_restart, outlives
 from thermoforce_mpc.records.journal import (
     DamagedJournal,
     Journal,
@@ -84,9 +84,8 @@ class RecordedPlant:
         """The plant itself, for what is not journaled here."""
         self._journal, self._names = journal, SINGLE
         self._entries = deque(entries)
-        # Asked once: a protocol is looked through at each question.
-        self._outlives = isinstance(plant, OutlivingPlant)
-        self._restarting = plant if isinstance(plant, RestartingPlant) else None
+        self._outlives = outlives(plant)
+        self._restarting = plant if can_restart(plant) else None
         self._away, self._cut = self._outlives and bool(self._entries), cut
         self._periods: dict[str, Period] = {}
         self._reset: Json = {}
@@ -156,7 +155,7 @@ class RecordedPlant:
 
     def leave(self) -> None:
         """Leave a plant that outlives us where it stands; nothing for another."""
-        if isinstance(self.inside, OutlivingPlant):
+        if outlives(self.inside):
             self.inside.leave()
 
     def close(self) -> None:
@@ -220,7 +219,7 @@ class RecordedPlant:
     def _catch_up(self) -> None:
         """Take up a plant that outlived the process, before the first new request."""
         if self._away:
-            assert isinstance(self.inside, OutlivingPlant)
+            assert outlives(self.inside)
             if self._last is not None:
                 self.inside.go_on(self._last, periods=self._periods, anywhere=self._cut, **self._reset)
             self._away = False
@@ -460,7 +459,7 @@ def keeping_probing(plant: Plant, path: Path | None, testcase: TestCase, how: Js
     with storage_errors(path):
         path.parent.mkdir(exist_ok=True)
     # A service goes on where a power failure ends us.
-    with closing(Journal(path, text, durable=isinstance(plant, OutlivingPlant))) as journal:
+    with closing(Journal(path, text, durable=outlives(plant))) as journal:
         kept = RecordedPlant(plant, journal, text.entries if text else ())
         head = {"format": _PROBING_FORMAT, "version": VERSION, **_building(testcase), "how": how}
         kept.noted("probing", {**head, "plant": plain_json(asdict(plant.info))})

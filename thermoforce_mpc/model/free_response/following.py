@@ -26,8 +26,9 @@ _ALIKE = 1e-6
 
 def follow(method: FreeResponse, free_C: Array, history: Record, boundary: Boundary, state: object) -> Answer:
     """The forecast of `method` and its state for the next call of this run (None at its start)."""
-    if isinstance(method, FollowingFreeResponse):
-        return method.follow(free_C, history, boundary, state)
+    # By name here and below: a protocol's check costs more than all else, and since Python 3.12 asks no `__getattr__`.
+    if hasattr(method, "follow"):
+        return cast(FollowingFreeResponse, method).follow(free_C, history, boundary, state)
     return method.forecast(free_C, history, boundary), None
 
 
@@ -35,7 +36,6 @@ def following(
     method: FreeResponse, free_C: Array, history: Record, boundary: Boundary, state: object
 ) -> Computation[Answer]:
     """`follow` as a computation that yields requests; a method that makes none is one request itself."""
-    # By name: checks of a protocol cost more than all else here.
     if hasattr(method, "following"):
         return (yield from cast(ComputedFreeResponse, method).following(free_C, history, boundary, state))
     answer: Answer = yield from perform(Request(method, lambda: follow(method, free_C, history, boundary, state)))
