@@ -138,11 +138,12 @@ CASES = (
     Case(
         "gate_levels_in_plan",
         (
-            "own control +own control",
-            "own control, set nothing: bounds of south, meeting",
+            "south_valve: gate: This model may not act",
+            "own control",
+            "own control, set nothing: bounds of south and",
             '"u\\[south_valve\\]": null',
         ),
-        (r'"u\[(south|meeting)_valve\]": \d', _TRACES),
+        (r'"u\[south_valve\]": \d', _TRACES),
         (
             "identify --data $C/metasys.csv.gz --map $C/map.yaml --out office",
             "plan --model office --data $C/office_recent.csv.gz --map $C/map.yaml --forecast $C/forecast.csv "
