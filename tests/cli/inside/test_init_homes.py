@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import pytest
 import yaml
@@ -32,6 +35,19 @@ def test_its_files_are_valid_and_never_overwritten(kind, tmp_path):
     assert "never overwritten" in str(again.exception)
     for path in folder.glob("*.yaml"):
         assert max(map(len, path.read_text().splitlines())) <= 120
+
+
+@pytest.mark.parametrize("kind", [kind for kind in HOMES if kind != "boptest"])
+@pytest.mark.parametrize("proposed", [False, True])
+def test_the_schema_that_a_map_names_is_there(kind, proposed, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    stamps = [f"2026-01-0{day} {hour:02}:00" for day in (1, 2) for hour in range(24)]
+    rows = [f"{at},2{k % 3}.5,{k % 7}" for k, at in enumerate(stamps)]
+    Path("house.csv").write_text("\n".join(["time,room,outdoor", *rows, ""]))
+    assert told("init", "home", "--for", kind, *(["--data", "house.csv"] if proposed else [])).exit_code == 0
+    first = Path("home/map.yaml").read_text().splitlines()[0]
+    named = re.fullmatch(r"# yaml-language-server: \$schema=(.+)", first)
+    assert "zones" in json.loads((Path("home") / named[1]).read_text())["properties"]
 
 
 def test_what_is_to_be_done_next_is_said_as_one_types_it(tmp_path):

@@ -81,8 +81,9 @@ def init(
             raise ConfigError(
                 f"--testcase: --for {home} is a real building, which is no test case; leave one of them out"
             )
-        texts = home_files(home, None if data is None else _headed("map", starting_map(data)))
-        _write_new({folder / name: text for name, text in texts.items()})
+        texts = home_files(home, None if data is None else starting_map(data))
+        texts["map.yaml"] = _headed("map", texts["map.yaml"])
+        _write_new({folder / name: text for name, text in texts.items()}, _schemas(folder, ["map"]))
         for name in texts:
             click.echo(f"Wrote {folder / name}")
         first = "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
@@ -135,20 +136,24 @@ def _init_of_service(folder: Path, testcase: str, url: str) -> None:
 
 def _written(folder: Path, texts: Mapping[str, str]) -> str:
     """Write files of these kinds and their schemas to a folder, say so, and return the words that enter it."""
-    from thermoforce_mpc.cli.inside.schemas import schema_text
-
-    files = {folder / f"{kind}.yaml": text for kind, text in texts.items()}
-    _write_new(files, {folder / _SCHEMAS / f"{kind}.json": schema_text(kind) for kind in texts})
+    _write_new({folder / f"{kind}.yaml": text for kind, text in texts.items()}, _schemas(folder, texts))
     for kind in texts:
         click.echo(f"Wrote {folder / kind}.yaml")
     return "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
 
 
-def _write_new(files: Mapping[Path, str], beside: Mapping[Path, str] | None = None) -> None:
+def _schemas(folder: Path, kinds: Iterable[str]) -> dict[Path, str]:
+    """Schemas of files of these kinds in a folder, where the first lines of the files name them."""
+    from thermoforce_mpc.cli.inside.schemas import schema_text
+
+    return {folder / _SCHEMAS / f"{kind}.json": schema_text(kind) for kind in kinds}
+
+
+def _write_new(files: Mapping[Path, str], beside: Mapping[Path, str]) -> None:
     """Write `files`, and those `beside` them; raises `ConfigError` where one of `files` is there already."""
     if existing := [str(path) for path in files if path.exists()]:
         raise ConfigError(f"{', '.join(existing)}: there already, and never overwritten; choose another folder")
-    for path, text in {**files, **(beside or {})}.items():
+    for path, text in {**files, **beside}.items():
         with storage_errors(path.parent):
             path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, text)
