@@ -114,6 +114,17 @@ def test_a_folder_in_which_nobody_may_look_is_one_message_with_its_path(tmp_path
     assert done.stderr == "Error: closed.csv: Permission denied: ask its owner for the right to it, or name another\n"
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here, which is a full disk")
+@pytest.mark.parametrize("words", [["schema", "map"], ["testcases"], ["--help"]])
+def test_what_is_printed_to_a_full_disk_is_one_message_and_exit_code_6(words):
+    code = "from thermoforce_mpc.cli import main; main()"
+    with Path("/dev/full").open("w") as full:
+        call = [sys.executable, "-c", code, *words]
+        done = subprocess.run(call, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    said = "Cannot be written: No space left on device; make room or write elsewhere\n"
+    assert (done.returncode, done.stderr) == (6, said)
+
+
 @pytest.mark.parametrize("error", ["MemoryError()", "RuntimeError('std::bad_alloc')"])
 def test_out_of_memory_is_one_message_and_exit_code_6(error):
     code = f"import thermoforce_mpc.cli as cli\ndef main(**_): raise {error}\ncli.cli.main = main\ncli.main()"

@@ -688,6 +688,24 @@ def test_an_outage_of_the_logger_is_a_gap_of_every_signal(tmp_path):
     assert np.isnan(found.record.u[:, inside[:-1]]).all()
 
 
+def test_a_column_called_room_that_holds_temperatures_names_no_signals(tmp_path):
+    """In a table of readings it is the number of a room, such as 1.04 in an office."""
+    at = HOUSE.index[:96].strftime("%Y-%m-%d %H:%M")
+    wide = pd.DataFrame(
+        {"time": at, "room": (2 * HOUSE["living"].iloc[:96]).round() / 2, "outdoor": HOUSE["out"].iloc[:96].round()}
+    )
+    wide.to_csv(tmp_path / "wide.csv", index=False)
+    written = starting_map(tmp_path / "wide.csv")
+    assert "outdoor: {column: outdoor" in written
+    assert "temperature: {column: room" in written
+    kinds = {1.04: HOUSE["living"], 2.11: HOUSE["living"] + 1.0}
+    rows = [
+        pd.DataFrame({"time": at, "room": room, "temperature": T_C.iloc[:96].round(1)}) for room, T_C in kinds.items()
+    ]
+    pd.concat(rows).sort_values("time", kind="stable").to_csv(tmp_path / "long.csv", index=False)
+    assert "point: room, value: temperature" in starting_map(tmp_path / "long.csv")
+
+
 def test_the_line_protocol_of_influx_is_no_table(tmp_path):
     path = tmp_path / "dump.lp"
     path.write_text("temperature,room=living value=21.3 1736726400000000000\n" * 3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import signal
@@ -37,6 +38,8 @@ _ENDS: dict[type[ThermoForceError], tuple[str, int]] = {
     StorageError: ("Cannot be written", 6),
     EngineError: ("Tasks cannot be run", 7),
 }
+# A disk or quota is full, or a file as large as it may be.
+_FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG)
 # A message of ours may name many keys; what it quotes is cut where it enters.
 _MOST_SHOWN = 20_000
 
@@ -141,6 +144,13 @@ def main() -> None:
         where = safe_text(os.fsdecode(error.filename), _MOST_SHOWN)
         click.echo(f"Error: {where}: {error.strerror}: ask its owner for the right to it, or name another", err=True)
         sys.exit(2)
+    except OSError as error:  # what is printed goes to a file on a full disk: `tf-mpc data map ... > map.yaml`
+        if error.errno not in _FULL:
+            raise
+        # What could not be written is not tried again at the end, which Python would tell of in lines of its own.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        click.echo(f"Cannot be written: {error.strerror}; make room or write elsewhere", err=True)
+        sys.exit(6)
     except Terminated as error:
         click.echo("Terminated.", err=True)
         sys.exit(128 + error.number)

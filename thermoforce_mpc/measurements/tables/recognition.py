@@ -621,10 +621,21 @@ def _form_of(
     return TableForm(status=status if each_one else None), "one column per signal"
 
 
-def _only_numbers(head: pd.DataFrame, columns: Sequence[str]) -> list[str]:
+def _only_numbers(head: pd.DataFrame, columns: Sequence[str], again: bool) -> list[str]:
     """The one column of numbers of a table, where there is but one."""
-    numeric = [c for c in columns if _numbers(head[c]) and not (_POINT.match(c) or _BESIDE.match(c))]
+    numeric = [c for c in columns if _numbers(head[c]) and not (_points(head, c, again) or _BESIDE.match(c))]
     return numeric if len(numeric) == 1 else []
+
+
+def _points(head: pd.DataFrame, column: str, again: bool) -> bool:
+    """Whether a column names signals, by its header, cells, and whether stamps come `again` in several rows.
+
+    A "room" of 20.5 is a temperature where each stamp has one row, the number of a room where it has several.
+    """
+    if not _POINT.match(column):
+        return False
+    numbers = [as_numbers(head[column].dropna().iloc[:ROWS], mark) for mark in (".", ",")]
+    return again or not any((one.dropna() % 1.0 != 0.0).any() for one in numbers)
 
 
 def _of_quantities(column: pd.Series) -> bool:
@@ -691,11 +702,12 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
             )
         return TableForm(point=point[0] if len(point) == 1 else tuple(point), value="_value")
     columns = [c for c in columns if not _UNIT_COLUMN.match(c)]
+    again = of_stamps <= set(map(str, head.columns)) and head[list(of_stamps)].duplicated().mean() > 0.2
     told = [c for c in columns if _VALUE.match(c)]
     # A "reading" may be the name of one, beside its value; a "state" what a program thinks of it.
-    values = [c for c in told if _numbers(head[c])] or _only_numbers(head, columns) or told
+    values = [c for c in told if _numbers(head[c])] or _only_numbers(head, columns, again) or told
     values = values or [c for c in columns if _of_quantities(head[c])][:1]
-    points = [c for c in columns if (_POINT.match(c) or c.lower() == "reading") and c not in values]
+    points = [c for c in columns if (_points(head, c, again) or c.lower() == "reading") and c not in values]
     repeated = [
         c for c in columns
         if c not in values and not _STATUS.match(c) and 1 < head[c].nunique() <= max(2, len(head) / 3)
@@ -703,8 +715,7 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
         and not set(head[c].dropna().astype(str).str.lower()) <= set(SWITCH)
     ]  # fmt: skip
     if not values or not (points or repeated):
-        numeric = [c for c in columns if _numbers(head[c]) and not _POINT.match(c)]
-        again = head[list(of_stamps)].duplicated().mean() > 0.2 if of_stamps <= set(map(str, head.columns)) else False
+        numeric = [c for c in columns if _numbers(head[c]) and not _points(head, c, again)]
         if not (len(numeric) == 1 and (repeated or points) and again):
             return None
         values = numeric
