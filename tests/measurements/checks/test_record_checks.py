@@ -105,6 +105,16 @@ def colder(record: Record) -> Record:
     return replace(record, T_out_C=record.T_out_C - 10.0)
 
 
+def exchanged(record: Record) -> Record:
+    """The room's readings called those of outdoors, and the reverse."""
+    return replace(record, T_zone_C=record.T_out_C[None], T_out_C=record.T_zone_C[0])
+
+
+def rooms_called_fahrenheit(record: Record) -> Record:
+    """°C of the rooms converted as if they were °F."""
+    return replace(record, T_zone_C=(record.T_zone_C - 32.0) / 1.8)
+
+
 def _unknown(record: Record) -> np.ndarray:
     return np.full_like(record.heat_W, np.nan)
 
@@ -127,6 +137,8 @@ FAULTS: list[tuple[str, str, Callable[[Record], Record]]] = [
     ("unit of power", "rises with the outdoor temperature", lambda record: scaled(1.0, 0.25)(heat_pump(record))),
     ("unit of temperature", "unit: °F", fahrenheit),
     ("unit of temperature", "unit: °F", lambda record: fahrenheit(colder(record))),
+    ("unit of temperature", "are the columns of rooms and outdoors exchanged", exchanged),
+    ("unit of temperature", "check column and unit of the rooms", rooms_called_fahrenheit),
     ("meter holds another load", "hot water", hot_water),
     ("meter holds another load", "with the heat explains", lambda record: household(modulating(record))),
     ("level is no level", "warms the room", lambda record: set_point(record, metered=True)),

@@ -6,7 +6,7 @@
 | the same in all weathers | above 1.1, a heat pump, goes with the outdoor temperature, below not | the same |
 | heat per floor area and K to outdoors | up to 4 W/m²K | Wh per step beside W |
 | full load | 15 W to 300 kW; by floor area 1.5 to 500 W/m² | kW beside W |
-| outdoor temperature while heating | mostly below that of the room | °F |
+| outdoor temperature while heating | mostly below that of the room | °F, or both exchanged |
 | most temperatures of a sensor | those of a room, or of weather | K, °C or °F for another |
 """
 
@@ -233,18 +233,18 @@ def _of_outdoors(record: Record, layout: Layout) -> list[Remark]:
         return []
     warm = rows & (T_out > T_zone - _WARM_K)
     share = float(u[warm].sum() / u[rows].sum())
-    as_fahrenheit = float(np.median(in_celsius(T_out[rows])))
-    if share < _MOST_WARM_SHARE or as_fahrenheit > float(np.median(T_zone[rows])) - _COLDER_K:
+    outdoors_C, rooms_C = float(np.median(T_out[rows])), float(np.median(T_zone[rows]))
+    as_fahrenheit, (least_C, most_C) = float(in_celsius(np.array(outdoors_C))), RULES["T_zone_C"].usual
+    if share < _MOST_WARM_SHARE or (rooms_C >= least_C and as_fahrenheit > rooms_C - _COLDER_K):
         return []
-    return [
-        Remark(
-            "unit of temperature",
-            "T_out_C",
-            f"{100 * share:.0f} % of the heating happens while it is as warm outdoors as in the rooms "
-            f"(median {np.median(T_out[rows]):.0f} °C)",
-            f"°F is likelier, a median of {as_fahrenheit:.0f} °C: set unit: °F, or give (x − 32) / 1.8",
-        )
-    ]
+    why = f"{100 * share:.0f} % of the heating happens while it is as warm outdoors as in the rooms "
+    if rooms_C >= least_C:
+        remedy = f"°F is likelier, a median of {as_fahrenheit:.0f} °C: set unit: °F, or give (x − 32) / 1.8"
+        return [Remark("unit of temperature", "T_out_C", f"{why}(median {outdoors_C:.0f} °C)", remedy)]
+    exchanged = least_C <= outdoors_C <= most_C
+    remedy = "are the columns of rooms and outdoors exchanged?" if exchanged else "check column and unit of the rooms"
+    why += f"(medians {outdoors_C:.0f} and {rooms_C:.0f} °C)"
+    return [Remark("unit of temperature", "T_zone_C", why, remedy)]
 
 
 def _area_m2(layout: Layout, fed: list[int]) -> float:
