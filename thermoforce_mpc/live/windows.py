@@ -25,8 +25,8 @@ PAUSE_S, _LONGEST_S = 1800.0, 7200.0
 _LEAST_K, _TIMES, _USUAL, _COLDER_K, _LIGHT_K = 0.5, 2.5, 0.97, 5.0, 0.25
 _STEP_S = 900.0
 # Turned down against the step before, or the mean of so long before, h: by so much, or to less than half. An air unit
-# holds a light room by a level of 0.05, and one that begins to cool takes 1.3 K from it by 0.03 (`bench detectors`, seed
-# 640401, 2026-11-29). Levels this small are rounding.
+# holds a light room by a level of 0.05, and one that begins to cool takes 1.3 K from it by 0.03 (`bench detectors`,
+# seed 640401, 2026-11-29). Levels this small are rounding.
 _DOWN, _BEFORE_H, _ROUNDING = 0.05, 2.0, 0.005
 # It comes back: by this share of the fall. Least steps from which a usual fall is known: two days of 15 min.
 _BACK, _LEAST_STEPS = 0.4, 192
