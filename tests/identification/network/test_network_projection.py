@@ -126,3 +126,25 @@ def test_a_small_response_is_met_beside_a_large_one():
     later = RESPONSE_H >= 1.0
     np.testing.assert_allclose(response_at(modes, 2)[later], small[later], rtol=0.05)
     np.testing.assert_allclose(response_at(modes, 1)[later], large[later], rtol=0.12)
+
+
+def through_layers(tau_h):
+    """Response at `RESPONSE_H` of lags of different time constants (r,), h, in a row."""
+    shares = [np.prod([own / (own - other) for other in tau_h if other != own]) for own in tau_h]
+    return sum(share * -np.expm1(-RESPONSE_H / own) for share, own in zip(shares, tau_h, strict=True))
+
+
+def test_rounding_of_a_response_does_not_choose_its_modes():
+    """What comes through layers suits several sets of modes about as well; the best is found, whatever the rounding."""
+    rng = np.random.default_rng(290)
+    for _ in range(12):
+        first, second = np.exp(rng.uniform(np.log([0.3, 3.0, 20.0]), np.log([3.0, 20.0, 120.0]), (2, 3)))
+        lags = (first, (second[1], first[2]), second)
+        responses = np.stack([size * through_layers(tau_h) for size, tau_h in zip((1.0, 4.0, 2.0), lags, strict=True)])
+        rounded = responses * (1.0 + 1e-9 * rng.standard_normal(responses.shape))
+        longest_h = max(*first, *second)
+        before, after = (projected(each, 0, np.ones(3, int), 3, longest_h) for each in (responses, rounded))
+        for actuator in range(3):
+            expected = response_at(before, actuator)
+            np.testing.assert_allclose(response_at(after, actuator), expected, rtol=1e-4, atol=1e-4)
+            assert misfit(before, responses[actuator], actuator) < 0.02
