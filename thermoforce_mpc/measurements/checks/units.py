@@ -237,6 +237,8 @@ def _of_outdoors(record: Record, layout: Layout) -> list[Remark]:
     as_fahrenheit, (least_C, most_C) = float(in_celsius(np.array(outdoors_C))), RULES["T_zone_C"].usual
     if share < _MOST_WARM_SHARE or (rooms_C >= least_C and as_fahrenheit > rooms_C - _COLDER_K):
         return []
+    if rooms_C < RULES["T_zone_C"].range[0]:
+        return []  # no temperature of a room at all: their unit is asked by their readings
     why = f"{100 * share:.0f} % of the heating happens while it is as warm outdoors as in the rooms "
     if rooms_C >= least_C:
         remedy = f"°F is likelier, a median of {as_fahrenheit:.0f} °C: set unit: °F, or give (x − 32) / 1.8"
