@@ -25,17 +25,21 @@ from pathlib import Path
 from typing import IO, Any, NoReturn
 
 from thermoforce_mpc.dependencies import cache_folder
-from thermoforce_mpc.errors import ArtifactError, ConfigError, InputError, StorageError
+from thermoforce_mpc.errors import ConfigError, InputError, StorageError
 
 
-def check_replaceable(folder: Path, mark: str, what: str, *, overwrite: bool) -> None:
-    """Raise `ArtifactError` unless `folder` is not there, or `overwrite` and its file `mark` says it is a `what`."""
-    if not folder.exists():
-        return
-    if not overwrite:
-        raise ArtifactError(f"{folder}: exists already; choose another folder or ask to overwrite it")
-    if not (folder / mark).is_file():
-        raise ArtifactError(f"{folder}: not overwritten, since it holds no {mark} and so is not a saved {what}")
+def configs_folder() -> Path:
+    """Return the `configs` folder: beside the package in a source tree, inside it when installed from a wheel."""
+    package = Path(__file__).resolve().parent
+    for folder in (package.parent / "configs", package / "configs"):
+        if (folder / "testcases").is_dir():
+            return folder
+    raise ConfigError(f"configs folder not found beside or inside {package}: reinstall thermoforce-mpc")
+
+
+def named_configs(kind: str) -> dict[str, Path]:
+    """Return the shipped YAML files of one kind (`testcases`, `scenarios`, …), by name."""
+    return {path.stem: path for path in sorted((configs_folder() / kind).glob("*.yaml"))}
 
 
 @contextmanager

@@ -13,10 +13,10 @@ from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.errors import InputError, ThermoForceError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.experiment.run import run
+from thermoforce_mpc.files import named_configs
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.fmu.archive import read_archive
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.scenario.settings import named_configs
 
 CONTROLLER, NATIVE = "thermoforce_mpc", "native"
 _QUICK_DAYS, _DAYS = 2.0, 14.0

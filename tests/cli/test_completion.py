@@ -17,6 +17,7 @@ from thermoforce_mpc.boundary.periods import BOTH_NAMES
 from thermoforce_mpc.cli import cli, completion
 from thermoforce_mpc.cli.inside.schemas import KINDS
 from thermoforce_mpc.connections.registry import REGISTRY as CONNECTIONS
+from thermoforce_mpc.files import named_configs
 from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as BACKBONES
 from thermoforce_mpc.model.free_response.registry import REGISTRY as FREE_RESPONSES
 from thermoforce_mpc.plants.drawn_houses import NAMES as WEEKS
@@ -24,7 +25,6 @@ from thermoforce_mpc.plants.energyplus.office import PERIODS as OF_OFFICE
 from thermoforce_mpc.plants.registry import REGISTRY as PLANTS
 from thermoforce_mpc.plants.testcases import MADE_TESTCASES, load_testcase
 from thermoforce_mpc.scenario.building import PRICES
-from thermoforce_mpc.scenario.settings import named_configs
 
 
 def completed(*words: str) -> list[str]:

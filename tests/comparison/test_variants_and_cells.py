@@ -20,10 +20,11 @@ from thermoforce_mpc.comparison.cells import (
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.experiment import experiment as experiment_module
 from thermoforce_mpc.experiment.identifying import IdentificationTask
+from thermoforce_mpc.files import named_configs
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.scenario.settings import named_configs, validate
+from thermoforce_mpc.scenario.settings import validate
 
 TESTCASE = "bestest_hydronic_heat_pump"
 BASE = Scenario(testcase=TESTCASE, days=1)

@@ -13,12 +13,12 @@ from controllers import registry
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.identifying import IdentificationTask, SavedModel
+from thermoforce_mpc.files import named_configs
 from thermoforce_mpc.plants import testcases
 from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.scenario import settings
 from thermoforce_mpc.scenario import testcase as testcase_module
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.scenario.settings import named_configs
 
 TESTCASE = "bestest_hydronic_heat_pump"
 

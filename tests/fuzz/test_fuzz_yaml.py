@@ -14,8 +14,9 @@ from controllers.registry import controller_config
 from thermoforce_mpc.comparison.cells import load_comparison
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.experiment.experiment import Experiment
+from thermoforce_mpc.files import configs_folder, named_configs
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
-from thermoforce_mpc.scenario.settings import configs_folder, named_configs, parse_overrides
+from thermoforce_mpc.scenario.settings import parse_overrides
 
 FILES = [path for kind in ("testcases", "scenarios", "comparisons") for path in named_configs(kind).values()]
 

@@ -9,12 +9,12 @@ from pydantic import BaseModel
 from controllers import MPCConfig
 from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import named_configs
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import (
     find_config,
     merge,
-    named_configs,
     nested,
     parse_overrides,
     read_yaml,

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from thermoforce_mpc.files import named_configs
+
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
@@ -43,16 +45,8 @@ _RUNS = Path("runs")
 Names = Callable[[], Iterable[str]]
 
 
-def _configs(kind: str) -> list[str]:
-    """Names of the shipped YAML files of a kind, beside the package in a checkout, inside it in a wheel."""
-    package = Path(__file__).parents[1]
-    folders = [folder / "configs" / kind for folder in (package.parent, package)]
-    found = next((folder for folder in folders if folder.is_dir()), None)
-    return [] if found is None else sorted(path.stem for path in found.glob("*.yaml"))
-
-
 def _testcases() -> list[str]:
-    names = [name.replace("energyplus_", "energyplus:", 1) for name in _configs("testcases")]
+    names = [name.replace("energyplus_", "energyplus:", 1) for name in named_configs("testcases")]
     return [*names, *(f"{name}:" for name in _with_plugins("testcases", MADE_TESTCASES))]
 
 
@@ -82,12 +76,12 @@ def _runs(typed: str) -> Iterator[str]:
                 yield before + path.name
 
 
-_controllers, _fleets = partial(_with_plugins, "controllers", CONTROLLERS), partial(_configs, "fleets")
+_controllers, _fleets = partial(_with_plugins, "controllers", CONTROLLERS), partial(named_configs, "fleets")
 # Names by option or argument; of a command alone by both.
 _NAMES: dict[str | tuple[str, str], Names] = {
     "testcase": _testcases,
-    "config": partial(_configs, "scenarios"),
-    "variants": partial(_configs, "comparisons"),
+    "config": partial(named_configs, "scenarios"),
+    "variants": partial(named_configs, "comparisons"),
     "fleet": _fleets,
     "plant": partial(_with_plugins, "plants", PLANTS),
     "connection": partial(_with_plugins, "connections", CONNECTIONS),

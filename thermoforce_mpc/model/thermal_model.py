@@ -15,7 +15,6 @@ from thermoforce_mpc.data import HOUR_S, SINGLE, Array, Boundary, Layout, Names,
 from thermoforce_mpc.data.limits import EFFECT_K
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ArtifactError, DataError
-from thermoforce_mpc.files import check_replaceable
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
@@ -290,7 +289,7 @@ class ThermalModel:
         certificate, and `StorageError` where the disk refuses.
         """
         folder = Path(folder)
-        check_replaceable(folder, JSON_NAME, "model", overwrite=overwrite)
+        _check_replaceable(folder, overwrite)
         proofs = self.operator.certificates()
         _check_proofs(proofs, f"{folder}: not saved, ")
         content, arrays = encode(**{item.name: getattr(self, item.name) for item in fields(self)})
@@ -355,6 +354,15 @@ def _step_response_K(pair: OperatorParameters, hours: float) -> float:
     """Change by `hours` at full level where the gain is 1, K."""
     steps = max(1, int(hours * HOUR_S // pair.step_s))
     return float(pair.impulse(steps).sum())
+
+
+def _check_replaceable(folder: Path, overwrite: bool) -> None:
+    if not folder.exists():
+        return
+    if not overwrite:
+        raise ArtifactError(f"{folder}: exists already; choose another folder or ask to overwrite it")
+    if not (folder / JSON_NAME).is_file():
+        raise ArtifactError(f"{folder}: not overwritten, since it holds no {JSON_NAME} and so is not a saved model")
 
 
 def _check_proofs(proofs: Mapping[tuple[str, str], Certificate], where: str) -> None:

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from thermoforce_mpc.errors import ConfigError, InputError
+from thermoforce_mpc.files import named_configs
 from thermoforce_mpc.registry import Registry, builder
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.scenario.settings import find_config, is_config, merge, read_yaml, validate
+from thermoforce_mpc.scenario.settings import find_config, merge, read_yaml, validate
 from thermoforce_mpc.scenario.testcase import TestCase, read_testcase
 
 
@@ -32,6 +33,11 @@ MADE_TESTCASES: Registry[Callable[[str], TestCase]] = Registry(
 )
 
 
+def is_read(name: str) -> bool:
+    """Whether `name` is that of a shipped test case, or has the ending of a YAML file."""
+    return Path(name).suffix in {".yaml", ".yml"} or name in named_configs("testcases")
+
+
 def load_testcase(name: str) -> TestCase:
     """Read a test case by name or YAML path, or make it; raises `ConfigError`.
 
@@ -39,7 +45,7 @@ def load_testcase(name: str) -> TestCase:
     `generated:SEED:INDEX` are drawn; a plugin's has its name.
     """
     prefix = name.partition(":")[0]
-    if not is_config("testcases", name) and prefix in MADE_TESTCASES:
+    if not is_read(name) and prefix in MADE_TESTCASES:
         make = MADE_TESTCASES.find(prefix)
         try:
             return make(name)

@@ -34,7 +34,7 @@ from pydantic import (
 )
 
 from thermoforce_mpc.errors import ConfigError, suggestion
-from thermoforce_mpc.files import odd_number, read_bounded
+from thermoforce_mpc.files import named_configs, odd_number, read_bounded
 
 # Largest magnitude by the unit at the end of a key: far beyond any building, but finite. Temperatures in °C also have a
 # least value; no key is in kelvin.
@@ -351,10 +351,7 @@ def _reason(error: Exception) -> str:
     return " ".join(str(error).split())[:300]
 
 
-__all__ = [
-    "StrictModel", "configs_folder", "find_config", "is_config", "merge", "named_configs", "nested", "parse_overrides",
-    "read_yaml", "suggestion", "validate",
-]  # fmt: skip
+__all__ = ["StrictModel", "find_config", "merge", "nested", "parse_overrides", "read_yaml", "suggestion", "validate"]
 
 Model = TypeVar("Model", bound=BaseModel)
 _MOST_LISTED = 20
@@ -363,25 +360,6 @@ _BRIEF.maxstring = _BRIEF.maxother = 160
 _BRIEF.maxdict = _BRIEF.maxlist = _BRIEF.maxtuple = 12
 # Tags of the alternatives of a key, which pydantic puts into the place of an error; no key of ours has these names.
 UNION_TAGS = ("direct", "room", "one_zone", "weather_only", "meters", "factors", "air")
-
-
-def configs_folder() -> Path:
-    """Return the `configs` folder: beside the package in a source tree, inside it when installed from a wheel."""
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package.parent / "configs", package / "configs"):
-        if (folder / "testcases").is_dir():
-            return folder
-    raise ConfigError(f"configs folder not found beside or inside {package}: reinstall thermoforce-mpc")
-
-
-def named_configs(kind: str) -> dict[str, Path]:
-    """Return the shipped YAML files of one kind ('testcases' or 'scenarios'), by name."""
-    return {path.stem: path for path in sorted((configs_folder() / kind).glob("*.yaml"))}
-
-
-def is_config(kind: str, name: str) -> bool:
-    """Whether `name` is that of a shipped configuration, or has the ending of a YAML file."""
-    return Path(name).suffix in {".yaml", ".yml"} or name in named_configs(kind)
 
 
 # How a file of a kind is made that is none of those that are known.

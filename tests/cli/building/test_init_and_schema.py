@@ -14,8 +14,9 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.inside.schemas import KINDS, schema_of, schema_text
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.experiment.experiment import Experiment
+from thermoforce_mpc.files import configs_folder, named_configs
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
-from thermoforce_mpc.scenario.settings import configs_folder, named_configs, parse_value, read_yaml
+from thermoforce_mpc.scenario.settings import parse_value, read_yaml
 
 SCHEMAS = {kind: jsonschema.Draft202012Validator(schema_of(kind)) for kind in KINDS}
 SHIPPED = [(kind, path) for kind in KINDS for path in named_configs(f"{kind}s").values()]

@@ -7,9 +7,9 @@ import pytest
 from documented_points import DOCUMENTED
 
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import named_configs
 from thermoforce_mpc.plants.points import check_points
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.scenario.settings import named_configs
 
 OTHERS = ["bestest_hydronic", "bestest_air"]
 LEVELS = ["bestest_hydronic"]

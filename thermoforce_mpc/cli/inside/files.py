@@ -66,8 +66,8 @@ def init(
       tf-mpc init my_house --for home-assistant
     """
     from thermoforce_mpc.measurements.map.starting_map import starting_map
-    from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
-    from thermoforce_mpc.scenario.settings import find_config, is_config
+    from thermoforce_mpc.plants.testcases import is_read, load_scenario, load_testcase
+    from thermoforce_mpc.scenario.settings import find_config
 
     if from_url is not None:
         if copy_testcase or data is not None or home is not None:
@@ -101,7 +101,7 @@ def init(
     scenario = load_scenario(None, overrides | {"testcase": testcase, "plant": plant})
     texts = {"scenario": _headed("scenario", scenario_text(scenario.model_copy(update=overrides)))}
     if copy_testcase:
-        if building.name == testcase and not is_config("testcases", testcase):
+        if building.name == testcase and not is_read(testcase):
             raise ConfigError(f"--copy-testcase: '{testcase}' is made, not read from a file; leave the option out")
         path = find_config("testcases", testcase.replace("energyplus:", "energyplus_", 1))
         texts["testcase"] = _headed("testcase", path.read_text(encoding="utf-8"))

@@ -13,10 +13,11 @@ import click
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
+from thermoforce_mpc.files import named_configs
 from thermoforce_mpc.plants.testcases import MADE_TESTCASES, load_testcase
 from thermoforce_mpc.registry import OWN, Registry
 from thermoforce_mpc.scenario.own_code import first_line, options_model
-from thermoforce_mpc.scenario.settings import named_configs, read_yaml
+from thermoforce_mpc.scenario.settings import read_yaml
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.free_response.backbones.known import Known
