@@ -50,7 +50,8 @@ class Knob:
         for to, same in groupby(row.tolist()):
             n = len(list(same))
             if abs(to - value) > SAME:
-                must_leave = at == 0 and (not command.allows(value) or self._outside(value, 0))
+                inside = self.low[0] - SAME <= value <= self.high[0] + SAME
+                must_leave = at == 0 and not (command.allows(value) and inside)
                 may_go_on = held_s + self.part_s <= command.longest_s(value) + SAME
                 if held_s < hold_s - SAME and may_go_on and not must_leave:
                     return False
@@ -62,9 +63,6 @@ class Knob:
                 return False
             at += n
         return True
-
-    def _outside(self, value: float, k: int) -> bool:
-        return not self.low[k] - SAME <= value <= self.high[k] + SAME
 
     def outside(self, row: Array) -> int:
         """Parts in which commands (P,) lie outside their limits."""

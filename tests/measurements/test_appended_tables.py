@@ -46,7 +46,7 @@ def path(tmp_path):
 def parts(request, monkeypatch):
     """Each case with the file read at once, and in parts of a few lines, as a long one is."""
     if request.param == "in parts":
-        monkeypatch.setattr(appended.PARTS, "part_bytes", 400)
+        monkeypatch.setattr(appended, "PART_BYTES", 400)
     return request.param
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from faults import shifted
@@ -9,6 +11,7 @@ from simple_house import SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
+from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.report.html import free_forecast_scores
 
@@ -20,13 +23,14 @@ def test_errors_and_coverage_are_those_of_the_free_forecast_alone(error_K, cover
     options = {"step_s": None, "horizon_h": 24, "corrections": False, "watch": {"enabled": False}}
     config = MPCConfig.model_validate(options)
     mpc = ThermoForceMPC(simple_model(), config, free_response=shifted(error_K))
-    result = run_closed_loop(house, mpc, house.period("x"))
-    rows = free_forecast_scores(result, horizons_h=(1.0, 6.0), settle_h=4.0)
-    assert [row["hours"] for row in rows] == [1.0, 6.0]
+    result = run_closed_loop(house, mpc, replace(house.period("x"), scored_s=4 * DAY_S))
+    rows = free_forecast_scores(result)
+    assert [row["hours"] for row in rows] == [1.0, 6.0, 24.0]
     # The model and the forecast are exact but for the shift, whatever the controller did meanwhile.
     np.testing.assert_allclose([row["mae_K"] for row in rows], error_K, atol=0.03)
-    assert [row["coverage"] for row in rows] == [coverage, coverage]
-    assert rows[0]["n"] == 48 - 4 - 1
+    assert [row["coverage"] for row in rows] == [coverage] * 3
+    # Of four days, without the first two, while corrections adapt.
+    assert rows[0]["n"] == 96 - 48 - 1
 
 
 def test_rules_have_no_forecasts_to_score():

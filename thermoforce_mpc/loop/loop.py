@@ -16,7 +16,7 @@ import tempfile
 import time
 import traceback
 import weakref
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -43,12 +43,12 @@ class KeptSteps(Sequence[_Step]):
     The file has no name and is written and read by this object alone.
     """
 
-    def __init__(self, folder: Path | None = None, in_memory: int = _IN_MEMORY, steps: Iterable[_Step] = ()) -> None:
-        """Keep `steps`; `folder` is where the file is made if there are more than `in_memory`, by default the
-        system's for temporary files.
+    def __init__(self, folder: Path | None = None, in_memory: int = _IN_MEMORY) -> None:
+        """`folder` is where the file is made if there are more than `in_memory`, by default the system's for temporary
+        files.
         """
         self._folder, self._most = folder, in_memory
-        self._recent: list[_Step] = [*steps]
+        self._recent: list[_Step] = []
         self._places: list[int] = []
         self._file: Any = None
 
@@ -85,7 +85,7 @@ class KeptSteps(Sequence[_Step]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To another process all of them go in memory."""
-        return KeptSteps, (None, len(self), tuple(self))
+        return KeptSteps, (None, len(self)), None, iter(self)
 
     def _write_step(self, step: _Step) -> None:
         with storage_errors((self._folder or Path(tempfile.gettempdir())) / "steps of this run"):

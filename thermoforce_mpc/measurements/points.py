@@ -90,9 +90,7 @@ class LivePoint:
         return float(np.average(held, weights=np.diff(edges)))
 
 
-def read_points(
-    files: str | Path | pd.DataFrame, rules: MeasurementMap, now: pd.Timestamp, most_bytes: int = MOST_BYTES
-) -> tuple[LivePoint, ...]:
+def read_points(files: str | Path | pd.DataFrame, rules: MeasurementMap, now: pd.Timestamp) -> tuple[LivePoint, ...]:
     """The points of a map in a table that a machine writes, as they are at `now`; a missing one is said, not refused.
 
     Raises:
@@ -112,7 +110,7 @@ def read_points(
         else:
             tables = tables_of(files, clock.column, columns, rules.table, "table")
     else:
-        paths = found_files([files], most_bytes)
+        paths = found_files([files], MOST_BYTES)
         tables = read_appended(paths, columns, rules.written, now + _LATEST, notes, absent)
     rows = timed(tables, clock, now) if tables else None
     if rows is not None and rows.index.tz is None:

@@ -76,17 +76,18 @@ class RecordedPlant:
     the journal; a plant that outlives the process (a service) is left alone until the first new request.
     """
 
-    def __init__(
-        self, plant: Plant, journal: Journal, entries: Iterable[JournalEntry] = (), *, cut: bool = False
-    ) -> None:
-        """Wrap `plant`; `entries` are the records to catch up with, `cut`: later ones are lost."""
+    _cut = False
+    """Whether records after those to catch up with are lost."""
+
+    def __init__(self, plant: Plant, journal: Journal, entries: Iterable[JournalEntry] = ()) -> None:
+        """Wrap `plant`; `entries` are the records to catch up with."""
         self.inside = plant
         """The plant itself, for what is not journaled here."""
         self._journal, self._names = journal, SINGLE
         self._entries = deque(entries)
         self._outlives = outlives(plant)
         self._restarting = plant if can_restart(plant) else None
-        self._away, self._cut = self._outlives and bool(self._entries), cut
+        self._away = self._outlives and bool(self._entries)
         self._periods: dict[str, Period] = {}
         self._reset: Json = {}
         self._last: Measurement | None = None
@@ -250,8 +251,9 @@ class JournaledPlant(RecordedPlant):
     def __init__(
         self, plant: Plant, journal: Journal, entries: Iterable[JournalEntry] = (), *, cut: bool = False
     ) -> None:
-        """See `RecordedPlant`."""
-        super().__init__(plant, journal, entries, cut=cut)
+        """See `RecordedPlant`; `cut`: later records are lost."""
+        super().__init__(plant, journal, entries)
+        self._cut = cut
         self._ahead: Json = {}
         self._rows: Array | None = None  # of the last forecast
         self._to_come = 0

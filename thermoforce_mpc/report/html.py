@@ -140,7 +140,7 @@ def events(result: RunResult) -> list[dict[str, Any]]:
     return stretches
 
 
-def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0, 12.0, 24.0)) -> list[dict[str, Any]]:
+def forecast_errors(result: RunResult) -> list[dict[str, Any]]:
     """Error of the planned zone temperature: `zone`, `hours`, `bias_K` (planned − measured), `rmse_K`, `n` plans.
 
     The error at the first step is a pure prediction error. Beyond it, the error also includes the difference between
@@ -155,20 +155,18 @@ def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0
             return {}
         return {"bias_K": float(np.mean(finite)), "rmse_K": float(np.sqrt(np.mean(finite**2))), "n": finite.size}
 
-    return _scored(result, result.steps, measured, horizons_h, figures)
+    return _scored(result, result.steps, measured, (1.0, 6.0, 12.0, 24.0), figures)
 
 
-def free_forecast_scores(
-    result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0, 24.0), settle_h: float = 48.0
-) -> list[dict[str, Any]]:
+def free_forecast_scores(result: RunResult) -> list[dict[str, Any]]:
     """Error of free forecasts and coverage of their 80 % intervals: `zone`, `hours`, `mae_K`, `coverage`, `n`.
 
     The reference is the free temperature `T_free_now_C` of the plan made at the forecast's target time, so later
-    actions do not affect the score. Plans of the first `settle_h` hours are left out, while corrections adapt.
+    actions do not affect the score. Plans of the first two days are left out, while corrections adapt.
     """
     came = {round(step.time_s): step.plan.T_free_now_C for step in result.steps if step.plan.u.size}
     start_s = result.steps[0].time_s if result.steps else 0.0
-    settled = [step for step in result.steps if step.time_s - start_s >= settle_h * HOUR_S]
+    settled = [step for step in result.steps if step.time_s - start_s >= 2 * DAY_S]
 
     def figures(plans: list[tuple[Plan, int, Array]], z: int) -> dict[str, Any]:
         error = np.array([plan.T_free_C[z, k] - later[z] for plan, k, later in plans])
@@ -179,7 +177,7 @@ def free_forecast_scores(
         mae_K = float(np.mean(np.abs(error[finite])))
         return {"mae_K": mae_K, "coverage": float(np.mean(inside[finite])), "n": int(finite.sum())}
 
-    return _scored(result, settled, came, horizons_h, figures)
+    return _scored(result, settled, came, (1.0, 6.0, 24.0), figures)
 
 
 def _scored(

@@ -189,17 +189,17 @@ def _shown(step: StepRecord) -> dict[str, Any]:
     }
 
 
-def thinning(result: RunResult, most: int = MOST_STEPS) -> int:
-    """Of how many decisions one is shown, so that there are `most`: 1, 2, 4, …"""
+def thinning(result: RunResult) -> int:
+    """Of how many decisions one is shown, so that there are at most `MOST_STEPS`: 1, 2, 4, …"""
     every = 1
-    while len(result.steps) > every * most:
+    while len(result.steps) > every * MOST_STEPS:
         every *= 2
     return every
 
 
-def decisions_json(result: RunResult, most: int = MOST_STEPS) -> Json:
+def decisions_json(result: RunResult) -> Json:
     """Status, reason, solver and first predicted step of each decision, one of a kind after the other."""
-    every = thinning(result, most)
+    every = thinning(result)
     shown = [_shown(step) for step in islice(result.steps, 0, None, every)]
     columns = {name: [row[name] for row in shown] for name in shown[0]}
     number_of: dict[str, int] = {}

@@ -163,10 +163,10 @@ class Bill(StrictModel):
             fee[window.holds(month, weekday, hour)] = window.per_kWh
         return np.asarray((energy + self.supplier_per_kWh + self.levies_per_kWh + fee) * (1.0 + self.vat))
 
-    def over_year(self, energy: Array, time_s: Array, first_weekday: int = 1) -> Array:
-        """`per_kWh` at `time_s` (n,), s since 1 January, of years of 365 days from a `first_weekday` (Tuesday)."""
+    def over_year(self, energy: Array, time_s: Array) -> Array:
+        """`per_kWh` at `time_s` (n,), s since 1 January, of years of 365 days that begin on a Tuesday."""
         day = np.floor(np.asarray(time_s) / DAY_S)
-        return self.per_kWh(energy, month_of(time_s), (day + first_weekday) % 7, (time_s - day * DAY_S) / HOUR_S)
+        return self.per_kWh(energy, month_of(time_s), (day + 1) % 7, (time_s - day * DAY_S) / HOUR_S)
 
     def at(self, energy: Array, stamps: pd.DatetimeIndex) -> Array:
         """`per_kWh` at instants of a calendar (n,), on the clock of their zone."""

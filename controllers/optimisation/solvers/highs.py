@@ -19,13 +19,15 @@ _MOST_SCALE = 2.0**24
 # By how much rows may be left: what that saves, a weight of comfort multiplies. 1e-10 is the least that HiGHS takes.
 _TOLERANCE = 1e-9
 
+# Relative gap to the bound of a programme with choices: a thousandth of what a plan costs, forecasts miss far more.
+GAP = 1e-3
+
 
 class MilpConfig(StrictModel):
     """Options of the mixed-integer programme."""
 
     hours: float = Field(1.0, gt=0, description="first part of the horizon in which choices are decided, h")
-    # A thousandth of what a plan costs: forecasts miss far more.
-    gap: float = Field(1e-3, ge=0, description="relative gap to the bound at which the solver stops")
+    gap: float = Field(GAP, ge=0, description="relative gap to the bound at which the solver stops")
     # Choices are made anew a quarter of an hour later, so that a good plan now is worth more than the best.
     max_seconds: float = Field(2.0, gt=0, description="time after which the best plan so far is taken, s")
 

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from controllers.optimisation.problem import ProblemShape
 from controllers.optimisation.solution import SolverAnswer, StatementSolver
-from controllers.optimisation.solvers.highs import Highs, MilpConfig
+from controllers.optimisation.solvers.highs import GAP, Highs, MilpConfig
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -97,7 +97,7 @@ class IpoptSolver(StatementSolver):
         if found.claimed is None or found.why:
             return found
         gap = max(found.claimed - begin.claimed, 0.0) / max(abs(found.claimed), 1e-9)
-        if gap <= MilpConfig().gap:
+        if gap <= GAP:
             return replace(found, gap=gap)
         why = f"its choices are rounded, {gap:.1%} above what they cost where they need not be whole"
         return replace(found, why=why, gap=gap)

@@ -44,9 +44,9 @@ class Modes:
     gains: Array
 
 
-def projected(responses: Array, own: int, signs: Array, order: int, longest_h: float = _LONGEST_H) -> Modes:
-    """The step responses (A, T) K of a zone at `RESPONSE_H` as `order` modes each: those of its `own` actuator, and
-    those that suit all others.
+def projected(responses: Array, signs: Array, order: int, longest_h: float) -> Modes:
+    """The step responses (A, T) K of a zone at `RESPONSE_H` as `order` modes each: those of its own actuator, the
+    first, and those that suit all others.
 
     None is longer than `longest_h`, the network's own: what rises on after the last of `RESPONSE_H` would otherwise
     have any steady state.
@@ -54,10 +54,9 @@ def projected(responses: Array, own: int, signs: Array, order: int, longest_h: f
     from scipy.optimize import nnls
 
     means = responses * np.asarray(signs)[:, None]
-    others = np.arange(len(means)) != own
-    log_tau = np.tile(_time_constants(means[[own]], order, longest_h), (len(means), 1))
-    if others.any():
-        log_tau[others] = _time_constants(means[others], order, longest_h)
+    log_tau = np.tile(_time_constants(means[:1], order, longest_h), (len(means), 1))
+    if len(means) > 1:
+        log_tau[1:] = _time_constants(means[1:], order, longest_h)
     gains = []
     for of_one, mean in zip(log_tau, means, strict=True):
         weights = _weights(mean)

@@ -112,7 +112,7 @@ def _estimate(
     folds: dict[str, Fold] = {}
     modes, without = dict[str, Modes](), {name: fit.without(home, k) for name, fit in by_fold.items()}
     for name, fit in by_fold.items():
-        modes[name] = projected(fit.responses[home, order], 0, np.array(signs), data.config.modes, fit.longest_h)
+        modes[name] = projected(fit.responses[home, order], np.array(signs), data.config.modes, fit.longest_h)
         log_tau, gains, (own, *others) = modes[name].log_tau, modes[name].gains, (inputs[name][b] for b in order)
         # The others share time constants.
         regressions = [without_others(e, others, signs[1:], log_tau[-1], gains[1:]) for e in data.of_fold(name, own)]

@@ -228,22 +228,23 @@ def _joined(text: _Text, parts: Sequence[_Part], latest: pd.Timestamp, left: _Le
     )
 
 
+PART_BYTES = 2**19
+"""Size of a part of a file that is kept: half a tenth of a second to read."""
+# Files of which parts are kept: of a year with one a day.
+_MOST_FILES = 400
+
+
 class PartsKept:
-    """Parts of files that were read last, by how they are read and what stands there: of a log only the end is new.
+    """Parts of files that were read last, by how they are read and what stands there: of a log only the end is new."""
 
-    `part_bytes`: of each, half a tenth of a second to read; `most_files`: of so many, as of a year with one a day;
-    `read_bytes`: what was not known, since the start.
-    """
-
-    def __init__(self, part_bytes: int = 2**19, most_files: int = 400) -> None:
-        self.part_bytes, self.most_files, self.read_bytes = part_bytes, most_files, 0
+    def __init__(self) -> None:
         self._of_files: OrderedDict[tuple[Any, ...], dict[bytes, _Part]] = OrderedDict()
 
     def turn_over(self, key: tuple[Any, ...]) -> tuple[dict[bytes, _Part], dict[bytes, _Part]]:
         """What was known of a file, and an empty place for what is known of it from now on."""
         before = self._of_files.pop(key, {})
         here = self._of_files[key] = {}
-        while len(self._of_files) > self.most_files:
+        while len(self._of_files) > _MOST_FILES:
             self._of_files.popitem(last=False)
         return before, here
 
@@ -265,17 +266,14 @@ def _parts(text: _Text, content: bytes, first: int) -> list[_Part] | None:
     if not text.in_parts:
         return None
     cuts = [begin]
-    least = PARTS.part_bytes
-    while len(content) - cuts[-1] > 2 * least and (end := content.find(b"\n", cuts[-1] + least) + 1):
+    while len(content) - cuts[-1] > 2 * PART_BYTES and (end := content.find(b"\n", cuts[-1] + PART_BYTES) + 1):
         cuts.append(end)
     key = (text.name, text.names, text.wanted, *(one.model_dump_json() for one in (text.clock, text.form, text.table)))
     before, here = PARTS.turn_over(key)
     parts, line = list[_Part](), first
     for cut, end in pairwise([*cuts, len(content)]):
         digest = hashlib.blake2b(memoryview(content)[cut:end], digest_size=16).digest()
-        if (known := before.get(digest)) is None:
-            PARTS.read_bytes += end - cut
-        part = here[digest] = known or _part(text, content[cut:end], 0)
+        part = here[digest] = before.get(digest) or _part(text, content[cut:end], 0)
         if not part.alone and len(cuts) > 1:
             return None
         parts.append(replace(part, line=line))

@@ -171,7 +171,8 @@ def draw_house(seed: int, index: int) -> House:
     """Draw house `index` of the population `seed`; sources of distributions: docs/how-it-works/random-buildings.md."""
     rng = np.random.default_rng([seed, index])
     # Envelope. Areas and U-values span TABULA's single-family and terraced houses, from not refurbished to passive.
-    area = _log_uniform(rng, 50.0, 220.0)
+    # By the C library: NumPy's differ in the last bit from processor to processor, and so would a run's content key.
+    area = math.exp(rng.uniform(math.log(50.0), math.log(220.0)))
     mass = list(MASSES)[rng.integers(len(MASSES))]
     age = rng.uniform()  # 0: passive house, 1: not refurbished
     U_opaque = 0.15 * 8.0 ** (age * rng.uniform(0.85, 1.0))
@@ -301,8 +302,3 @@ def heat_pump_cop(carnot: float, T_out_C: float, water_C: float) -> float:
     """
     warm_K = water_C + 5.0 + ZERO_C_K
     return carnot * warm_K / max(warm_K - (T_out_C - 8.0 + ZERO_C_K), 15.0)
-
-
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    # By the C library: NumPy's differ in the last bit from processor to processor, and so would a run's content key.
-    return math.exp(rng.uniform(math.log(low), math.log(high)))

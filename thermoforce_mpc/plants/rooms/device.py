@@ -50,8 +50,8 @@ class Device:
 
     @property
     def tank_C(self) -> float:
-        """Target of the tank, °C; 0 where there is none."""
-        return float(self.parameters[TANK_TARGET]) if self.parameters[TANK_J_K] else 0.0
+        """Target of the tank, °C."""
+        return float(self.parameters[TANK_TARGET])
 
     def told(self, target_C: float | None, charges: bool) -> Array:
         """Its parameters with another target of the tank, °C, and without its band where it is to be charged now."""
@@ -71,7 +71,7 @@ class Device:
         return state
 
 
-def draw_device(house: DrawnHouse, hot_water: bool = True) -> Device:
+def draw_device(house: DrawnHouse) -> Device:
     """Draw the device of a house, and its people's hot water; the same house has the same one."""
     rng = np.random.default_rng([house.seed, len(house.rooms), 7])
     parameters = np.zeros(14)
@@ -79,11 +79,11 @@ def draw_device(house: DrawnHouse, hot_water: bool = True) -> Device:
     parameters[MIN_ON], parameters[MIN_OFF] = 600.0, 600.0
     parameters[BUFFER_J_K] = 12.0 * house.heat_pump.capacity_W / 1000.0 * WATER_J_KG_K
     parameters[FROST_AFTER], parameters[DEFROST_FOR] = rng.uniform(3000.0, 5400.0), 300.0
-    parameters[TANK_J_K] = (75.0 + 60.0 * house.people) * WATER_J_KG_K if hot_water else 0.0
+    parameters[TANK_J_K] = (75.0 + 60.0 * house.people) * WATER_J_KG_K
     parameters[TANK_TARGET], parameters[TANK_BAND] = rng.uniform(46.0, 52.0), 6.0
     parameters[TANK_LOSS], parameters[TANK_OVER] = 1.4, 6.0
     parameters[RAISE], parameters[TANK_RAISE], parameters[STANDBY] = rng.uniform(2.5, 4.0), 5.0, 12.0
-    return Device(parameters, _draw_off_W(house, rng) if hot_water else np.zeros(year().size))
+    return Device(parameters, _draw_off_W(house, rng))
 
 
 def _draw_off_W(house: DrawnHouse, rng: np.random.Generator) -> Array:
@@ -105,12 +105,11 @@ def _draw_off_W(house: DrawnHouse, rng: np.random.Generator) -> Array:
 def switched(state: np.ndarray, device: np.ndarray, wanted_C: float, is_open: bool, contact: float, dt: float) -> None:
     """Switch the machine of `state` (7,) in place for the next `dt` s, with water of `wanted_C` asked for, if any."""
     raised = device[TANK_RAISE] if contact >= RECOMMENDED else 0.0
-    if device[TANK_J_K] > 0.0:
-        target = device[TANK_TARGET] + raised
-        if state[TANK] < target - device[TANK_BAND]:
-            state[CHARGES] = 1.0
-        elif state[TANK] >= target:
-            state[CHARGES] = 0.0
+    target = device[TANK_TARGET] + raised
+    if state[TANK] < target - device[TANK_BAND]:
+        state[CHARGES] = 1.0
+    elif state[TANK] >= target:
+        state[CHARGES] = 0.0
     is_blocked = contact == BLOCKED
     state[HELD] += dt
     if state[RUNS] > 0.0:
@@ -148,8 +147,7 @@ def heat_of_device(
                     state[FROST], state[DEFROSTS] = 0.0, device[DEFROST_FOR]
     into_buffer = heat if not to_tank or defrosts > 0.0 else 0.0
     state[BUFFER] += (into_buffer - taken_W) * dt / device[BUFFER_J_K]
-    if device[TANK_J_K] > 0.0:
-        into_tank = heat - into_buffer
-        lost = draw_W + device[TANK_LOSS] * (state[TANK] - _CELLAR_C)
-        state[TANK] += (into_tank - lost) * dt / device[TANK_J_K]
+    into_tank = heat - into_buffer
+    lost = draw_W + device[TANK_LOSS] * (state[TANK] - _CELLAR_C)
+    state[TANK] += (into_tank - lost) * dt / device[TANK_J_K]
     return heat, defrosts

@@ -25,7 +25,6 @@ from thermoforce_mpc.plants.rooms.device import (
     RAISE,
     RECOMMENDED,
     STANDBY,
-    TANK_J_K,
     TANK_OVER,
     heat_of_device,
     switched,
@@ -385,7 +384,7 @@ def advance(
             gained += gains[row, i] + w[SUN + i]
             out[ROOMS + i], out[ROOMS + n + i], out[ROOMS + 2 * n + i] = room_C[i], levels[i], q[i]
         out[POWER], out[HEAT], out[SUPPLY] = power, heat, supply
-        out[TANK] = state[TANK_STATE] if device.size and device[TANK_J_K] > 0.0 else math.nan
+        out[TANK] = state[TANK_STATE] if device.size else math.nan
         out[OUTDOOR], out[SOLAR], out[LOSS], out[GAIN], out[STORED] = T_out, w[GLOBAL], lost, gained, stored
 
 

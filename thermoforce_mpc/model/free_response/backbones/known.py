@@ -46,7 +46,7 @@ class Known:
         if self.python and python_version() not in SpecifierSet(self.python):
             own = f"with a newer one, pip install 'thermoforce-mpc[{self.extra}]'"
             return f"it needs Python {self.python}, this is {python_version()}: {own}"
-        if self.torch and (here := _version("torch")) not in SpecifierSet(self.torch):
+        if self.torch and (here := _torch_version()) not in SpecifierSet(self.torch):
             own = f"pip install 'torch{self.torch}' 'thermoforce-mpc[{self.extra}]'"
             return f"it needs torch {self.torch}, this is {here}: install both in an environment of their own: {own}"
         if self.module and importlib.util.find_spec(self.module) is None:
@@ -59,9 +59,9 @@ class Known:
             raise BackboneError(f"backbone '{self.name}': {why}")
 
 
-def _version(package: str) -> str:
+def _torch_version() -> str:
     try:
-        return version(package).partition("+")[0]
+        return version("torch").partition("+")[0]
     except PackageNotFoundError:
         return "not installed"
 
