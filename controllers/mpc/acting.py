@@ -111,7 +111,7 @@ class NoModelController(ActuatedController):
         self.reason, self.config = reason, config
         step_s = config.step_s or step_s
         # As far as the on/off rule looks.
-        n_steps = max(1, math.ceil(config.fallback.look_ahead_h * HOUR_S / step_s))
+        n_steps = math.ceil(config.fallback.look_ahead_h * HOUR_S / step_s)
         check_names("actuations", config.actuations, "actuator", layout.names.actuators)
         actuations = [Actuation(config.actuation_of(actuator)) for actuator in layout.names.actuators]
         super().__init__(name, step_s, n_steps, layout, actuations, config.fallback)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record
-from thermoforce_mpc.model.forecast_gaps import completed, lengthened, weather_spread, whole
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Names, Record
+from thermoforce_mpc.model.forecast_gaps import BY_DAYS, completed, lengthened, weather_spread, whole
 
 N, NOW_S = 48, 30 * DAY_S
 
@@ -88,6 +88,35 @@ def test_where_the_record_has_holes_too_it_is_the_mean_of_the_hour():
     filled, how = completed(without(boundary(), "T_out_C"), replace(history, T_out_C=T), None)
     assert np.isfinite(filled.T_out_C).all()
     assert "the mean of the record at that hour" in how
+
+
+def of_two_machines(dearer: float) -> Boundary:
+    """Prices of two machines with a hole at 5 and 6; heating of the second may cost more, with a hole at 8."""
+    given = boundary()
+    price = np.repeat(without(given, "price_per_kWh", [5, 6]).price_per_kWh, 2, axis=0)
+    heating = price.copy()
+    if dearer:
+        heating[1] = boundary().price_per_kWh + dearer
+        heating[1, 8] = np.nan
+    names = Names(("room",), ("floor", "fan"), ("heat pump", "heating_boiler"))
+    emission = np.repeat(given.emission_kg_per_kWh, 2, axis=0)
+    return replace(given, price_per_kWh=price, heating_price_per_kWh=heating, emission_kg_per_kWh=emission, names=names)
+
+
+@pytest.mark.parametrize("dearer", [0.0, 0.1])
+def test_of_a_machine_with_one_price_it_is_said_once_and_of_another_what_heating_lacks(dearer):
+    lacking = {"price_per_kWh[heat pump]": 2, "price_per_kWh[heating_boiler]": 2}
+    lacking |= {"heating_price_per_kWh[heating_boiler]": 1} if dearer else {}
+    given = of_two_machines(dearer)
+    filled, how = completed(given, record(), None)
+    by = [f"{of} at {n} of 49 instants by the value before ({2 * n} % of the plan)" for of, n in lacking.items()]
+    assert how == f"forecast: {', '.join(by)}"
+    assert np.isfinite(filled.heating_price_per_kWh).all()
+    # What a source of data has filled is said in the same way.
+    guessed = {name: np.isnan(getattr(given, name)) for name in ("price_per_kWh", "heating_price_per_kWh")}
+    _, how = completed(replace(filled, guessed=guessed), record(), None)
+    by = [f"{of} at {n} of 49 instants ({2 * n} % of the plan) by {BY_DAYS}" for of, n in lacking.items()]
+    assert how == f"forecast: {', '.join(by)}"
 
 
 def test_prices_known_only_at_first_go_on_as_they_were():

@@ -61,10 +61,8 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
         f"{boundary.names.label(name, row)} {_at(guessed)}{_share(guessed)} by {BY_DAYS}"
         for name, rows in boundary.guessed.items()
         for row, guessed in enumerate(rows)
-        if name not in WEATHER and guessed.any()
-        and not (name == "heating_price_per_kWh" and "price_per_kWh" in boundary.guessed)
-    ]  # fmt: skip
-    labels: set[str] = {note.partition(" ")[0] for note in notes}
+        if name not in WEATHER and guessed.any() and not _same_price(name, row, boundary)
+    ]
     for name in CONDITIONS[1:]:
         rows = np.atleast_2d(getattr(boundary, name))
         low, high = RULES[name].range if name in WEATHER else (-np.inf, np.inf)
@@ -78,10 +76,9 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
             complete, how, made_up[row] = _row(name, row, out[row], boundary, history, last)
             if how:
                 out[row] = complete
+                if _same_price(name, row, boundary):
+                    continue
                 label = boundary.names.label(name, row) if np.ndim(getattr(boundary, name)) == 2 else name
-                if name == "heating_price_per_kWh" and label.replace("heating_", "", 1) in labels:
-                    continue  # the same price
-                labels.add(label)
                 notes.append(f"{label} {_at(missing[row])} by {how}{_share(missing[row])}")
         filled[name] = out.reshape(np.shape(getattr(boundary, name)))
         if made_up.any():
@@ -90,6 +87,13 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
     if filled:
         boundary = replace(boundary, **filled, guessed=guesses)
     return boundary, f"forecast: {', '.join(notes)}" if notes else ""
+
+
+def _same_price(name: str, row: int, boundary: Boundary) -> bool:
+    """Whether a row is the price of heating of a machine that has one price, which is said once."""
+    if name != "heating_price_per_kWh":
+        return False
+    return np.array_equal(boundary.heating_price_per_kWh[row], boundary.price_per_kWh[row], equal_nan=True)
 
 
 def _at(instants: NDArray[np.bool_]) -> str:

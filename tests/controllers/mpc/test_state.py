@@ -217,6 +217,14 @@ ACTING = {
 }
 
 
+@pytest.mark.parametrize(("step_s", "horizon_h"), [(900.0, 3.0), (2 * HOUR_S, 4.0), (6 * HOUR_S, 6.0)])
+def test_without_a_model_a_forecast_is_needed_as_far_as_the_rule_looks_ahead(step_s, horizon_h):
+    """Whole steps that hold the three hours in which it heats for a bound."""
+    rule = MPCConfig(step_s=None, fallback={"stand_back": "rule"})
+    controller = NoModelController("no record", rule, Layout.single("heating"), step_s, name="")
+    assert controller.horizon_s == horizon_h * HOUR_S
+
+
 @pytest.mark.parametrize("kind", ACTING)
 @pytest.mark.parametrize("missed", [0, 1, 2])
 def test_minimum_times_hold_after_steps_without_a_plan(kind, missed):

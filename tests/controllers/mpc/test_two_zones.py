@@ -533,3 +533,25 @@ def test_nothing_is_asked_for_in_hours_in_which_nothing_comes():
     free = [hour for hour in range(7) if hour not in blocked]
     assert (plan.u[RADIATOR, free] > 0.01).any()
     assert (plan.u[FLOOR, list(blocked)] > 0.01).any()
+
+
+@pytest.mark.parametrize("warmer_K", [0.0, 9.0])
+def test_where_levels_are_signed_hours_are_those_of_the_direction_that_a_zone_needs(warmer_K):
+    """No heat comes from one actuator at night and no cold from the other."""
+    both, night = two_model(), (2, 3, 4)
+    operator = both.operator.map_actuators(lambda _, pair: replace(pair, heat_input=HeatInput(u_min=-1.0)))
+    power = tuple(replace(one, cooling=replace(one.load, coefficients=(0.0, 0.0, 2000.0, 0.0))) for one in both.power)
+    cards = (
+        replace(both.cards[RADIATOR], blocked_hours=night),
+        replace(both.cards[FLOOR], blocked_cooling_hours=night),
+    )
+    seen = two_observation(24, TwoHouses(SimpleHouse(18.0), SimpleHouse(18.0)))
+    T_zone_C, nothing = seen.history.T_zone_C + warmer_K, np.zeros(seen.history.u.shape)
+    history = replace(seen.history, T_zone_C=T_zone_C, u=nothing, power_W=nothing)
+    plan = mpc(replace(both, operator=operator, power=power, cards=cards), actuation={"mode": "room_setpoints"}).plan(
+        replace(seen, history=history)
+    )
+    shut, free = (FLOOR, RADIATOR) if warmer_K else (RADIATOR, FLOOR)
+    assert plan.u[shut, list(night)] == pytest.approx(0.0, abs=1e-6)
+    assert (np.abs(plan.u[free, list(night)]) > 0.01).all()
+    assert (plan.u[free, list(night)] < 0.0).all() == (warmer_K > 0.0)

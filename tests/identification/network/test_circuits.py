@@ -23,16 +23,24 @@ METERED = HeatInput(MachineLoad((0.0, 0.0, 1400.0, 0.0), (-20.0, 30.0), levels_s
 THETA = theta_of(ROOMS[0], heat_0=70.0, C_emitter_0=20.0, H_emitter_0=3.0)
 
 
-def probed(limit_W: float = np.inf, seed: int = 3) -> tuple[Record, RoomRun, np.ndarray]:
-    """Days of valves opened at random: what the first takes from water on a heating curve, and its emitter's °C."""
+def probed(
+    limit_W: float = np.inf, seed: int = 3, first_day: np.ndarray | None = None, first_C: float = 27.0
+) -> tuple[Record, RoomRun, np.ndarray]:
+    """Days of valves opened at random: what the first takes from water on a heating curve, and its emitter's °C.
+
+    `first_day` (96,): levels of the first valve on the first day, after which it is half as open; `first_C`: of its
+    emitter when the record begins.
+    """
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.choice([0.0, 0.5, 1.0], (3, N // 12)), 12, axis=1)
     u[2] = 0.0
+    if first_day is not None:
+        u[0, :96], u[0, 96:] = first_day, 0.5 * u[0, 96:]
     hours = np.arange(N + 1) * STEP_H
     T_out_C = 2.0 + 4.0 * np.sin(hours / 24.0 * 2.0 * np.pi) + 0.05 * hours
     T_zone_C = np.stack([20.5 + 0.5 * np.sin(hours / 9.0), 20.0 + 0.0 * hours])
     C, H, per_v = 20.0, 3.0, 70.0 / METERED.reference_W
-    heat_W, emitter_C = np.zeros((3, N)), np.full(N + 1, 27.0)
+    heat_W, emitter_C = np.zeros((3, N)), np.full(N + 1, first_C)
     for k in range(N):
         full = FULL_W + OUTDOORS_W_K * T_out_C[k] - WARMER_W_K * (emitter_C[k] - 27.0)
         heat_W[:2, k] = u[0, k] * full, u[1, k] * 1800.0
@@ -61,6 +69,16 @@ def test_the_heat_of_a_valve_is_found_over_the_weather_and_its_emitter():
         assert float(circuit.load(np.array(1.0), np.array(T_out_C))) == pytest.approx(expected_W, rel=0.05)
     assert circuit.per_K == pytest.approx(0.3 * WARMER_W_K / METERED.reference_W, rel=0.15)
     assert circuit.full * METERED.reference_W == pytest.approx(float(circuit.load(np.array(1.0), np.array(0.0))))
+
+
+def test_an_emitter_begins_as_warm_as_its_first_day_keeps_it():
+    """Neither as in the first step nor as over the record: it takes hours to forget what it was before that."""
+    every_other_hour = np.tile(np.repeat([1.0, 0.0], 4), 12)
+    record, run, emitter_C = probed(first_day=every_other_hour, first_C=30.0)
+    together_W = record.heat_W.sum(axis=0)
+    u = np.where(together_W < 0.9 * together_W.max(), record.u[0], 0.0)  # the machine is not at its limit
+    usual_C = float(u @ emitter_C[:-1] / u.sum())
+    assert found(record, run).emitter_C == pytest.approx(usual_C, abs=0.15)
 
 
 def test_steps_at_the_machine_s_limit_say_nothing_of_a_valve():

@@ -96,7 +96,7 @@ def _emitter_C(fit: RoomFit, k: int, run: RoomRun) -> Array:
     C, H, heat = (room.value(theta, f"{name}_{k}") for name in ("C_emitter", "H_emitter", "heat"))
     T = interpolated(run.readings)
     steady_C = 0.5 * (T[:-1] + T[1:]) + room.signs[k] * heat / H * run.inputs[:-1, room.drive(k)]
-    day = max(1, round(DAY_S / HOUR_S / run.step_h))
+    day = round(DAY_S / HOUR_S / run.step_h)
     first_C = float(steady_C[:day].mean())
     pole = float(np.exp(-H / C * run.step_h))
     at_ends = first_C + lagged(steady_C - first_C, pole)
