@@ -16,9 +16,8 @@ import numpy as np
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.boundary.tariffs import by_name
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.experiment.experiment import Experiment
+from thermoforce_mpc.experiment.experiment import Experiment, scored_period
 from thermoforce_mpc.experiment.identifying import model_for
-from thermoforce_mpc.experiment.windows import scored_period
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_scenario

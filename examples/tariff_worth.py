@@ -12,8 +12,8 @@ from pathlib import Path
 from controllers.registry import build_controller
 from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
+from thermoforce_mpc.experiment.experiment import scored_period
 from thermoforce_mpc.experiment.identifying import identify_on
-from thermoforce_mpc.experiment.windows import scored_period
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_testcase

@@ -25,8 +25,8 @@ from thermoforce_mpc.comparison.outcome import results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Period
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
+from thermoforce_mpc.experiment.experiment import scored_period
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_task
-from thermoforce_mpc.experiment.windows import scored_period
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.loop.probing import Identifying, probe_until_known
 from thermoforce_mpc.model.free_response.backbones.base import one_thread

@@ -25,8 +25,8 @@ from controllers.registry import controller_config
 from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
+from thermoforce_mpc.experiment.experiment import scored_period
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_task, model_for
-from thermoforce_mpc.experiment.windows import scored_period
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.free_response.registry import find_free_response
 from thermoforce_mpc.model.thermal_model import ThermalModel

@@ -16,7 +16,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.estimation.rest import Rest
-from thermoforce_mpc.identification.modulation.training import Misfit, TrainingData, minimise
+from thermoforce_mpc.identification.modulation import Misfit, TrainingData, minimise
 from thermoforce_mpc.identification.zones.two_stage import TwoStageFit, fit_two_stage
 
 # Noise of the synthetic targets, K, so that the final loss is not zero.

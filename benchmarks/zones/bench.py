@@ -25,10 +25,9 @@ from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.experiment.experiment import Experiment
+from thermoforce_mpc.experiment.experiment import Experiment, scored_period
 from thermoforce_mpc.experiment.identifying import chosen_of, identification_task, run_identification
 from thermoforce_mpc.experiment.run import run
-from thermoforce_mpc.experiment.windows import scored_period
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.thermal_model import ThermalModel

@@ -20,10 +20,9 @@ from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.comparison.input_files import file_hashes, named_files
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.keys import digest, source_fingerprint
-from thermoforce_mpc.experiment.experiment import Experiment
+from thermoforce_mpc.experiment.experiment import Experiment, check_windows
 from thermoforce_mpc.experiment.identifying import IdentificationTask, SavedModel
 from thermoforce_mpc.experiment.outside import python_of
-from thermoforce_mpc.experiment.windows import check_windows
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.registry import plugin_sources

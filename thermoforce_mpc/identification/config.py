@@ -57,7 +57,7 @@ class IdentificationConfig(StrictModel):
     gamma: float = Field(GAMMA, ge=0, lt=1, description="bound of the modulation, eq:mod")
     hidden: int = Field(HIDDEN, ge=1, le=512, description="hidden units of the modulation")
     optimiser: Literal["lbfgs", "adam"] = Field("lbfgs", description="optimiser of the modulation")
-    # L-BFGS ends where it settles (`_FLAT` and `_SETTLED` of `modulation.training`), else here; Adam takes all.
+    # L-BFGS ends where it settles (`_FLAT` and `_SETTLED` of `modulation`), else here; Adam takes all.
     epochs: int = Field(350, ge=1, le=5000, description="largest number of training epochs")
     seed: int = Field(1, ge=0, description="seed of the network's initial weights and of splits")
 

@@ -13,7 +13,7 @@ from controllers.checks import ControllerConfigError
 from controllers.monitoring.watch import scaled
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.modulation.selection import prove
+from thermoforce_mpc.identification.modulation import prove
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel

@@ -10,8 +10,8 @@ from houses import House, make_pair, random_levels, record
 
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.modulation import selection
-from thermoforce_mpc.identification.modulation.training import with_network
+from thermoforce_mpc.identification import modulation as module
+from thermoforce_mpc.identification.modulation import with_network
 from thermoforce_mpc.model.forced_state import forced_history, heat_drive
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.certificate import certificate
@@ -63,8 +63,8 @@ def test_linear_trains_no_network():
 
 def test_runs_do_not_say_the_size_of_the_effect(monkeypatch):
     """Training that takes half of it away keeps its shape: over the record the gain is 1 in the mean."""
-    trained = selection.train
-    monkeypatch.setattr(selection, "train", lambda *given: replace(trained(*given), output_bias=-1.0))
+    trained = module.train
+    monkeypatch.setattr(module, "train", lambda *given: replace(trained(*given), output_bias=-1.0))
     run = record(HOUSE, 3.0, noise_K=0.01)
     operator = found(run).operator
     free_C = run.T_zone_C[0] - forced_history(single(operator), run).sum(axis=(0, 1, 3))

@@ -14,7 +14,7 @@ from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.identification import Pair
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
 from thermoforce_mpc.identification.estimation.rest import rest_of
-from thermoforce_mpc.identification.modulation.training import Misfit, TrainingData
+from thermoforce_mpc.identification.modulation import Misfit, TrainingData
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.model.operator.parameters import feature_matrix, linear_operator

@@ -56,8 +56,7 @@ from thermoforce_mpc.comparison.tasks import EqualComfort, failure, tasks_of
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.execution import Task, TaskOutcome, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
-from thermoforce_mpc.experiment.experiment import Experiment
-from thermoforce_mpc.experiment.windows import check_window
+from thermoforce_mpc.experiment.experiment import Experiment, check_window
 from thermoforce_mpc.files import plain_number
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.report.display import zone_table

@@ -15,7 +15,7 @@ from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.effects.confounding import Unknown
 from thermoforce_mpc.identification.effects.level_laws import part_load_costs
-from thermoforce_mpc.identification.modulation.selection import modulate, prove
+from thermoforce_mpc.identification.modulation import modulate, prove
 from thermoforce_mpc.identification.validation.competence import UNJUDGED, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold, hours_seen
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData

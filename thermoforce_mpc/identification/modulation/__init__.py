@@ -1,1 +1,0 @@
-"""The modulation of the gain: when it is trained, on what, and whether it is kept."""
