@@ -8,6 +8,7 @@ import re
 import pytest
 
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import MOST_BYTES, merge, parse_overrides, read_yaml, validate
@@ -87,7 +88,7 @@ def test_errors_name_the_line_unless_an_option_replaced_it(tmp_path):
         ("step_s", ".inf", "finite number"),
         ("seed", "1" * 20, "no building has"),
         ("identification.days", "off", "expected a number"),
-        ("controller.options", "[1]", "valid dictionary"),
+        ("controller.options", "[1]", "expected keys and values"),
         ("seed", "[[" * 50, "not valid YAML"),
     ],
 )
@@ -134,3 +135,27 @@ def test_options_of_controllers_are_held_to_the_same(options):
 
     with pytest.raises(ConfigError, match="min_o"):
         validate(ActuationConfig, options, "options")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("machines.meter.price", "true", "expected a number, not true or false"),
+        ("machines.meter.price", ".inf", "finite number"),
+        ("machines.meter.price", "[0.2]", "valid number"),
+        ("machines.meter.price", "{column: p, factor: .nan}", "finite number"),
+        ("zones.room.lower", "on", "expected a number, not true or false"),
+        ("zones.room.lower", "{column: p, unit: Celsius}", "'°C', 'C', 'degC'"),
+        ("zones.room.temperature", "5", "expected keys and values, of column, factor"),
+        ("time", "Europe/Vienna", "expected keys and values, of ambiguous, column"),
+        ("zones", "[room]", "expected keys and values"),
+    ],
+)
+def test_a_value_that_may_be_a_number_or_a_column_is_refused_once_by_its_own_key(key, value, message):
+    given = {"outdoor": "T", "zones": {"room": {"temperature": "t"}}, "machines": {"meter": {"power": "p"}}}
+    with pytest.raises(ConfigError, match=message) as caught:
+        validate(
+            MeasurementMap, merge(given, {key.split(".")[0]: {}} | parse_overrides([f"{key}={value}"])), "map.yaml"
+        )
+    [line] = str(caught.value).splitlines()[1:]
+    assert re.match(rf"  {re.escape(key)}(\.\w+)?: ", line)

@@ -115,6 +115,8 @@ class StrictModel(BaseModel):
     @classmethod
     def _numbers_are_no_truth_values(cls, value: Any, info: ValidationInfo) -> Any:
         name = info.field_name or ""
+        if isinstance(value, bool) and _takes_numbers(cls, name):
+            raise ValueError(_NO_NUMBER)
         if _takes_numbers_only(cls, name):
             for one in _leaves(value):
                 if isinstance(one, bool):
@@ -151,12 +153,17 @@ def _is_same(constant: Any, value: Any) -> bool:
 
 
 @functools.cache
+def _takes_numbers(model: type[BaseModel], name: str) -> bool:
+    """Whether a value of a field may be a number and is never true or false."""
+    kinds = set(_kinds(model.model_fields[name].annotation))
+    return bool(kinds & {int, float}) and not kinds & {bool, Any, object}
+
+
+@functools.cache
 def _takes_numbers_only(model: type[BaseModel], name: str) -> bool:
     """Whether the values of a field are numbers (and text), alone or in lists and mappings."""
-    kinds = set(_kinds(model.model_fields[name].annotation))
-    others = bool in kinds or Any in kinds or object in kinds
-    nested = any(isinstance(kind, type) and issubclass(kind, BaseModel) for kind in kinds)
-    return bool(kinds & {int, float}) and not others and not nested
+    nested = any(_is_a_model(kind) for kind in _kinds(model.model_fields[name].annotation))
+    return _takes_numbers(model, name) and not nested
 
 
 @functools.cache
@@ -164,6 +171,10 @@ def _may_be_text(model: type[BaseModel], name: str) -> bool:
     """Whether a value of the field may be any text, such as the name of a column."""
     annotation = model.model_fields[name].annotation
     return str in _kinds(annotation) and get_origin(annotation) is not dict
+
+
+def _is_a_model(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
 def _kinds(annotation: Any) -> Iterator[Any]:
@@ -457,15 +468,20 @@ def nested(key: str, value: Any) -> dict[str, Any]:
 
 
 def _without_consequences(items: Sequence[Any]) -> list[Any]:
-    """The errors of pydantic but those of lists that are too short because their wrong entries do not count, and those
-    that keys and values are no text, where they could be either.
+    """The errors of pydantic but those of lists that are too short because their wrong entries do not count.
+
+    Where a value may be plain or a mapping, that a mapping is not plain is none either, nor that a plain one is no
+    mapping.
     """
     above = {item["loc"][:n] for item in items for n in range(len(item["loc"]))}
 
     def follows(item: Any) -> bool:
-        loc, other = item["loc"], isinstance(item["input"], Mapping)
-        if item["type"] == "string_type" and loc[-1:] == ("str",) and other:
-            return any(one["loc"][: len(loc) - 1] == loc[:-1] and one is not item for one in items)
+        loc, keys_given = item["loc"], isinstance(item["input"], Mapping)
+        plain = loc[-1:] in (("str",), ("int",), ("float",))
+        if (plain and item["type"].endswith("_type") and keys_given) or (
+            item["type"] == "model_type" and not keys_given
+        ):
+            return any(one["loc"][: len(loc) - 1] == loc[:-1] and one["loc"] != loc for one in items)
         return item["type"] == "too_short" and loc in above
 
     return [item for item in items if not follows(item)]
@@ -473,12 +489,12 @@ def _without_consequences(items: Sequence[Any]) -> list[Any]:
 
 def _place(model: type[BaseModel], data: Mapping[str, Any], item: Any) -> tuple[Any, ...]:
     """Return the keys and indices that lead to an error, without tags; a zone called 'room' is no tag."""
-    tags = {*UNION_TAGS, "str", *(below.__name__ for below in _models_below(model))}
+    tags = {*UNION_TAGS, "str", "int", "float", *(below.__name__ for below in _models_below(model))}
     place: list[Any] = []
     here: Any = data
     for part in item["loc"]:
         inside = isinstance(here, Mapping) and part in here
-        if part in tags and not inside:
+        if not inside and (part in tags or str(part).startswith("function-")):
             continue
         place.append(part)
         if inside or (isinstance(here, list | tuple) and isinstance(part, int) and part < len(here)):
@@ -497,6 +513,9 @@ def _explain(model: type[BaseModel], data: Mapping[str, Any], item: Any, also: C
     if item["type"] == "missing":
         return f"{key}: missing"
     reason = item["msg"].removeprefix("Value error, ")
+    if item["type"] in ("model_type", "dict_type"):
+        of = ", ".join(_keys_at(model, path)) if path and item["type"] == "model_type" else ""
+        reason = "expected keys and values" + (f", of {of}" if of else "")
     # At the top the value is the whole file.
     return f"{key}: {reason:.500}" + (f" (got {_shown(item['input'])})" if path else "")
 
