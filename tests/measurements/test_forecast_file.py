@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import thermoforce_mpc as tf
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.forecast import read_forecast
+from thermoforce_mpc.measurements.map.mapping import ForecastMap
 from thermoforce_mpc.model.forecast_gaps import completed
 from thermoforce_mpc.scenario.building import PRICES
 
@@ -49,9 +51,9 @@ def test_weather_is_interpolated_and_schedules_hold(measured):
     np.testing.assert_allclose(ahead.upper_C[0, :9], [24, 24, 24, 24, 23, 23, 23, 23, 24])
     np.testing.assert_allclose(ahead.price_per_kWh[0, :9], [0.2] * 4 + [1.2] * 4 + [0.2])
     assert (ahead.lower_C == 20).all()
-    earlier = read_forecast(hourly(49, "2025-01-10"), measured)
+    earlier = read_forecast(hourly(49, "2025-01-10").assign(out=np.arange(49.0) / 4), measured)
     assert earlier.time_s[0] == measured.record.time_s[-1], "what lies before the end of the record is cut"
-    assert earlier.T_out_C[0] == 24
+    assert earlier.T_out_C[0] == 6
 
 
 def test_a_forecast_without_the_columns_of_the_map_says_how_to_name_its_own(measured, tmp_path):
@@ -255,3 +257,25 @@ def test_a_pattern_of_several_files_is_no_forecast(measured, tmp_path):
     with pytest.raises(DataError, match=r"names 2 files, a forecast is one"):
         read_forecast(str(tmp_path / "*.csv"), measured)
     assert read_forecast(str(tmp_path / "mon*.csv"), measured).n_steps == 96
+
+
+@pytest.mark.parametrize("update", [{}, {"stuck_h": 12.0}])
+def test_weather_that_stays_is_a_forecast_and_no_stuck_sensor(measured, update):
+    outdoor = measured.map.outdoor.model_copy(update=update)
+    here = replace(measured, map=measured.map.model_copy(update={"outdoor": outdoor}))
+    assert (read_forecast(hourly(49).assign(out=-15.0), here).T_out_C == -15.0).all()
+
+
+@pytest.mark.parametrize(
+    ("unit", "of_file", "likelier"),
+    [("°C", lambda C: 1.8 * C + 32.0, "°F"), ("°F", lambda C: C, "°C"), ("F", lambda C: C, "°C")],
+)
+def test_outdoor_temperatures_that_go_on_in_another_unit_are_refused_or_said(measured, unit, of_file, likelier):
+    rules = measured.map.model_copy(update={"forecast": ForecastMap(outdoor={"column": "out", "unit": unit})})
+    here, ahead = replace(measured, map=rules), hourly().assign(out=of_file(hourly()["out"] / 4))
+    words = rf"column 'out': a median of .* in {likelier} it would be 3 °C: set unit: '{likelier}' of forecast.outdoor"
+    with pytest.raises(DataError, match=words):
+        read_forecast(ahead, here)
+    said: list[str] = []
+    read_forecast(ahead, here, now=pd.Timestamp("2025-01-11", tz="Europe/Brussels"), left_out=said)
+    assert any(likelier in one for one in said)

@@ -70,7 +70,11 @@ def check_same_building(
     With `single_alike`, buildings of one zone with one actuator and one machine are the same, whatever their names.
     """
     if names != others and not (single_alike and names.single and others.single):
-        raise error(f"{what} is of {names}, {of} of {others}: another building?")
+        unlike = [kind for kind in ("zones", "actuators", "machines") if getattr(names, kind) != getattr(others, kind)]
+        ours, theirs = (
+            " and ".join(f"{kind} {', '.join(getattr(one, kind))}" for kind in unlike) for one in (names, others)
+        )
+        raise error(f"{what} is of {ours}, {of} of {theirs}: another building?")
 
 
 def frozen(value: object, name: str, length: int, names: Names) -> Array:

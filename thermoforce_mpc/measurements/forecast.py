@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +16,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.boundary.tariffs import Tariff, by_name, price_doubt, tariff_from_file
-from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array, Boundary
+from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array, Boundary, Record
 from thermoforce_mpc.data.dataframes import clock_s, days_before_s, new_year, seconds_since, stamps
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H
 from thermoforce_mpc.data.series import at_instants
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.load import Measurements, sunlight
-from thermoforce_mpc.measurements.map.mapping import MappedMachine, MeasurementMap, Power, Signal
+from thermoforce_mpc.measurements.map.mapping import MappedMachine, MeasurementMap, Power, Signal, Temperature
 from thermoforce_mpc.measurements.readings import (
     BOUND,
     OUTDOOR,
@@ -49,6 +49,11 @@ _PRICE = re.compile(r"price|preis|prix|prijs|tarif|spot|epex|nordpool|day.?ahead
 _UNITS = ((re.compile(r"mwh", re.IGNORECASE), 1000.0), (re.compile(r"\bct\b|cent|ct/", re.IGNORECASE), 100.0))
 _HEAD = 50
 _SHARE = 0.5
+# A forecast is no sensor: weather that stays is not stuck.
+_OUTDOOR_AHEAD = replace(OUTDOOR, stuck_h=0.0)
+# Medians of a day and of the next: weather does not move by the first, K; in another unit it goes on within the second.
+# By judgement: fronts move daily means by 10 K at most, and °F taken for °C is off by 15 K from -21 °C on.
+_OTHER_WEATHER_K, _GOES_ON_K = 15.0, 8.0
 
 
 def prices_over_steps(
@@ -190,7 +195,8 @@ def read_forecast(
     as by `read_measurements`.
 
     Raises `DataError`, naming file, column and time, for several files, a forecast that begins more than 6 h after the
-    end of the record or ends before it, and a column without any value.
+    end of the record or ends before it, outdoor temperatures that go on from the record in another unit only, and a
+    column without any value.
     """
     sources = _Sources.of(measured, prices)
     notes = [] if left_out is None else left_out
@@ -198,7 +204,11 @@ def read_forecast(
     time_s = seconds_since(measured.record.origin, rows.index, name)
     grid_s, back = _grid(rows, time_s, name, measured, least_steps)
     reader = SignalReader(rows, time_s, grid_s, measured.record.step_s, sources.ours, refuse=now is None)
-    outdoor = reader.sampled("outdoor", sources.ours.outdoor, OUTDOOR)
+    outdoor = reader.sampled("outdoor", sources.ours.outdoor, _OUTDOOR_AHEAD)
+    if doubt := _unit_doubt(outdoor[back:], sources.ours.outdoor, measured.record):
+        if now is None:
+            raise DataError(f"{name}, {doubt}")
+        notes.append(f"{name}, {doubt}")
     solar, _ = sunlight(sources.ours, reader, grid_s, measured.record.origin)
     lower, upper = _bounds(sources, reader, grid_s, measured)
     price, past_price, at_meter = _prices(sources, reader, grid_s, measured, prices, notes)
@@ -240,7 +250,8 @@ class _Sources:
     def of(cls, measured: Measurements, prices: Path | None) -> _Sources:
         rules, names = measured.map, measured.record.names
         own = {key: value for key, value in rules.forecast if value is not None}
-        ours = rules.model_copy(update={key: own[key] for key in ("time", "outdoor", "sun") if key in own})
+        weather = {"outdoor": rules.outdoor.model_copy(update={"stuck_h": None})} | own
+        ours = rules.model_copy(update={key: weather[key] for key in ("time", "outdoor", "sun") if key in weather})
         zones = [rules.zones[name] for name in names.zones]
         bounds = {key: [own.get(key, getattr(zone, key)) for zone in zones] for key in ("lower", "upper")}
         machines = [rules.machines.get(name, MappedMachine()) for name in names.machines]
@@ -327,6 +338,26 @@ def _grid(rows: Timed, time_s: Array, name: str, measured: Measurements, least_s
     back = min(week, int((now_s - time_s[0]) / step_s) if time_s[0] < now_s else 0)
     back = max(back, min(week, record.n_steps))
     return now_s + np.arange(-back, ahead + 1.0) * step_s, back
+
+
+def _unit_doubt(outdoor_C: Array, signal: Temperature, record: Record) -> str:
+    """That a forecast (n,) from the end of the record on goes on from it in another unit only, in words; else ''."""
+    a_day = round(DAY_S / record.step_s)
+    past_C, ahead_C = (values[np.isfinite(values)] for values in (record.T_out_C[-a_day:], outdoor_C[:a_day]))
+    if not past_C.size or not ahead_C.size or signal.unit == "K":
+        return ""
+    past, ahead, fahrenheit = (
+        float(np.median(past_C)),
+        float(np.median(ahead_C)),
+        signal.unit not in ("°C", "C", "degC"),
+    )
+    unit, otherwise = ("°C", 1.8 * ahead + 32.0) if fahrenheit else ("°F", (ahead - 32.0) / 1.8)
+    if abs(ahead - past) < _OTHER_WEATHER_K or abs(otherwise - past) > _GOES_ON_K:
+        return ""
+    return (
+        f"column '{signal.columns[0]}': a median of {ahead:.0f} °C in the next day after {past:.0f} °C in the last; in "
+        f"{unit} it would be {otherwise:.0f} °C: set unit: '{unit}' of forecast.outdoor in the map, or of outdoor"
+    )
 
 
 def _needed(what: str, source: float | Signal | None, where: str) -> float | Signal:
