@@ -61,7 +61,7 @@ _ERROR_H = JUDGED_H[-1]
 # How long an error of the free part lasts, h: weather, sun and people of a day. By judgement: the band of a plan of
 # house 9508 by set-points (`bench commands`, 2026-11-29) is 37 % of the cost wide at 0, 42 at 3, 44 at 12, 46 at 48 h.
 _LASTS_H = 12.0
-# What a change of a command must save, as a share of what the building costs when it is left alone. By judgement: a
+# What a change of a command must save, as a share of what levels cost when the building is left alone. By judgement: a
 # change an hour all day costs as much as 5 %.
 _PER_CHANGE = 0.002
 # What the scatter of a level costs, as a share of that level's cost: a search takes what is judged too well (see
@@ -288,7 +288,7 @@ class CommandedPlan:
                 worth = np.minimum(_worth(self.operator, self.problem, more_K, dearest), 0.0)
                 unsure = _SCATTER * dearest.per_used * found.scatter
                 held_out = self._held_cost(found.T_C)
-                return np.asarray(each - worth + unsure + held_out + _PER_CHANGE * dearest.cost * changes)
+                return np.asarray(each - worth + unsure + held_out + _PER_CHANGE * dearest.of_levels * changes)
 
             rows, _ = better_commands([knob for _, knob in knobs], self._starts(u, knobs), cost)
             values = {a: rows[i] for i, (members, _) in enumerate(knobs) for a in members}
@@ -421,9 +421,10 @@ class CommandedPlan:
         beside, beside_alone = (
             self._on_meters(held, law, per_kWh, drawn) for held, law in zip((own, usual), law_W, strict=True)
         )
+        of_levels = cost_alone - self._idle_cost(evaluator)
         cost, energy = cost + beside.cost, energy + beside.kWh
         cost_alone, energy_alone = cost_alone + beside_alone.cost, energy_alone + beside_alone.kWh
-        dearest = _MeanCost(cost_alone, self._used(alone.levels), energy_alone)
+        dearest = _MeanCost(cost_alone, of_levels, self._used(alone.levels), energy_alone)
         worth = _worth(self.operator, problem, with_plan.forced_K - alone.forced_K, dearest)
         worth = worth - beside.after + beside_alone.after
         saved = cost_alone - cost + worth + by_levels
@@ -507,7 +508,14 @@ class CommandedPlan:
         usual = {one.first: self._usual_row(one.first)[None] for one in self.beside}
         more = self._on_meters(usual, brought.power_W[None], 0.0)
         kWh = brought.power_W.sum() * self.problem.step_s / J_PER_KWH + more.kWh
-        return _MeanCost(brought.energy_cost.sum() + more.cost, self._used(levels), kWh)
+        cost = brought.energy_cost.sum()
+        of_levels = np.array([cost - self._idle_cost(evaluator)])
+        return _MeanCost(cost + more.cost, of_levels, self._used(levels), kWh)
+
+    def _idle_cost(self, evaluator: Evaluator) -> float:
+        """What is on the meters at no level, currency: it is no cost of heat."""
+        nothing = np.zeros((len(self.spread), self.problem.n_steps))
+        return float(evaluator.brings(self.problem, nothing).energy_cost.sum())
 
     def _on_meters(
         self, held: Mapping[int, Array], law_W: Array, per_kWh: Array | float, effects: Sequence[Array] = ()
@@ -807,10 +815,11 @@ class _OnMeters:
 
 @dataclass(frozen=True, eq=False)
 class _MeanCost:
-    """What S buildings cost (S,), currency, the levels (S,) and energy (S,), kWh, that they used for it, see
-    `CommandedPlan._used`."""
+    """What S buildings cost (S,), currency, of it for levels, the levels (S,) and energy (S,), kWh, that they used for
+    it, see `CommandedPlan._used`."""
 
     cost: Array
+    of_levels: Array
     used: Array
     kWh: Array
 
@@ -822,7 +831,7 @@ class _MeanCost:
     @property
     def per_used(self) -> Array:
         """Mean cost of a level, (S,)."""
-        return np.where(self.used > 1e-6, self.cost / np.maximum(self.used, 1e-6), 0.0)
+        return np.where(self.used > 1e-6, np.maximum(self.of_levels, 0.0) / np.maximum(self.used, 1e-6), 0.0)
 
 
 def _beyond(out_K: Array, sd_K: Array) -> Array:

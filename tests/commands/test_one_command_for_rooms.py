@@ -15,6 +15,7 @@ from home_by_curve import EMITTER_W_K, ROOMS, RULES, SETPOINT_C, HomeByCurve, co
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.commands.meter import MeterEffect
 from thermoforce_mpc.data import Observation, PlanStatus
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig
@@ -134,6 +135,22 @@ def test_errors_of_the_free_part_are_in_the_band(home, measured):
         found = plan_by(home, measured, [ModelCard("a record", competence=verdict)] * len(ROOMS)).saving
         widths.append(found.high - found.low)
     assert widths[1] > 1.03 * widths[0]
+
+
+def test_what_else_is_on_the_meter_is_no_cost_of_heat(home, measured, monkeypatch):
+    """Heat that is stored was counted at what hot water and standby cost too: a plan kept more of it."""
+    found = []
+    for base_W in (0.0, 800.0):
+        unmoved = MeterEffect(
+            np.empty(0), 0.0, 3.0, np.full(1, np.nan), np.zeros(4), np.zeros((4, 4)), base_W, np.full(24, base_W),
+            np.empty((0, 24)),
+        )  # fmt: skip
+        monkeypatch.setattr("controllers.mpc.commanding.learn_meter", lambda command, seen, one=unmoved: one)
+        ahead = read_forecast(home.forecast(), measured)
+        found.append(controller(home, measured).plan(Observation(measured.record, ahead)))
+    assert found[1].saving.cost_alone > found[0].saving.cost_alone + 1.0
+    assert found[1].settings == found[0].settings
+    assert found[1].saving.saved == pytest.approx(found[0].saving.saved, abs=1e-9)
 
 
 def test_the_machine_is_set_once(home, measured):
