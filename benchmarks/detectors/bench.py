@@ -28,6 +28,7 @@ from thermoforce_mpc.files import parse_json
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.loop.inputs import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of
+from thermoforce_mpc.plants.rooms.house import DrawnHouse
 from thermoforce_mpc.scenario.scenario import Scenario
 
 _CONTROLLER = "thermoforce_mpc"
@@ -122,6 +123,9 @@ def run_case(case: PanelCase) -> dict[str, Any]:
         claims = {rule.name: found for rule in RULES if (found := rule.claims(ran))}
         if place.fixed:
             claims.pop("fixed part", None)
+        house = getattr(place.plant, "house", None)
+        if not case.fault and isinstance(house, DrawnHouse) and ran.gave_all(house):
+            claims.pop("shared machine at its limit", None)
         again = [
             rule for rule in RULES if rule.can_be_off and (rule.name in claims or rule.name == rule_of(case.fault))
         ]

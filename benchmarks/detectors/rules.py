@@ -1,8 +1,9 @@
 """Every rule that changes what the controller does because of what it believes of the plant, and when it claims that.
 
-A claim is what the rule says or does where it believes in a fault: on a clean plant each is false. What is learned
-continuously and claims nothing (margins, offset, the return of a model that was adapted while the watch stood back) is
-counted with the rule that it belongs to.
+A claim is what the rule says or does where it believes in a fault: on a clean plant each is false, but for a shared
+machine that did give all that it can (valves of a drawn house take 1.6 times its heat). What is learned continuously
+and claims nothing (margins, offset, the return of a model that was adapted while the watch stood back) is counted with
+the rule that it belongs to.
 """
 
 from __future__ import annotations
@@ -17,10 +18,13 @@ from thermoforce_mpc.data import DAY_S, Array, PlanStatus
 from thermoforce_mpc.live.windows import steep_falls
 from thermoforce_mpc.loop.closed_loop import RunResult
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.plants.rooms.house import DrawnHouse, full_capacity_W
 
 _UNUSED, _STEP_S = "unused_capacity", 900.0
 # Share of a shared machine from which what is left unused is a claim.
 _LEFT = 0.02
+# Share of its capacity from which a heat pump gave all of it in a block.
+_ALL = 0.98
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,14 @@ class ControlledWeek:
             steep, _ = steep_falls(T_C, T_out_C, u[list(layout.actuators_of(z))], _STEP_S)
             found += [f"{self.day(grid_s[k])}: {zone} fell {T_C[k] - T_C[k + 1]:.2f} K" for k in np.flatnonzero(steep)]
         return found
+
+    def gave_all(self, house: DrawnHouse) -> bool:
+        """Whether the heat pump of a house of rooms gave all that it can in some block."""
+        pump, samples = house.heat_pump, [one for step in self.result.steps for one in step.samples]
+        most_W = [
+            full_capacity_W(pump.capacity_W, pump.capacity_per_K, house.design_out_C, one.T_out_C) for one in samples
+        ]
+        return any(float(np.sum(one.heat_W)) > _ALL * W for one, W in zip(samples, most_W, strict=True))
 
     def left_unused(self) -> list[str]:
         """The first step with a share of a shared machine that plans leave unused."""
