@@ -171,8 +171,7 @@ def meters_of(model: ThermalModel, learned: Mapping[int, LearnedCommand]) -> dic
         if not one.machine or one.machine in out or one.record is None or one.set_to is None:
             continue
         record, m = one.record, model.names.machines.index(one.machine)
-        if (law_W := model.power_by_law(m, record)) is None:
-            continue
+        law_W = model.power_by_law(m, record.u, record.T_out_C[:-1], record.T_return_C[m])
         begins_s = record.time_s[:-1]
         usual = one.usual_at(one.from_origin_s(begins_s, record.origin))
         hour = clock_s(begins_s, record.origin) / HOUR_S % 24.0

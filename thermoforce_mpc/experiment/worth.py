@@ -24,7 +24,6 @@ from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.machine.change import Share, weight_of_demand
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
-from thermoforce_mpc.whatif.counterfactual import machine_W
 from thermoforce_mpc.whatif.identified_house import HouseState, IdentifiedHouse
 
 LEAST_BEFORE_DAYS = 7.0
@@ -318,7 +317,7 @@ class Houses:
         """What levels took of the energy of machine `m`, kWh, by the law; where there is none, all of it."""
         metered_kWh = float(was.power_W[m].sum()) * was.step_s / J_PER_KWH
         T_out_C = was.T_out_C[:-1]
-        by_law_W, idle_W = (machine_W(self._model, m, u, T_out_C) for u in (was.u, np.zeros_like(was.u)))
+        by_law_W, idle_W = (self._model.power_by_law(m, u, T_out_C) for u in (was.u, np.zeros_like(was.u)))
         of_levels_kWh = float((by_law_W - idle_W).sum()) * was.step_s / J_PER_KWH
         return min(max(of_levels_kWh, 0.0), metered_kWh) if np.isfinite(of_levels_kWh) else metered_kWh
 

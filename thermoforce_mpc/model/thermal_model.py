@@ -194,20 +194,22 @@ class ThermalModel:
 
     def power_change(self, m: int, record: Record) -> Share:
         """How much of what the power law of machine `m` says of other levels was in `record`."""
-        power, own_W = self.power[m], self.power_by_law(m, record)
-        if power is None or own_W is None:
+        power, own_W = self.power[m], self.power_by_law(m, record.u, record.T_out_C[:-1], record.T_return_C[m])
+        if power is None or not np.isfinite(own_W).any():
             return Share(1.0, UNKNOWN)
         other = 0.0 if power.foreign is None else power.foreign(record.time_s[:-1], record.T_out_C[:-1])
         return share_of_change(own_W, record.power_W[m] - other, record)
 
-    def power_by_law(self, m: int, record: Record) -> Array | None:
-        """Power of machine `m` by the levels of `record`, W, without other loads (n,); None where there is no law."""
+    def power_by_law(self, m: int, u: Array, T_out_C: Array, T_return_C: Array | float = np.nan) -> Array:
+        """Power of machine `m` by levels `u` (A, n) at `T_out_C`, `T_return_C` (n,) °C, W, without other loads (n,).
+
+        NaN where it has no law, or heats and cools and feeds several actuators.
+        """
         power, layout = self.power[m], self.layout
         fed = list(layout.fed_by(m))
         if power is None or (len(fed) > 1 and power.cooling is not None):
-            return None
-        u = np.clip(record.u[fed], np.array(layout.u_min)[fed, None], 1.0)
-        T_out_C, T_return_C = record.T_out_C[:-1], record.T_return_C[m]
+            return np.full(T_out_C.shape, np.nan)
+        u = np.clip(u[fed], np.array(layout.u_min)[fed, None], 1.0)
         if len(fed) == 1:
             return power(u[0], T_out_C, T_return_C)
         return power.of_actuators(u, np.array(layout.weights)[fed], T_out_C)

@@ -503,17 +503,4 @@ def _identified_sd(model: ThermalModel, change: Array, step_s: float) -> Array:
 
 def _power_W(model: ThermalModel, u: Array, stretch: Record) -> Array:
     """Power of each machine (M, N), W, by the model, NaN where it has none."""
-    return np.array([machine_W(model, m, u, stretch.T_out_C[:-1]) for m in range(len(model.machines))])
-
-
-def machine_W(model: ThermalModel, m: int, u: Array, T_out_C: Array) -> Array:
-    """Power of machine `m` under levels `u` (A, N) at `T_out_C` (N,) °C by the model, W (N,).
-
-    NaN where it has none, or heats and cools and feeds several actuators.
-    """
-    power, fed = model.power[m], [a for a, machine in enumerate(model.machine_of) if machine == m]
-    if power is None or (len(fed) > 1 and power.cooling is not None):
-        return np.full(T_out_C.shape, np.nan)
-    if len(fed) == 1:
-        return np.asarray(power(u[fed[0]], T_out_C))
-    return np.asarray(power.of_actuators(u[fed], model.layout.weights[fed], T_out_C))
+    return np.array([model.power_by_law(m, u, stretch.T_out_C[:-1]) for m in range(len(model.machines))])

@@ -35,7 +35,6 @@ from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.shell import Releasing, check_levels, day_period, forecast_times
 from thermoforce_mpc.version import VERSION
-from thermoforce_mpc.whatif.counterfactual import machine_W
 
 # Times that are nearer than this are one, s.
 _CLOCK_S = 1e-6
@@ -105,7 +104,7 @@ class IdentifiedHouse(Releasing):
         self._free_C, self._forced_was = np.array([interpolated(row) for row in free_C]), forced_K
         self.steps = whole.n_steps
         machines = range(len(whole.names.machines))
-        self._law_was = np.array([machine_W(model, m, whole.u, whole.T_out_C[:-1]) for m in machines])
+        self._law_was = np.array([model.power_by_law(m, whole.u, whole.T_out_C[:-1]) for m in machines])
         self._power_was = self._known_power(whole)
         self.reset(float(whole.time_s[0]), 0.0)
 
@@ -241,7 +240,7 @@ class IdentifiedHouse(Releasing):
         cut off, all that the meter said beyond the law would be paid twice.
         """
         T_out_C = self._was.T_out_C[self._k : self._k + 1]
-        law = np.array([machine_W(self.model, m, level[:, None], T_out_C)[0] for m in range(len(self.power_W))])
+        law = np.array([self.model.power_by_law(m, level[:, None], T_out_C)[0] for m in range(len(self.power_W))])
         power_W = self._power_was[:, self._k] + (law - self._law_was[:, self._k]) - self._owed_J / seconds
         self._owed_J = np.maximum(-power_W, 0.0) * seconds
         return np.maximum(power_W, 0.0)
