@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import sys
 from functools import partial
 from pathlib import Path
@@ -18,6 +19,10 @@ from here import Here  # noqa: E402
 from hypothesis import HealthCheck, settings  # noqa: E402
 from places import SHARED  # noqa: E402
 
+# A shell that runs tests in the background has interrupts ignored, which processes inherit: those that tests interrupt
+# would go on.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 # One thread per process: the processes of pytest-xdist use all cores. Read when torch is imported.
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
