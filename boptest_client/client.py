@@ -90,7 +90,7 @@ class BoptestClient:
         try:
             self._wait(start_timeout_s)
         except BaseException:
-            self._stop_quietly()
+            self.stop_quietly()
             raise
 
     @property
@@ -308,10 +308,10 @@ class BoptestClient:
         if kind is None:
             self.stop()
         else:
-            self._stop_quietly()
+            self.stop_quietly()
 
-    def _stop_quietly(self) -> None:
-        """Stop during the handling of another error, which a failure to stop must not replace."""
+    def stop_quietly(self) -> None:
+        """Stop; a failure is only logged, since raising would hide an earlier error."""
         try:
             self.stop()
         except BoptestError as failed:

@@ -219,6 +219,17 @@ def read_pieces(file: IO[bytes] | io.BufferedIOBase, most_bytes: int) -> bytes:
     return found.getvalue()
 
 
+def plain_json(value: Any) -> Any:
+    """`value` in JSON types, arrays as lists; numbers that are not finite become null, since JSON has no NaN."""
+    if isinstance(value, Mapping):
+        return {str(key): plain_json(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):  # NumPy's arrays and scalars
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain_json(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def parse_json(content: bytes, where: str, error: type[InputError]) -> dict[str, Any]:
     """Return the object of a JSON document of finite numbers; raises `error` naming `where` and the reason."""
     try:

@@ -12,6 +12,13 @@ from thermoforce_mpc.data.names import SINGLE, Names
 from thermoforce_mpc.errors import DataError
 
 
+def mode_of(sign: int, u_min: float) -> str:
+    """What an actuator does: 'heating', 'cooling', or 'both' where its levels are signed, as levels below 0 cool."""
+    if u_min < 0.0:
+        return "both"
+    return "heating" if sign > 0 else "cooling"
+
+
 @dataclass(frozen=True)
 class Layout:
     """What acts where in a building of Z zones, A actuators and M machines.
@@ -70,10 +77,8 @@ class Layout:
         return cls(signs=(-1 if mode == "cooling" else 1,), u_min=(u_min,), floor_area_m2=(area,))
 
     def mode(self, a: int) -> str:
-        """What actuator `a` does: 'heating', 'cooling', or 'both' where its levels are signed."""
-        if self.u_min[a] < 0.0:
-            return "both"
-        return "heating" if self.signs[a] > 0 else "cooling"
+        """What actuator `a` does, see `mode_of`."""
+        return mode_of(self.signs[a], self.u_min[a])
 
     def actuators_of(self, zone: int) -> list[int]:
         """The actuators that serve a zone."""

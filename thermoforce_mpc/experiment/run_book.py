@@ -12,6 +12,7 @@ from pathlib import Path
 
 from thermoforce_mpc.errors import PlantError, StorageError, ThermoForceError, out_of_memory
 from thermoforce_mpc.experiment.experiment import Experiment
+from thermoforce_mpc.files import plain_json
 from thermoforce_mpc.loop.closed_loop import StepRecord
 from thermoforce_mpc.records.journal import (
     FORMAT,
@@ -27,7 +28,7 @@ from thermoforce_mpc.records.journal import (
     set_aside,
 )
 from thermoforce_mpc.records.recorded_plant import JournaledPlant
-from thermoforce_mpc.records.run_folder import plain_json, write_partial
+from thermoforce_mpc.records.run_folder import write_partial
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.version import VERSION

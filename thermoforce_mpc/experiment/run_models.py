@@ -16,12 +16,12 @@ from thermoforce_mpc.experiment.identifying import (
     SavedModel,
     run_identification,
 )
-from thermoforce_mpc.files import file_sha256
+from thermoforce_mpc.files import file_sha256, plain_json
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.records.journal import Json
 from thermoforce_mpc.records.recorded_plant import FOLDER as PROBING
 from thermoforce_mpc.records.recorded_plant import JournaledPlant
-from thermoforce_mpc.records.run_folder import file_stem, kept_model, plain_json
+from thermoforce_mpc.records.run_folder import file_stem, kept_model
 from thermoforce_mpc.report.display import RunDisplay
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.gym.view import Observed, View, ViewState
+from thermoforce_mpc.plants.shell import is_number
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Episodes:
             if not np.isfinite(value):
                 raise ConfigError(f"{name}: {value!r} s: expected a finite number")
         for pair in self.excluding_periods or ():
-            if not (np.shape(pair) == (2,) and all(map(_is_number, pair)) and pair[0] < pair[1]):
+            if not (np.shape(pair) == (2,) and all(map(is_number, pair)) and pair[0] < pair[1]):
                 raise ConfigError(
                     f"excluding_periods: {pair!r}: expected pairs of begin and later end, s since 1 January; a period "
                     "over New Year is two of them"
@@ -78,10 +79,6 @@ class Episodes:
     def start_s(self, rng: np.random.Generator) -> float:
         """Start of the next episode, s; draws from `rng` only with `random_start_time`."""
         return float(rng.choice(self.possible_starts)) if self.random_start_time else float(self.start_time)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
 
 
 def drawn(
@@ -196,7 +193,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         for unknown in sorted(set(options or {}) - set(_RESET_OPTIONS)):
             raise ConfigError(f"reset: unknown option '{unknown}'; known: {', '.join(_RESET_OPTIONS)}")
         start_s = (options or {}).get("start_time")
-        if start_s is not None and not (_is_number(start_s) and start_s >= 0):
+        if start_s is not None and not (is_number(start_s) and start_s >= 0):
             raise ConfigError(f"reset: start_time: {start_s!r}: expected seconds since 1 January")
         self._running = False  # until the plant stands at the new start
         self.start_time = self._episodes.start_s(self.np_random) if start_s is None else float(start_s)

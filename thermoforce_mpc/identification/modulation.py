@@ -26,6 +26,7 @@ from thermoforce_mpc.identification.validation.errors_ahead import (
     Fold,
     block_numbers,
     is_significant,
+    rms,
     standard_errors_saved,
 )
 from thermoforce_mpc.model.forced_state import forced_history
@@ -187,7 +188,7 @@ class _Candidate:
     @property
     def scores(self) -> dict[str, float]:
         """Held-out errors without and with the network, standard deviations, and whether it is kept."""
-        linear, neural = (_rms(left) for left in self.left)
+        linear, neural = (rms(left) for left in self.left)
         return {"held_out_linear": linear, "held_out_neural": neural, "modulation_kept": float(self.kept)}
 
     @property
@@ -201,10 +202,10 @@ class _Candidate:
         linear, neural = self.left
         blocks = [block_numbers(i, e.rows[e.seen :], e.step_s) for i, e in enumerate(self.fold.regressions)]
         statistic = standard_errors_saved(neural, linear, np.concatenate(blocks))
-        if _rms(linear) >= _RELEVANT * _rms(neural) or not is_significant(*statistic, _SIGNIFICANT):
+        if rms(linear) >= _RELEVANT * rms(neural) or not is_significant(*statistic, _SIGNIFICANT):
             return ""
         return (
-            f"held-out data are predicted better with it: error {_rms(linear):.3g} instead of {_rms(neural):.3g} "
+            f"held-out data are predicted better with it: error {rms(linear):.3g} instead of {rms(neural):.3g} "
             "standard deviations"
         )
 
@@ -219,10 +220,6 @@ def _features(operator: OperatorParameters, history: Record, feedback: bool) -> 
     forced = 0.0 if feedback else forced_history(single(operator), history.part(0, [0])).sum(axis=(0, 1, 3))
     free = interpolated(history.T_zone_C[0] - forced)
     return feature_matrix(free[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
-
-
-def _rms(residuals: Array) -> float:
-    return float(np.sqrt(np.mean(residuals**2))) if residuals.size else float("nan")
 
 
 def _held_levels(heat: MachineLoad, everything: Fold, power: PowerModel | None) -> str:

@@ -31,7 +31,7 @@ from thermoforce_mpc.data.clock import in_celsius
 from thermoforce_mpc.errors import DataError, InputError, NoForecast, PlantError, StorageError
 from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.experiment.run_models import origin
-from thermoforce_mpc.files import file_sha256
+from thermoforce_mpc.files import file_sha256, plain_json
 from thermoforce_mpc.identification.probing.excitation import RoomsState
 from thermoforce_mpc.identification.probing.probe import LevelsState, ProbingState
 from thermoforce_mpc.live.windows import OpenWindow, as_if_empty, open_windows, without
@@ -43,7 +43,6 @@ from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.protocols import Connection
 from thermoforce_mpc.records.live_journal import RealRun
 from thermoforce_mpc.records.people import People
-from thermoforce_mpc.records.run_folder import plain_json
 from thermoforce_mpc.scenario.scenario import ControllerSpec, Scenario
 from thermoforce_mpc.state_file import StateFormat
 

@@ -22,7 +22,7 @@ from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError, InputError, PlantError, ThermoForceError, counted
 from thermoforce_mpc.execution.keys import digest
 from thermoforce_mpc.execution.progress import duration
-from thermoforce_mpc.files import read_bounded, write_whole
+from thermoforce_mpc.files import plain_json, read_bounded, write_whole
 from thermoforce_mpc.identification.probing.operation import findings, telling_part
 from thermoforce_mpc.live.building import LiveBuilding
 from thermoforce_mpc.live.trial import Answered, TrialOutcome, TrialPlan
@@ -31,7 +31,7 @@ from thermoforce_mpc.measurements.load import Measurements, learned_commands, re
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.points import LivePoint, read_points
 from thermoforce_mpc.model.thermal_model import load_model
-from thermoforce_mpc.records.run_folder import MOST_BYTES, SHADOW, plain_json
+from thermoforce_mpc.records.run_folder import MOST_BYTES, SHADOW
 
 _LOG = logging.getLogger(__name__)
 _FORMAT = 1

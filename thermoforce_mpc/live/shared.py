@@ -16,11 +16,11 @@ from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.commands.loop import LearnedCommand, command_rows
 from thermoforce_mpc.commands.tank import tank_rows
 from thermoforce_mpc.errors import StorageError
-from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.files import plain_json, write_whole
 from thermoforce_mpc.live.control import Decision
 from thermoforce_mpc.protocols import Connection
 from thermoforce_mpc.records.people import SHOWN, People
-from thermoforce_mpc.records.run_folder import plain_json, saving_so_far
+from thermoforce_mpc.records.run_folder import saving_so_far
 
 _LOG = logging.getLogger(__name__)
 ACTING = ("control", "probe")

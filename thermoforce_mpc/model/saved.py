@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import math
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -24,7 +23,7 @@ from safetensors.numpy import save as save_tensors
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ArtifactError
-from thermoforce_mpc.files import parse_json, read_bounded, write_folder
+from thermoforce_mpc.files import parse_json, plain_json, read_bounded, write_folder
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -219,7 +218,7 @@ def write_model_file(folder: Path, content: Mapping[str, Any], arrays: Mapping[s
         "code_version": VERSION,
         "arrays_sha256": hashlib.sha256(raw).hexdigest(),
     }
-    document = _plain(head | dict(content) | head)
+    document = plain_json(head | dict(content) | head)
     text = json.dumps(document | {"sha256": content_sha256(document)}, indent=2, allow_nan=False) + "\n"
     write_folder(folder, {ARRAYS_NAME: raw, JSON_NAME: text.encode()})
 
@@ -271,16 +270,3 @@ def content_sha256(document: Mapping[str, Any]) -> str:
     """Return the SHA-256 of a model's JSON document, layout and the entry `sha256` left aside."""
     content = {key: value for key, value in document.items() if key != "sha256"}
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
-
-
-def _plain(value: Any) -> Any:
-    """Return `value` in JSON types; numbers that are not finite become null, since JSON has no NaN."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -100,21 +100,22 @@ def check_levels(
     each = np.broadcast_to(u_min, n)
     for name, level, least, told in zip(names.actuators, levels, each, commands, strict=True):
         of = "" if alone else f" for '{name}'"
-        if level is not None and not (_is_number(level) and least <= level <= 1.0):
+        if level is not None and not (is_number(level) and least <= level <= 1.0):
             raise InputError(f"level of {level!r}{of}: expected a number from {least:g} to 1, or None")
         if np.shape(told) == (2,):
-            if not (all(map(_is_number, told)) and told[0] <= told[1]):
+            if not (all(map(is_number, told)) and told[0] <= told[1]):
                 raise InputError(
                     f"room set-points of {told!r} °C{of}: expected a heating set-point not above the cooling one"
                 )
-        elif told is not None and not _is_number(told):
+        elif told is not None and not is_number(told):
             raise InputError(f"command of {told!r}{of}: expected a finite number or two rising set-points, °C")
-    if not (_is_number(duration_s) and 0 < duration_s < YEAR_S):
+    if not (is_number(duration_s) and 0 < duration_s < YEAR_S):
         raise InputError(f"step of {duration_s!r} s: expected a positive number, less than a year")
     return Block(levels, float(duration_s), commands)
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Whether `value` is a finite number."""
     return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
 
 

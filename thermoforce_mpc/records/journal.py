@@ -94,9 +94,9 @@ def kpis_json(kpis: Mapping[str, float]) -> Json:
     return {name: number(value) for name, value in kpis.items()}
 
 
-def kpis_of(content: Mapping[str, Any]) -> dict[str, float]:
-    """The KPIs of `kpis_json`."""
-    return _numbers(content)
+def numbers_of(content: Mapping[str, Any]) -> dict[str, float]:
+    """Numbers of `number`, by name, as `kpis_json` writes them."""
+    return {name: math.nan if value is None else float(value) for name, value in content.items()}
 
 
 def names_of(content: Mapping[str, Any]) -> Names:
@@ -239,7 +239,7 @@ def planned_of(told: Mapping[str, Any]) -> dict[str, Array]:
 
 def saving_of(told: Mapping[str, Any]) -> PlannedSaving | None:
     """What the commands of a decision save; None where none were planned."""
-    return PlannedSaving(**_numbers(told["saving"])) if "saving" in told else None
+    return PlannedSaving(**numbers_of(told["saving"])) if "saving" in told else None
 
 
 def tank_of(told: Mapping[str, Any]) -> HotWaterPlan | None:
@@ -248,13 +248,8 @@ def tank_of(told: Mapping[str, Any]) -> HotWaterPlan | None:
         return None
     courses: dict[str, Any] = _courses_of(told["hot_water"]["courses"], _OF_TANK)
     command = tuple(None if math.isnan(value) else value for value in courses.pop("command").tolist())
-    in_all: dict[str, Any] = _numbers({name: told["hot_water"][name] for name in _OF_TANK_IN_ALL})
+    in_all: dict[str, Any] = numbers_of({name: told["hot_water"][name] for name in _OF_TANK_IN_ALL})
     return HotWaterPlan(command, **courses, **in_all | {"solves": int(in_all["solves"])})
-
-
-def _numbers(content: Mapping[str, Any]) -> dict[str, float]:
-    """Numbers of `number`, by name."""
-    return {name: math.nan if value is None else float(value) for name, value in content.items()}
 
 
 def _courses_of(content: Mapping[str, Any], units: Mapping[str, float]) -> dict[str, Array]:

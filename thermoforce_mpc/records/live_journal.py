@@ -18,7 +18,7 @@ import numpy as np
 
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Block, Boundary, Layout, Measurement, Record
 from thermoforce_mpc.errors import StorageError
-from thermoforce_mpc.files import storage_errors
+from thermoforce_mpc.files import plain_json, storage_errors
 from thermoforce_mpc.loop.loop import CLOCK_TOLERANCE_S, Decided
 from thermoforce_mpc.records.journal import (
     FORMAT,
@@ -39,7 +39,6 @@ from thermoforce_mpc.records.journal import (
     rows_json,
     set_aside,
 )
-from thermoforce_mpc.records.run_folder import plain_json
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.version import VERSION
 

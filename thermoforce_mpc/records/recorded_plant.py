@@ -32,7 +32,7 @@ from thermoforce_mpc.data import (
     Record,
 )
 from thermoforce_mpc.errors import ConfigError, NoForecast
-from thermoforce_mpc.files import check_plain, storage_errors
+from thermoforce_mpc.files import check_plain, plain_json, storage_errors
 from thermoforce_mpc.loop.closed_loop import StepRecord, advanced
 from thermoforce_mpc.loop.probing import Probed
 from thermoforce_mpc.protocols import Plant, can_restart, outlives
@@ -48,11 +48,11 @@ from thermoforce_mpc.records.journal import (
     boundary_of,
     boundary_rows,
     kpis_json,
-    kpis_of,
     making_sense,
     measurement_json,
     measurement_of,
     names_of,
+    numbers_of,
     pack,
     plan_json,
     read_journal,
@@ -62,7 +62,6 @@ from thermoforce_mpc.records.journal import (
     rows_json,
     unpack,
 )
-from thermoforce_mpc.records.run_folder import plain_json
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.version import VERSION
 
@@ -152,7 +151,7 @@ class RecordedPlant:
 
     def kpis(self) -> dict[str, float]:
         """See `Plant.kpis`; asked for once, at the end of a loop."""
-        return self._answer("kpis", {}, lambda: kpis_json(self.inside.kpis()), kpis_of)
+        return self._answer("kpis", {}, lambda: kpis_json(self.inside.kpis()), numbers_of)
 
     def leave(self) -> None:
         """Leave a plant that outlives us where it stands; nothing for another."""

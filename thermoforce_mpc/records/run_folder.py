@@ -31,6 +31,7 @@ from thermoforce_mpc.files import (
     DoubtfulInput,
     check_plain,
     open_plain,
+    plain_json,
     read_bounded,
     storage_errors,
     sweep,
@@ -235,19 +236,6 @@ def write_json(path: Path, content: Mapping[str, Any], *, follow: bool = False) 
     """Write standard JSON: NaN and infinities become null; `follow` as of `written`."""
     text = json.dumps(plain_json(content), indent=2, ensure_ascii=False, allow_nan=False)
     write_whole(path, text + "\n", follow=follow)
-
-
-def plain_json(value: Any) -> Any:
-    """`value` in JSON types; numbers that are not finite become null."""
-    if isinstance(value, Mapping):
-        return {str(key): plain_json(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain_json(item) for item in value]
-    if hasattr(value, "item") and not isinstance(value, str):
-        value = value.item()
-    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
-        return None
-    return value
 
 
 _LOGGERS = ("thermoforce_mpc", "controllers", "boptest_client")

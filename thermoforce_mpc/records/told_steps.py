@@ -41,11 +41,11 @@ from thermoforce_mpc.records.journal import (
     JournalError,
     block_of,
     boundary_of,
-    kpis_of,
     making_sense,
     margins_of,
     measurement_of,
     names_of,
+    numbers_of,
     planned_of,
     read_run,
     record_of,
@@ -384,7 +384,7 @@ def told_run(folder: Path) -> ToldRun:
         for name, loop in told_loops(entries).items():
             if steps := _ended_steps(loop):
                 reset = next(entry.content["answer"] for entry in loop if entry.kind == "reset")
-                kpis = next((kpis_of(entry.content["answer"]) for entry in loop if entry.kind == "kpis"), {})
+                kpis = next((numbers_of(entry.content["answer"]) for entry in loop if entry.kind == "kpis"), {})
                 kpis["time_rat"] = time_rat(steps, steps[0].boundary.step_s)
                 if building.is_real:
                     last = steps[-1].samples[-1]

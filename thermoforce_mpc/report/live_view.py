@@ -16,7 +16,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Re
 from thermoforce_mpc.data.clock import words_of
 from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.files import check_plain
+from thermoforce_mpc.files import check_plain, plain_json
 from thermoforce_mpc.loop.closed_loop import in_force, with_level
 from thermoforce_mpc.loop.inputs import holes, price_paid
 from thermoforce_mpc.model.forecast_gaps import completed
@@ -30,7 +30,7 @@ from thermoforce_mpc.records.journal import (
     planned_of,
     tank_of,
 )
-from thermoforce_mpc.records.run_folder import is_complete, plain_json
+from thermoforce_mpc.records.run_folder import is_complete
 from thermoforce_mpc.records.told_steps import StepReader, ToldBuilding, ToldStep, told_building
 
 # Past shown, and steps of it at most.

@@ -15,7 +15,7 @@ import numpy as np
 from markupsafe import Markup
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.records.run_folder import plain_json
+from thermoforce_mpc.files import plain_json
 
 _HERE = Path(__file__).resolve().parent
 UPLOT = "../vendor/uplot/uPlot.iife.min.js"

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from thermoforce_mpc.registry import known_name
-from thermoforce_mpc.scenario.comfort import Comfort, window_name
+from thermoforce_mpc.scenario.comfort import OfComfort, window_name
 from thermoforce_mpc.scenario.settings import StrictModel, one_of
 from thermoforce_mpc.scenario.testcase import Price
 
@@ -140,7 +140,7 @@ class Scenario(StrictModel):
         examples=[3600],
     )
     price: Price = Field("constant", description="tariff")
-    comfort: Comfort | None = Field(
+    comfort: OfComfort | None = Field(
         None,
         description="comfort bounds by schedule, in plans and KPIs; null: those of the test case. Native control keeps "
         "its own set-points",
@@ -160,11 +160,6 @@ class Scenario(StrictModel):
         "controller, in further runs of it; null: where the plant is embedded",
     )
     seed: int = Field(1, ge=0, description="seed of probing, training and forecast errors")
-
-    @field_validator("comfort", mode="before", json_schema_input_type=str | Comfort | None)
-    @classmethod
-    def _schedule_alone(cls, value: object) -> object:
-        return {"schedule": value} if isinstance(value, str) else value
 
     @field_validator("period", mode="before", json_schema_input_type=str | float)
     @classmethod

@@ -29,6 +29,7 @@ from thermoforce_mpc.identification.validation.errors_ahead import (
     errors_of,
     is_significant,
     quantile,
+    rms,
     standard_errors_saved,
 )
 from thermoforce_mpc.model.card import JUDGED_H, MOST_ERROR_K, MOST_RELATIVE_SD, Competence, HorizonScore
@@ -263,10 +264,6 @@ def is_well_known(verdict: Competence | None) -> bool:
 
 def _score(hours: float, errors: HeldOutErrors, before: HeldOutErrors | None, block_h: float) -> HorizonScore:
     """RMSE of the errors; tests of these and of those `before` together."""
-
-    def rmse(values: Array) -> float:
-        return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
-
     both = errors if before is None else HeldOutErrors.joined([errors, before])
     better_t, blocks, still_t = float("nan"), 0, float("nan")
     if both.model.size:
@@ -274,7 +271,7 @@ def _score(hours: float, errors: HeldOutErrors, before: HeldOutErrors | None, bl
         better_t, blocks = standard_errors_saved(both.weather, both.model, both.blocks, overlap)
         still_t = standard_errors_saved(both.model, both.persistence, both.blocks, overlap)[0]
     return HorizonScore(
-        hours, rmse(errors.model), rmse(errors.persistence), rmse(errors.weather), better_t, blocks, still_t
+        hours, rms(errors.model), rms(errors.persistence), rms(errors.weather), better_t, blocks, still_t
     )
 
 

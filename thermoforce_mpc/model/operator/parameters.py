@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data.layout import mode_of
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
@@ -169,10 +170,8 @@ class OperatorParameters:
 
     @property
     def mode(self) -> str:
-        """'heating', 'cooling', or 'both' where levels below 0 cool."""
-        if self.heat_input.u_min < 0.0:
-            return "both"
-        return "heating" if self.sign > 0 else "cooling"
+        """What its actuator does, see `mode_of`."""
+        return mode_of(self.sign, self.heat_input.u_min)
 
     @property
     def n_trained(self) -> int:
