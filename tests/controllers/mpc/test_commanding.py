@@ -1,0 +1,136 @@
+"""Plans in commands: levels within what commands bring, zones that are left alone, and energy by what rooms ask for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from home_by_curve import ROOMS, RULES, HomeByCurve, curve_model
+
+from controllers.actuation.actuator import ActuationState
+from controllers.mpc.commanding import BuildingCommands
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
+from thermoforce_mpc.data import HOUR_S, Observation
+from thermoforce_mpc.measurements.forecast import read_forecast
+from thermoforce_mpc.measurements.load import learned_commands, read_measurements
+from thermoforce_mpc.model.machine.change import weight_of_demand
+
+LIVING, BEDROOM = range(2)
+STATES = [ActuationState()] * 2
+
+
+@pytest.fixture(scope="module")
+def home():
+    return HomeByCurve()
+
+
+@pytest.fixture(scope="module")
+def parts(home):
+    """The commands as if each room had its own, its boundary, the problem of a plan, and its controller."""
+    measured = read_measurements(home.measurements(), RULES, step_s=HOUR_S).served()
+    learned, model = learned_commands(measured), curve_model(home)
+    options = {"step_s": HOUR_S, "horizon_h": 24.0, "free_response": {"name": "persistence"}}
+    mpc = ThermoForceMPC(model, MPCConfig.model_validate(options), commands=learned)
+    seen = Observation(measured.record, read_forecast(home.forecast(), measured).head(24))
+    context = mpc.predictor.context(seen)
+    own = {a: replace(learned[name], machine="") for a, name in enumerate(ROOMS)}
+    commands = BuildingCommands(measured.layout, own, model.cards, {})
+    return commands, context.boundary, mpc.instance(context, seen.history), mpc
+
+
+def begun(parts, left_alone=(), **changes):
+    commands, boundary, problem, mpc = parts
+    return commands.begin(mpc.planning_operator, replace(problem, **changes), boundary, left_alone, None)
+
+
+def brought(parts, u):
+    """Temperatures at the ends of steps under levels, (Z, N), °C."""
+    _, _, problem, mpc = parts
+    return problem.T_free_C + mpc.evaluator.brings(problem, u).forced_K
+
+
+def test_what_is_left_alone_has_its_usual_levels_and_its_zone_is_asked_no_more(parts):
+    """The other one, which follows the plan, is asked for its comfort though left alone it would miss it."""
+    problem, left = parts[2], begun(parts, [LIVING])
+    usual_u = left.without.realise(np.zeros((2, problem.n_steps)), STATES, parts[3].evaluator).u
+    alone_C = brought(parts, usual_u)
+    too_much = {"lower_C": alone_C + 0.5, "upper_C": alone_C + 1.0}
+    within = begun(parts, [LIVING], **too_much).within_reach(None)
+    for levels in (within.least_u, within.most_u):
+        np.testing.assert_allclose(levels[LIVING], usual_u[LIVING], atol=1e-6)
+    np.testing.assert_allclose(within.lower_C[LIVING], alone_C[LIVING], atol=1e-6)
+    for z, bound in ((LIVING, "upper_C"), (BEDROOM, "lower_C"), (BEDROOM, "upper_C")):
+        np.testing.assert_array_equal(getattr(within, bound)[z], too_much[bound][z])
+    too_little = {"lower_C": alone_C - 1.0, "upper_C": alone_C - 0.5}
+    within = begun(parts, [LIVING], **too_little).within_reach(None)
+    np.testing.assert_allclose(within.upper_C[LIVING], alone_C[LIVING], atol=1e-6)
+    np.testing.assert_array_equal(within.upper_C[BEDROOM], too_little["upper_C"][BEDROOM])
+
+
+def test_of_actuators_that_exclude_each_other_none_must_act(parts):
+    free = begun(parts).within_reach(None)
+    assert (free.least_u > 0.01).any(axis=1).all(), "water comes at the lowest offset too"
+    machinery = replace(parts[2].machinery, exclusive=((LIVING, BEDROOM),))
+    excluded = begun(parts, machinery=machinery).within_reach(None)
+    assert (excluded.least_u == 0.0).all()
+    np.testing.assert_array_equal(excluded.most_u, free.most_u)
+
+
+def test_no_more_is_asked_than_the_machine_of_each_can_give(parts):
+    """Valves that stay open at the lowest offset ask for more than it has; one of another machine gets its own."""
+    problem, free = parts[2], begun(parts).within_reach(None)
+    asked = problem.machinery.share @ free.least_u
+    gives = np.where(np.arange(problem.n_steps) % 2, 0.5, 2.0) * asked
+    gives[4] = -0.1
+    within = begun(parts, capacity=gives[None]).within_reach(None)
+    given = problem.machinery.share @ within.least_u
+    np.testing.assert_allclose(given, np.minimum(asked, 0.99 * np.maximum(gives, 0.0)))
+    np.testing.assert_allclose(within.least_u * asked, free.least_u * given)
+    each = replace(problem.machinery, machines=("heat pump", "stove"), machine_of=np.arange(2))
+    rows = {name: np.repeat(getattr(problem, name), 2, axis=0) for name in ("price_per_kWh", "power_fixed_W")}
+    gives = np.stack([np.ones(asked.size), 0.3 * gives])
+    apart = begun(parts, machinery=each, capacity=gives, **rows).within_reach(None)
+    np.testing.assert_array_equal(apart.least_u[LIVING], free.least_u[LIVING])
+    assert (apart.least_u[BEDROOM, 1::2] < free.least_u[BEDROOM, 1::2]).all()
+
+
+def test_levels_are_within_what_commands_bring_at_the_temperatures_of_the_plan(parts):
+    """A warmer room shuts its valve: less comes of the same water. Levels are from 0 to the highest."""
+    plan, problem = begun(parts), parts[2]
+    cold, warm = (plan.within_reach(np.full((2, problem.n_steps), level)) for level in (0.0, 1.0))
+    assert (warm.most_u[:, 6:] < cold.most_u[:, 6:]).all()
+    assert warm.most_u.min() < 0.48
+    assert (cold.least_u < cold.most_u - 0.1).any(axis=1).all()
+    for within in (cold, warm):
+        assert (within.least_u >= 0.0).all()
+        assert (within.least_u <= within.most_u).all()
+        assert (within.most_u <= problem.machinery.u_max[:, None]).all()
+    low = replace(problem.machinery, u_max=np.full(2, 0.2))
+    assert begun(parts, machinery=low).within_reach(None).most_u.max() == pytest.approx(0.2)
+
+
+def test_a_plan_is_beyond_what_commands_bring_where_its_own_temperatures_say_so(parts):
+    plan, n = begun(parts), parts[2].n_steps
+    assert plan.beyond(np.ones((2, n)))
+    assert not plan.beyond(np.zeros((2, n)))
+
+
+def test_energy_lies_between_the_law_of_power_and_what_the_rooms_ask_for(parts):
+    """In the middle where the record tells nothing of it: what is lost to outdoors follows the temperature of rooms."""
+    _, boundary, _, mpc = parts
+    plan = begun(parts)
+    commanded = plan.realise(np.zeros((2, parts[2].n_steps)), STATES, mpc.evaluator)
+    usual_u = plan.without.realise(commanded.u, STATES, mpc.evaluator).u
+    T_out_C = 0.5 * (boundary.T_out_C[1:] + boundary.T_out_C[:-1])
+    lost_K = [float((brought(parts, u) - T_out_C).mean()) for u in (commanded.u, usual_u)]
+    by_law = plan.saving(commanded, mpc.evaluator, 0.0)
+    assert abs(lost_K[0] / lost_K[1] - by_law.energy_kWh / by_law.energy_alone_kWh) > 0.01, "they differ"
+    by_demand_kWh = by_law.energy_alone_kWh * lost_K[0] / lost_K[1]
+    for spread in (0.1, 1.0):
+        share = 0.5 * weight_of_demand(spread)
+        expected_kWh = (1.0 - share) * by_law.energy_kWh + share * by_demand_kWh
+        found = plan.saving(commanded, mpc.evaluator, spread)
+        assert found.energy_kWh == pytest.approx(expected_kWh, rel=1e-5)
+        assert found.energy_alone_kWh == pytest.approx(by_law.energy_alone_kWh)
