@@ -46,6 +46,11 @@ def test_between_steps_the_nearest_inside_the_limits_is_set(low, high):
     assert not one.allows(22.5)
 
 
+@pytest.mark.parametrize(("low", "high", "nearest"), [(20.1, 20.2, 20.0), (20.3, 20.4, 20.5), (20.3, 20.1, 20.0)])
+def test_where_two_steps_are_allowed_the_one_nearest_to_the_middle_of_the_limits_is_set(low, high, nearest):
+    assert command("setpoint").values(low, high).tolist() == [nearest]
+
+
 def test_a_device_in_fahrenheit_takes_whole_degrees_of_its_own():
     """Inside are °C; limits and steps of the map are the device's."""
     one = command("setpoint", unit="°F", maximum=72, change_per_h=2)

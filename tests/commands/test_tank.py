@@ -94,6 +94,20 @@ def test_a_record_tells_loss_draw_off_and_what_a_charge_takes(lived, charging):
     assert "charges in 14 days" in tank.in_words
 
 
+@pytest.mark.parametrize("days", [4, 5])
+def test_standing_loss_is_known_from_five_days_on_that_show_it(lived, days):
+    """Elsewhere the sensor is read beside charges only: many hours of one day err together."""
+    _, rows = lived
+    near = rows.charged.rolling(13, center=True, min_periods=1).max() > 0.0
+    whole = np.arange(len(rows)) < 288 * days
+    tank = learned_tank(read_measurements(rows.assign(tank=rows.tank.where(near | whole)), a_map(), step_s=HOUR_S))
+    if days < 5:
+        assert (tank.loss_1_h, tank.loss_sd) == (0.0, 0.1)
+    else:
+        assert 0.0 < tank.loss_1_h < 0.05
+        assert 0.0 < tank.loss_sd < 0.02
+
+
 def test_the_meter_of_the_rooms_is_without_the_tank(lived):
     _, rows = lived
     with_tank = read_measurements(rows, a_map(), step_s=HOUR_S)

@@ -508,7 +508,10 @@ def _energy(charges: _Charges, T_out_C: float, where: str) -> tuple[Array, float
 
 
 def _standing(record: TankRecord, charging: Array) -> tuple[float, float]:
-    """Standing loss, 1/h, and its standard error by days: a low quantile of what falls where nothing is charged."""
+    """Standing loss, 1/h, and its standard error by days: a low quantile of what falls where nothing is charged.
+
+    Of too few days nothing but the most is known: hours of one day err together.
+    """
     n = max(1, round(_STILL_H * HOUR_S / record.step_s))
     first = np.arange(0, record.T_C.size - n, max(1, n // 4))
     still = np.array([bool((charging[k : k + n] == 0.0).all()) for k in first])
@@ -517,9 +520,9 @@ def _standing(record: TankRecord, charging: Array) -> tuple[float, float]:
     over = np.maximum(record.T_C[first] - CELLAR_C, 1.0)
     each, day = falls / over / (n * record.step_s / HOUR_S), np.floor(record.time_s[first] / DAY_S)
     each, day = each[np.isfinite(each)], day[np.isfinite(each)]
-    if each.size < _LEAST_DAYS:
-        return 0.0, _MOST_LOSS
     of_days = [each[day == one] for one in np.unique(day)]
+    if len(of_days) < _LEAST_DAYS:
+        return 0.0, _MOST_LOSS
     rng = np.random.default_rng(0)
     drawn = [
         np.quantile(np.concatenate([of_days[i] for i in rng.integers(len(of_days), size=len(of_days))]), _STILL)
@@ -547,7 +550,7 @@ def _draws(record: TankRecord, charging: Array, charges: _Charges, machine_K: Ar
     share += np.bincount(place[charges.first], charges.hours, minlength=n)
     total, share = total.reshape(-1, 24), share.reshape(-1, 24)
     usual = np.maximum(total.sum(axis=0) / np.maximum(share.sum(axis=0), 1e-9), 0.0)
-    draws = total + np.clip(1.0 - share, 0.0, 1.0) * usual
+    draws = total + np.maximum(1.0 - share, 0.0) * usual
     whole = (share > 0.0).sum(axis=1) >= _LEAST_HOURS
     return np.asarray(draws[whole] if whole.any() else usual[None])
 

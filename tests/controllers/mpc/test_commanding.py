@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.data import HOUR_S, Observation
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import learned_commands, read_measurements
+from thermoforce_mpc.model.card import MOST_ERROR_K
 from thermoforce_mpc.model.machine.change import weight_of_demand
 
 LIVING, BEDROOM = range(2)
@@ -40,9 +42,9 @@ def parts(home):
     return commands, context.boundary, mpc.instance(context, seen.history), mpc
 
 
-def begun(parts, left_alone=(), **changes):
+def begun(parts, left_alone=(), unknown=(), **changes):
     commands, boundary, problem, mpc = parts
-    return commands.begin(mpc.planning_operator, replace(problem, **changes), boundary, left_alone, None)
+    return commands.begin(mpc.planning_operator, replace(problem, **changes), boundary, left_alone, None, unknown)
 
 
 def brought(parts, u):
@@ -134,3 +136,32 @@ def test_energy_lies_between_the_law_of_power_and_what_the_rooms_ask_for(parts):
         found = plan.saving(commanded, mpc.evaluator, spread)
         assert found.energy_kWh == pytest.approx(expected_kWh, rel=1e-5)
         assert found.energy_alone_kWh == pytest.approx(by_law.energy_alone_kWh)
+
+
+def test_in_a_room_that_is_not_known_discomfort_counts_as_it_is_on_average_over_errors(parts):
+    """Where a plan makes it worse than left alone does; by summing over the errors instead of in closed form."""
+    _, _, problem, mpc = parts
+    plan = begun(parts)
+    usual_u = plan.without.realise(np.zeros((2, problem.n_steps)), STATES, mpc.evaluator).u
+    alone_C = brought(parts, usual_u)
+    # Beside a bound, so that errors matter; a night of another bound takes the plan away from what is usual.
+    bounds = {"lower_C": alone_C - 0.3, "upper_C": alone_C + 1.5}
+    plan, unsure = begun(parts, **bounds), begun(parts, unknown=[BEDROOM], **bounds)
+    commanded = plan.realise(np.zeros((2, problem.n_steps)), STATES, mpc.evaluator)
+    T_C = brought(parts, commanded.u)[BEDROOM]
+    away_K = T_C - alone_C[BEDROOM]
+    assert np.abs(away_K).max() > 0.05, "the plan differs"
+    errors = NormalDist().inv_cdf
+    z = np.array([errors((k + 0.5) / 4000.0) for k in range(4000)])[:, None]
+
+    def discomfort_K(C, sd_K):
+        lower_C, upper_C = (bounds[name][BEDROOM] for name in ("lower_C", "upper_C"))
+        mean = sum(np.maximum(out + sd_K * z, 0.0).mean(axis=0) for out in (lower_C - C, C - upper_C))
+        return mean - np.maximum(lower_C - C, 0.0) - np.maximum(C - upper_C, 0.0)
+
+    error_K = MOST_ERROR_K[6.0]
+    worse_K = discomfort_K(T_C, np.hypot(error_K, away_K)) - discomfort_K(alone_C[BEDROOM], error_K)
+    cost = problem.comfort_price.max() * np.maximum(worse_K, 0.0).sum()
+    assert cost > 0.0
+    gains = [one.saving(commanded, mpc.evaluator, 0.0).gain for one in (plan, unsure)]
+    assert gains[0] - gains[1] == pytest.approx(cost, rel=1e-2)

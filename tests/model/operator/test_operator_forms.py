@@ -266,3 +266,10 @@ def test_using_an_operator_imports_neither_torch_nor_casadi():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
+
+
+def test_modulation_has_a_value_for_each_set_of_features_whether_it_sees_them_or_not():
+    constant = linear_operator(np.array([0.9]), np.array([0.3]), step_s=3600.0)
+    for params in (constant, random_operator(3)):
+        assert params.modulation(np.ones((5, 7, 4))).shape == (5, 7)
+    assert (constant.modulation(np.ones((5, 7, 4))) == 1.0).all()

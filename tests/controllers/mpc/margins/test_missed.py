@@ -161,22 +161,29 @@ def test_one_drop_that_loops_let_through_is_made_up_for_at_once():
 
 
 def second_plan(
-    T_C: float, used: float, model: ThermalModel | None = None, **options: Any
+    T_C: float, used: float, model: ThermalModel | None = None, near_K: float | None = None, **options: Any
 ) -> tuple[MPCState, Boundary, float]:
     """State of the plan after a first one, with the zone at `T_C` after a step at level `used`; what the first one
     expected there, °C.
+
+    `near_K`: a day before the first one ends with the second, in which the zone was so near its lower bound.
     """
     config = MPCConfig(step_s=None, horizon_h=24.0, **options)
     mpc = ThermoForceMPC(model or simple_model(), config, free_response=OutdoorResponse())
     house = SimpleHouse()
     house.reset(10 * DAY_S, 24 * HOUR_S)
     first = mpc.plan(Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S)))
+    assert isinstance(first.state, MPCState)
+    state = first.state
+    if near_K is not None:
+        day = replace(LearnedMargin.nothing(1), nearest_K=np.array([[near_K], [np.inf]]), since_s=house.now_s - DAY_S)
+        state = replace(state, margins=replace(state.margins, learned=day))
     house.advance(used, HOUR_S)
     history = house.past(HOUR_S)
     T = history.T_zone_C.copy()
     T[0, -1] = T_C
     boundary = house.forecast(mpc.horizon_s, HOUR_S)
-    plan = mpc.plan(Observation(replace(history, T_zone_C=T), boundary), first.state)
+    plan = mpc.plan(Observation(replace(history, T_zone_C=T), boundary), state)
     assert isinstance(plan.state, MPCState)
     return plan.state, boundary, float(first.T_zone_C[0, 0])
 
@@ -200,6 +207,14 @@ def test_within_a_step_of_the_sensor_the_zone_is_where_the_plan_expected_it(abov
     inside_K = expected_C + known_above_K - boundary.lower_C[0, 0]
     assert state.margins.learned.nearest_K[0, 0] == pytest.approx(inside_K)
     assert state.margins.offset_K[0] == pytest.approx(known_above_K * (1.0 - np.exp(-1.0 / 6.0)))
+
+
+def test_half_a_step_of_the_sensor_is_never_given_back():
+    """All that plans keep here, whatever a day had to spare."""
+    expected_C = second_plan(21.0, 0.3, coarse_model())[2]
+    state, _, _ = second_plan(expected_C, 0.3, coarse_model(), near_K=0.3)
+    assert state.margins.learned.nearest_K[0, 0] == np.inf, "the day is over"
+    assert state.margins.learned.reserve_K.tolist() == [[0.0], [0.0]]
 
 
 def test_the_bounds_of_a_problem_move_inside_by_what_was_learned():
