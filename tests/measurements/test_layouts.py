@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.errors import ConfigError, DataError
@@ -704,6 +705,23 @@ def test_a_column_called_room_that_holds_temperatures_names_no_signals(tmp_path)
     ]
     pd.concat(rows).sort_values("time", kind="stable").to_csv(tmp_path / "long.csv", index=False)
     assert "point: room, value: temperature" in starting_map(tmp_path / "long.csv")
+
+
+@pytest.mark.parametrize("rooms", [("Floor 1 Room 2", "Floor 2 Room 1"), ("Bad 1. OG", "Zone #1")])
+def test_rooms_whose_names_share_their_words_have_their_own_valves_and_setpoints(tmp_path, rooms):
+    table = pd.DataFrame(
+        {"time": HOUSE.index[:96].strftime("%Y-%m-%d %H:%M"), "outdoor": HOUSE["out"].iloc[:96].values}
+    )
+    for room in rooms:
+        table[f"{room} temperature"] = HOUSE["living"].iloc[:96].values
+        table[f"{room} valve"] = np.arange(96) // 8 % 2 * 100.0
+        table[f"{room} setpoint"] = 21.0 + np.arange(96) // 48
+    table.to_csv(tmp_path / "house.csv", index=False)
+    found = yaml.safe_load(starting_map(tmp_path / "house.csv"))
+    read = {of["zone"]: (of["level"]["column"], of["command"]["column"]) for of in found["actuators"].values()}
+    columns = {zone: of["temperature"]["column"].removesuffix(" temperature") for zone, of in found["zones"].items()}
+    assert read == {zone: (f"{room} valve", f"{room} setpoint") for zone, room in columns.items()}
+    assert set(columns.values()) == set(rooms)
 
 
 def test_the_line_protocol_of_influx_is_no_table(tmp_path):

@@ -354,6 +354,11 @@ _DAY_IN_NAME = re.compile(r"20\d{6}(\d{4}|\d{6})?")
 
 
 def place_of(name: str) -> frozenset[str]:
+    """The words of `place_in_order`."""
+    return frozenset(place_in_order(name))
+
+
+def place_in_order(name: str) -> tuple[str, ...]:
     """The words of a name that say where or of what its signal is: those without a tag, and names of rooms."""
     words = [word for word in words_of(name) if word not in _GENERAL]
     kept = [
@@ -368,9 +373,7 @@ def place_of(name: str) -> frozenset[str]:
             and not (len(word) > 4 and any(part in word for parts in _PARTS.values() for part in parts))
         )
     ]
-    return frozenset(
-        re.sub(r"(temperat\w*|temp|ventil\w*|soll\w*|ist\w*|feucht\w*)$", "", word) or word for word in kept
-    )
+    return tuple(re.sub(r"(temperat\w*|temp|ventil\w*|soll\w*|ist\w*|feucht\w*)$", "", word) or word for word in kept)
 
 
 # Temperatures, °C: of rooms that are lived in (medians), of weather, of water in pipes.

@@ -12,7 +12,7 @@ import pandas as pd
 import yaml
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses, tags, unit_of, words_of
+from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses, place_in_order, tags, unit_of, words_of
 from thermoforce_mpc.measurements.map.mapping import converted
 from thermoforce_mpc.measurements.tables.clock import all_year, instants
 from thermoforce_mpc.measurements.tables.files import all_readings, found_files, head_of, named_after, stamps_of
@@ -338,7 +338,8 @@ class _Text:
             high, note = max(high, low + 3.0), f"  # {_CHECK}from what is usually set"
         lines = []
         for key, number in (("lower", low), ("upper", high)):
-            bound = [g for g in self.of(key) if g.sure and (len(self.zones) == 1 or g.place & zone.place)]
+            sure = [g for g in self.of(key) if g.sure]
+            bound = sure if len(self.zones) == 1 else self._there([g for g in sure if g.place & zone.place], name)
             told = self._signal(bound[0]) if bound else f"{number:g}"
             lines.append(f"    {key}: {told}{note if not bound or 'usually' not in note else ''}")
         return lines
@@ -397,7 +398,7 @@ class _Text:
         def of_it(guess: Guess) -> bool:
             return self._match(guess, zone) or (alone and not (guess.place and self.zones[zone].place))
 
-        ours = [g for g in self.of(role) if g.sure and of_it(g)]
+        ours = self._there([g for g in self.of(role) if g.sure and of_it(g)], zone)
         return ours[0] if len(ours) == 1 else None
 
     def _command(self, asked: Guess) -> str:
@@ -433,7 +434,7 @@ class _Text:
             for zone in zones:
                 if any(zone == taken for taken, _, _ in found.values()):
                     continue
-                ours = [g for g in candidates if self._match(g, zone) and len(zones) > 1]
+                ours = self._there([g for g in candidates if self._match(g, zone) and len(zones) > 1], zone)
                 if ours:
                     best = max(ours, key=lambda g: (self._worth(g), len(g.place & self.zones[zone].place), g.sure))
                     found[self._unique(_name(best.name), found)] = (zone, best, None)
@@ -447,7 +448,8 @@ class _Text:
         if found:
             return found
         powers = self.of("power")
-        each = {z: p for z in zones for p in powers if len(zones) > 1 and self._match(p, z)}
+        near = {z: self._there([p for p in powers if self._match(p, z)], z) for z in zones if len(zones) > 1}
+        each = {z: ours[-1] for z, ours in near.items() if ours}
         if len(each) > 1:
             return {self._unique(f"{zone}_heater", found): (zone, None, power) for zone, power in each.items()}
         best_of = sorted([*levels, *heats], key=lambda g: -self._worth(g))
@@ -483,6 +485,11 @@ class _Text:
 
     def _match(self, guess: Guess | None, zone: str) -> bool:
         return guess is not None and zone in self.zones and bool(guess.place & self.zones[zone].place)
+
+    def _there(self, guesses: Sequence[Guess], zone: str) -> Sequence[Guess]:
+        """Those of `guesses` whose place is that of the zone to the word and in its order; all where none is."""
+        words = place_in_order(self.zones[zone].name)
+        return [g for g in guesses if place_in_order(g.name) == words] or guesses
 
     def _machines(self, acting: dict[str, tuple[str, Guess | None, Guess | None]]) -> dict[str, Guess | None]:
         each = {f"{zone}_meter": power for zone, _, power in acting.values() if power is not None}
