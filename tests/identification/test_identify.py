@@ -191,7 +191,7 @@ def _at(index, value):
         (lambda: record(HOUSE, 0.5), r"0\.50 days.*need at least 0\.9"),
         (lambda: record(HOUSE, 2.0, u=np.full(192, 0.4)), r"u is constant at 0\.4.*probe"),
         (lambda: record(HOUSE, 2.0, u=np.repeat([0.0, 1.0], 96)), r"too little excitation.*1 changes of u"),
-        (lambda: _changed(T_zone_C=lambda T: np.full_like(T, np.nan)), "every zone temperature is NaN"),
+        (lambda: _changed(T_zone_C=lambda T: np.full_like(T, np.nan)), "no zone temperature is known"),
         (lambda: _changed(T_zone_C=_at(slice(0, 120), np.nan)), "only .* of the zone temperatures"),
         (lambda: _changed(T_out_C=_at(slice(None), np.nan)), "u and the weather were never measured together"),
         (lambda: _changed(u=_at(slice(5, 110), np.nan)), r"run, 5 steps between gaps: 0\.05 days of data"),

@@ -70,6 +70,8 @@ def model_of_measurements(
     measured = read_measurements(files, map_file).served()
     summary, names = measured.understood, ", ".join(measured.understood.files)
     say(f"Measurements: {names}\n{summary.begins} to {summary.ends}, step {summary.step_s / 60:g} min")
+    for text in summary.doubts_in_words():
+        say(f"  {text}")
     record, note = telling_part(measured.record, measured.layout, days=days or MOST_DAYS)
     if note:
         say(note)

@@ -99,6 +99,16 @@ class Understood:
     missing: tuple[str, ...]
     beside: tuple[str, ...] = ()
 
+    def doubts_in_words(self) -> list[str]:
+        """Which readings count as not measured, and what is doubtful of a signal."""
+        found = []
+        for signal in self.signals:
+            for flag in signal.flags:
+                found.append(f"flagged in {signal.key}: {flag.count} by rule '{flag.rule}', first {flag.first}")
+            if signal.doubt:
+                found.append(f"doubtful: {signal.key}: {signal.doubt}")
+        return found
+
     def to_json(self) -> dict[str, Any]:
         """All fields as JSON values; None for what is not known."""
         content: dict[str, Any] = _finite(asdict(self))

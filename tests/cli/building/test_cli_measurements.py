@@ -100,6 +100,14 @@ def test_check_prints_and_draws_what_it_understood(folder):
     assert found["tells"]["found"][0]["competent"] is True
 
 
+def test_a_model_of_readings_that_do_not_count_says_which_they_are(folder):
+    stuck = pd.read_csv(folder / "probed.csv", index_col=0).assign(room_K=294.15)
+    stuck.to_csv(folder / "stuck.csv")
+    done = tf_mpc(folder, "identify", "--data", "stuck.csv", "--map", "map.yaml", "--out", str(folder / "stuck"))
+    assert "flagged in zones.living.temperature: 289 by rule 'frozen', first 21 °C" in done.output
+    assert "no zone temperature is known; check its column" in str(done.exception)
+
+
 @pytest.mark.slow
 def test_what_is_doubtful_comes_before_a_model_of_it(folder):
     (folder / "celsius.yaml").write_text(MAP.replace("{column: out_F, unit: '°F'}", "out_F"), encoding="utf-8")

@@ -48,7 +48,7 @@ def changed(history: Record, signal: str, row: int, at: slice, value: float) -> 
 @pytest.mark.parametrize(
     ("signal", "at", "words"),
     [
-        ("T_zone_C", slice(None), r"every zone temperature of {zone} is NaN.*or leave the zone out"),
+        ("T_zone_C", slice(None), r"no zone temperature of {zone} is known.*or leave the zone out"),
         ("T_zone_C", slice(20, None), r"only 10 % of the zone temperatures of {zone} were measured"),
         ("u", slice(None), r"never measured together: u\[{actuator}\] has no value"),
     ],

@@ -260,13 +260,8 @@ def show_measurements(measured: Measurements, console: Console) -> None:
 
 def show_doubts(understood: Understood, console: Console) -> None:
     """Print which readings count as not measured, and what is doubtful of a signal."""
-    for signal in understood.signals:
-        for flag in signal.flags:
-            console.print(
-                f"  flagged in {signal.key}: {flag.count} by rule '{flag.rule}', first {flag.first}", soft_wrap=True
-            )
-        if signal.doubt:
-            console.print(f"  doubtful: {signal.key}: {signal.doubt}", soft_wrap=True)
+    for text in understood.doubts_in_words():
+        console.print(f"  {text}", soft_wrap=True)
 
 
 def show_remarks(measured: Measurements, console: Console) -> list[str]:

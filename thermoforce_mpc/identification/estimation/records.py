@@ -273,7 +273,7 @@ def _check_signals(history: Record, name: str, levels: tuple[float, float] = LEV
     for zone, measured in zip(history.names.zones, np.isfinite(history.T_zone_C), strict=True):
         of_zone, otherwise = (f" of {zone}", ", or leave the zone out") if len(history.names.zones) > 1 else ("", "")
         if not measured.any():
-            raise DataError(f"{name}: every zone temperature{of_zone} is NaN; check the point of the sensor{otherwise}")
+            raise DataError(f"{name}: no zone temperature{of_zone} is known; check its column or point{otherwise}")
         if measured.mean() < 0.5:
             share = f"only {100 * measured.mean():.0f} % of the zone temperatures{of_zone} were measured"
             raise DataError(f"{name}: {share}, need half")
