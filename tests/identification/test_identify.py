@@ -352,9 +352,9 @@ def replace_config(config: IdentificationConfig, **changes) -> IdentificationCon
 
 def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
     """Training does not usually end there, so the network is swapped for one that does."""
-    from thermoforce_mpc.identification.modulation import selection
+    from thermoforce_mpc.identification import modulation
 
-    trained = selection.train
+    trained = modulation.train
 
     def steep(*args, **kwargs):
         result = trained(*args, **kwargs)
@@ -362,7 +362,7 @@ def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
         weights[:, 0] = 40.0
         return replace(result, hidden_weight=weights, output_weight=np.full(32, -10.0))
 
-    monkeypatch.setattr(selection, "train", steep)
+    monkeypatch.setattr(modulation, "train", steep)
     config = IdentificationConfig(order=1, feedback=True, modulation="always", epochs=2)
     with pytest.raises(DataError, match=r"not certified: the modulation depends on .* per K"):
         identify(pairs=[make_pair(HOUSE, seed) for seed in range(3)], config=config)
