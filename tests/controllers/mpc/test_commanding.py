@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from statistics import NormalDist
 
 import numpy as np
@@ -18,6 +19,7 @@ from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import learned_commands, read_measurements
 from thermoforce_mpc.model.card import MOST_ERROR_K
 from thermoforce_mpc.model.machine.change import weight_of_demand
+from thermoforce_mpc.model.operator.parameters import ZONE
 
 LIVING, BEDROOM = range(2)
 STATES = [ActuationState()] * 2
@@ -69,6 +71,33 @@ def test_what_is_left_alone_has_its_usual_levels_and_its_zone_is_asked_no_more(p
     within = begun(parts, [LIVING], **too_little).within_reach(None)
     np.testing.assert_allclose(within.upper_C[LIVING], alone_C[LIVING], atol=1e-6)
     np.testing.assert_array_equal(within.upper_C[BEDROOM], too_little["upper_C"][BEDROOM])
+
+
+def test_levels_of_the_usual_commands_are_what_loops_answer_to_the_rooms_that_they_bring(parts):
+    """In a building in which the radiator of one room warms the other too, from heat that is in both."""
+    commands, boundary, problem, mpc = parts
+    (living, _), (_, bedroom) = mpc.planning_operator.pairs
+    beside = replace(living, gains=0.3 * living.gains)
+    coupled = replace(mpc.planning_operator, pairs=((living, None), (beside, bedroom)))
+    forced_K = np.zeros(coupled.shape)
+    forced_K[:, :, -1] = [[18.0, 0.0], [4.0, 12.0]]
+    # It gets colder.
+    features, T_free_C = problem.features.copy(), problem.T_free_C - 0.1 * np.arange(problem.n_steps)
+    features[:, :, ZONE] -= 0.1 * np.arange(problem.n_steps)
+    of_building = replace(problem, forced_state_K=forced_K, features=features, T_free_C=T_free_C)
+    plan = commands.begin(coupled, of_building, boundary, [], None).without
+    u = plan.realise(np.zeros((2, problem.n_steps)), STATES, mpc.evaluator).u
+    brought_K = coupled.rollout(forced_K, u, features).sum(axis=(1, 3))
+    T_now_C = features[:, 0, ZONE] + forced_K.sum(axis=(1, 2))
+    T_C = np.concatenate([T_now_C[:, None], T_free_C + brought_K], axis=1)
+    T_out_C = 0.5 * (boundary.T_out_C[1:] + boundary.T_out_C[:-1])
+    for a, loop in plan.loops.items():
+        part = (np.arange(loop.parts) + 0.5) / loop.parts
+        for k, (T_start_C, T_end_C) in enumerate(pairwise(T_C[a].tolist())):
+            before = problem.last_u[a] if k == 0 else u[a, k - 1]
+            room_C = T_start_C + part * (T_end_C - T_start_C)
+            answer = loop.learned.loop.level(loop.usual[k], room_C, T_out_C[k], before)
+            assert u[a, k] == pytest.approx(float(np.mean(answer)), abs=2e-3)
 
 
 def test_of_actuators_that_exclude_each_other_none_must_act(parts):
