@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
@@ -12,6 +12,9 @@ from typing import Any
 from benchmarks.cases import revision
 
 _WIDTH_OF_FILES = 160
+# Widest column of words, characters, beyond which it is folded where a table has to be cut; of these at its left, most
+# that are told again in each part.
+_FOLDED, _MOST_NAMES = 40, 2
 _BEGAN_S = time.monotonic()  # of the command, which imports this first
 
 
@@ -28,12 +31,14 @@ def show(result: Mapping[str, Any], json_file: Path | None) -> None:
     # Consecutive rows with the same columns share a table.
     columns: tuple[str, ...]
     for columns, group in groupby(result["rows"], key=tuple):
-        table = Table(title=f"bench {result['bench']}", title_justify="left")
-        for column in columns:
-            table.add_column(column, overflow="fold")
-        for row in group:
-            table.add_row(*(_cell(row[column]) for column in columns))
-        console.print(table)
+        rows = [{column: _cell(row[column]) for column in columns} for row in group]
+        for part in _parts(columns, rows, console.width):
+            table = Table(title=f"bench {result['bench']}", title_justify="left")
+            for column in part:
+                table.add_column(column, overflow="fold")
+            for row in rows:
+                table.add_row(*(row[column] for column in part))
+            console.print(table)
     for target in result["targets"]:
         mark = "holds      " if target["holds"] else "DOES NOT HOLD"
         console.print(f"{mark}  {target['name']}: {_cell(target['value'])} ({target['sense']} {target['goal']:g})")
@@ -45,6 +50,32 @@ def show(result: Mapping[str, Any], json_file: Path | None) -> None:
         }
         write_json(json_file, dict(result) | of)
         console.print(f"JSON: {json_file}")
+
+
+def _parts(columns: Sequence[str], rows: Sequence[Mapping[str, str]], width: int) -> list[list[str]]:
+    """The columns of tables that fit into `width` characters, each with the first columns, which name the rows."""
+    wide = {column: min(max(len(column), *(len(row[column]) for row in rows)), _FOLDED) + 3 for column in columns}
+    if sum(wide.values()) + 1 <= width:
+        return [list(columns)]
+    named = [column for column in columns[:_MOST_NAMES] if not all(_is_number(row[column]) for row in rows)]
+    named = named or [columns[0]]
+    parts, left = [list(named)], width - 1 - sum(wide[column] for column in named)
+    room = left
+    for column in columns[len(named) :]:
+        if wide[column] > room and len(parts[-1]) > len(named):
+            parts.append(list(named))
+            room = left
+        parts[-1].append(column)
+        room -= wide[column]
+    return parts
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _cell(value: Any) -> str:
