@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
+from thermoforce_mpc.commands.tank import follow_tank
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.load import learned_tank, read_measurements
@@ -106,6 +109,26 @@ def test_standing_loss_is_known_from_five_days_on_that_show_it(lived, days):
     else:
         assert 0.0 < tank.loss_1_h < 0.05
         assert 0.0 < tank.loss_sd < 0.02
+
+
+def test_a_charge_takes_what_its_kelvins_take_at_the_temperatures_that_it_goes_through(lived):
+    """Dearer the warmer the tank is and the colder it is outdoors."""
+    tank = learned_tank(read_measurements(lived[1], a_map(), step_s=HOUR_S))
+    still = replace(tank, loss_1_h=0.0)
+    n, T_out_C = 6, np.array([-8.0, -8.0, 0.0, 0.0, 8.0, 8.0])
+    course = follow_tank(
+        still, 35.0, False, np.full((1, n), 55.0), np.ones((1, n), dtype=bool), np.zeros((1, n)), T_out_C, 900.0
+    )
+    before_C, T_C = np.append(35.0, course.T_C[0, 0, :-1]), course.T_C[0, 0]
+    assert T_C[1] > T_C[0] > 36.0, "it is charged"
+    expected_Wh = (T_C - before_C) * still.Wh_per_K(0.5 * (before_C + T_C), T_out_C)
+    np.testing.assert_allclose(course.Wh[0, 0], expected_Wh, rtol=1e-6)
+    # A law that says nothing at some temperature: a tenth of the usual.
+    free = replace(still, energy=np.array([10.0, -100.0, 0.0]))
+    course = follow_tank(
+        free, 52.0, False, np.full((1, n), 55.0), np.ones((1, n), dtype=bool), np.zeros((1, n)), T_out_C, 900.0
+    )
+    assert course.Wh.sum() == pytest.approx(course.T_C[0, 0, -1] - 52.0)
 
 
 def test_the_meter_of_the_rooms_is_without_the_tank(lived):

@@ -39,6 +39,8 @@ def test_exclusion_later_is_in_time():
     operator = random_building(rng, 2, (1, 1))
     machinery = machinery_of(operator, (0, 1), exclusive=((0, 1),))
     problem = random_building_problem(rng, operator, machinery)
+    later_K = np.where(np.arange(N) < 6, 0.0, 6.0)  # both are wanted later
+    problem = replace(problem, lower_C=problem.lower_C + later_K, upper_C=problem.upper_C + later_K)
     solution = MilpSolver(operator, ProblemShape(every_step(N), machinery, chosen_steps=4), EXACT).solve(problem)
     assert solution.ok, solution.problem
     assert ((solution.u[:, :4] > 1e-6).sum(axis=0) <= 1).all()
@@ -46,7 +48,7 @@ def test_exclusion_later_is_in_time():
     both = QPSolver(
         operator, ProblemShape(every_step(N), replace(machinery, exclusive=())), QPConfig()
     ).solve(replace(problem, machinery=replace(machinery, exclusive=())))  # fmt: skip
-    assert both.u.sum(axis=0).max() > 1.2
+    assert both.u[:, 4:].sum(axis=0).max() > 1.2
     model = PlanModel(operator, ProblemShape(every_step(N), machinery, chosen_steps=4))
     assert "act together" in model.evaluate(model.numbers(problem), both.u).broken
 
