@@ -287,7 +287,7 @@ def choose_actuation(
     config: ActuationConfig,
     power: PowerModel,
     heat_input: HeatInput,
-    costs: Sequence[LevelCost] = (),
+    costs: Sequence[LevelCost],
     *,
     shared: bool = False,
 ) -> ActuationChoice:

@@ -115,7 +115,7 @@ class ObjectiveConfig(StrictModel):
         return self.comfort_weight_per_m2 * np.where(np.isnan(areas), _AREA_M2, areas)
 
 
-def objective_of(bill: Bill, peak_kW: float = 0.0) -> dict[str, Any]:
+def objective_of(bill: Bill, peak_kW: float) -> dict[str, Any]:
     """Keys of `ObjectiveConfig` that say what a `bill` asks for; `peak_kW`: about what the peak of a month is."""
     keys: dict[str, Any] = {"at_the_meter": bill.export_per_kWh is not None or bill.dimming is not None}
     if bill.peak is not None:

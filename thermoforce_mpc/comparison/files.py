@@ -95,7 +95,7 @@ def write_outcome(
     return result
 
 
-def headings(currency: str, rows: Sequence[Row] = ()) -> list[str]:
+def headings(currency: str, rows: Sequence[Row]) -> list[str]:
     """Column headings of the figures of `rows`, those of the user's own KPIs last."""
     return [*(text.format(currency=currency) for text in HEADINGS.values()), *own_columns(rows)]
 
@@ -105,7 +105,7 @@ def own_columns(rows: Sequence[Row]) -> list[str]:
     return list(dict.fromkeys(key for row in rows for key in row["own"]))
 
 
-def shown_figures(row: Row, own: Sequence[str] = ()) -> list[str]:
+def shown_figures(row: Row, own: Sequence[str]) -> list[str]:
     """The figures of a row as text, then those of its `own` KPIs.
 
     An asterisk marks the best cost and discomfort of its group.

@@ -54,7 +54,7 @@ class Watchdog:
         options: Mapping[str, Any],
         sets: Sets,
         grace_s: float,
-        log: Path | None = None,
+        log: Path | None,
         held: Mapping[str, float] | None = None,
     ) -> None:
         """`grace_s`: how long after the end of what was set the building is given back, s; `log`: file it writes to;
@@ -79,7 +79,7 @@ class Watchdog:
         assert self._process is not None
         return self._process.pid
 
-    def about_to_set(self, names: Sequence[str], seconds: float, ours: Ours | None = None) -> None:
+    def about_to_set(self, names: Sequence[str], seconds: float, ours: Ours | None) -> None:
         """Something is about to be set: should it fail, or this process end in it, it may have been."""
         self._tell({"names": list(names), "attempt": float(seconds), "ours": ours or {}})
 

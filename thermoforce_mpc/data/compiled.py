@@ -77,8 +77,8 @@ class _Compiled:
         return compiled
 
 
-def sources_of(file: Path, root: Path = _ROOT) -> list[Path]:
-    """A module's file and those of all modules of ours that it imports, below `root`, and so on."""
+def sources_of(file: Path) -> list[Path]:
+    """A module's file and those of all modules of ours that it imports, and so on."""
     found, left = set[Path](), [file.resolve()]
     while left:
         path = left.pop()
@@ -87,20 +87,20 @@ def sources_of(file: Path, root: Path = _ROOT) -> list[Path]:
         found.add(path)
         for module, names, plain in _IMPORTS.findall(path.read_text(encoding="utf-8")):
             if plain:
-                imported = [_file(name.split()[0], root) for name in plain.split(",")]
+                imported = [_file(name.split()[0]) for name in plain.split(",")]
             else:
                 each = (name.split()[0] for name in names.strip("() \n").split(",") if name.strip())
-                imported = [_file(f"{module}.{name}", root) or _file(module, root) for name in each]
+                imported = [_file(f"{module}.{name}") or _file(module) for name in each]
             left += filter(None, imported)
     return sorted(found)
 
 
-def _file(module: str, root: Path) -> Path | None:
+def _file(module: str) -> Path | None:
     """The file of a module of ours; None where it is of others, or no module."""
     parts = module.split(".")
     if parts[0] not in _PACKAGES:
         return None
-    file = root.joinpath(*parts)
+    file = _ROOT.joinpath(*parts)
     return next((each for each in (file.with_suffix(".py"), file / "__init__.py") if each.is_file()), None)
 
 

@@ -184,7 +184,7 @@ def settings_for(
     metered: bool,
     spec: ProbingSpec,
     seed: int,
-    probing_defaults: Mapping[str, Any] | None = None,
+    probing_defaults: Mapping[str, Any] | None,
     identification_defaults: Mapping[str, Any] | None = None,
 ) -> tuple[ProbingConfig, IdentificationConfig]:
     """Settings for a controller with this `actuation` (None: a rule), at a building whose heat is `metered` or not.

@@ -266,9 +266,9 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
 def resume_run(
     folder: Path,
     display: RunDisplay,
-    since: str | None = None,
-    given: Mapping[str, str] | None = None,
-    code: Sequence[str] = (),
+    since: str | None,
+    given: Mapping[str, str] | None,
+    code: Sequence[str],
 ) -> Path:
     """Go on with a run that was ended before its time, from its journal; the result is that of an undisturbed run.
 
@@ -292,7 +292,7 @@ def resume_run(
         return _carry_out(book, display)
 
 
-def stop_test(folder: Path, given: Mapping[str, str] | None = None, code: Sequence[str] = ()) -> None:
+def stop_test(folder: Path, given: Mapping[str, str] | None, code: Sequence[str]) -> None:
     """Stop the test that a run has at a service, which then cannot go on; arguments and errors as of `resume_run`."""
     with sole_use(folder):
         book = _reopened(folder, given, code)

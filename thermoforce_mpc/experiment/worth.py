@@ -217,8 +217,8 @@ class Houses:
         controller: Controller,
         *,
         draws: int,
-        seed: int = 0,
-        commands: Mapping[str, LearnedCommand] | None = None,
+        seed: int,
+        commands: Mapping[str, LearnedCommand] | None,
     ) -> None:
         """Draw `draws` houses beside the likeliest; see `worth`. Raises as `effect_spreads`."""
         self._model, self._record, self._controller, self._commands = model, record, controller, commands

@@ -15,7 +15,7 @@ from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.plants.boptest.plant import failures
-from thermoforce_mpc.plants.embedded.cases import CASES, HEAT_PUMP
+from thermoforce_mpc.plants.embedded.cases import CASES
 from thermoforce_mpc.plants.registry import emulator_of
 
 Limits = tuple[float | None, float | None]
@@ -63,7 +63,7 @@ class EmbeddedSource:
 
     perfect = True
 
-    def __init__(self, weather: Weather | None = None, testcase: str = HEAT_PUMP.name) -> None:
+    def __init__(self, weather: Weather | None, testcase: str) -> None:
         """Build the emulator of `testcase`; raises `ConfigError` where there is none."""
         try:
             from thermoforce_mpc.service.points import served_points

@@ -151,8 +151,8 @@ class PointsView(View):
         observations: Mapping[str, tuple[float, float]],
         *,
         step_s: float,
-        predictive_s: float | None = None,
-        regressive_s: float | None = None,
+        predictive_s: float | None,
+        regressive_s: float | None,
     ) -> None:
         """Look at a test.
 
@@ -279,8 +279,8 @@ class LevelsView(View):
         step_s: float,
         ahead_s: float,
         every_s: float,
-        behind_s: float = 0.0,
-        observations: Mapping[str, tuple[float, float] | None] | None = None,
+        behind_s: float,
+        observations: Mapping[str, tuple[float, float] | None] | None,
         perfect: bool,
     ) -> None:
         """Look at a plant.

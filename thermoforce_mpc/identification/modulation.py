@@ -69,7 +69,7 @@ _MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-9
 
 
 def modulate(
-    everything: Fold, last: Fold, before: Fold | None, config: IdentificationConfig, power: PowerModel | None = None
+    everything: Fold, last: Fold, before: Fold | None, config: IdentificationConfig, power: PowerModel | None
 ) -> tuple[OperatorParameters, tuple[Fold, Fold | None], dict[str, float], list[str]]:
     """Train m(x) on the training rows, compare it with m = 1 on the held-out ones, and train it on `everything`.
 

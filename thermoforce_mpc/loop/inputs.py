@@ -39,7 +39,7 @@ class Forecasts:
     in the log, and in the notes of every step. After `outage_h` hours without one, `NoForecast` ends the run.
     """
 
-    def __init__(self, plant: Forecaster, horizon_s: float, step_s: float, outage_h: float = OUTAGE_H) -> None:
+    def __init__(self, plant: Forecaster, horizon_s: float, step_s: float, outage_h: float) -> None:
         self._plant, self._step_s, self._outage_h = plant, step_s, outage_h
         self._horizon_s, self._n_steps = horizon_s, round(horizon_s / step_s)
         self._last: Boundary | None = None

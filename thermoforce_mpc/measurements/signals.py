@@ -185,7 +185,7 @@ class SignalReader:
         step_s: float,
         rules: MeasurementMap,
         *,
-        refuse: bool = True,
+        refuse: bool,
     ) -> None:
         self.grid_s, self.summaries, self._refuse = grid_s, list[SignalSummary](), refuse
         self._table, self._time_s, self._step_s = table, time_s, step_s

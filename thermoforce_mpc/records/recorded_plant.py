@@ -78,7 +78,7 @@ class RecordedPlant:
     _cut = False
     """Whether records after those to catch up with are lost."""
 
-    def __init__(self, plant: Plant, journal: Journal, entries: Iterable[JournalEntry] = ()) -> None:
+    def __init__(self, plant: Plant, journal: Journal, entries: Iterable[JournalEntry]) -> None:
         """Wrap `plant`; `entries` are the records to catch up with."""
         self.inside = plant
         """The plant itself, for what is not journaled here."""

@@ -76,7 +76,7 @@ class Rule:
 
 
 @cache  # asked for in every step
-def rules_from(text: str, within_C: tuple[float, float] = _ROOM_C) -> tuple[Rule, ...]:
+def rules_from(text: str, within_C: tuple[float, float]) -> tuple[Rule, ...]:
     """The rules of a schedule, of which the first that holds counts; raises `ValueError` for a part that is none.
 
     `within_C`: between which bounds lie.

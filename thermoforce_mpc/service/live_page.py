@@ -70,9 +70,7 @@ class PageAccess:
     option: str = ""
 
 
-def live_app(
-    view: Callable[[], Mapping[str, Any]], hears: Hears | None = None, access: PageAccess | None = None
-) -> Flask:
+def live_app(view: Callable[[], Mapping[str, Any]], hears: Hears | None, access: PageAccess | None) -> Flask:
     """The application: the page at `/`, what `view`, called by one thread at a time, tells at `/view.json`, and what
     people ask at `/ask`, as JSON {"key": "boost", "text": "60"}.
     """

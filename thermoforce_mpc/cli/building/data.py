@@ -274,7 +274,7 @@ def show_remarks(measured: Measurements, console: Console) -> list[str]:
     return found
 
 
-def show_findings(measured: Measurements, display: RunDisplay, doubts: Sequence[str] = ()) -> dict[str, Any]:
+def show_findings(measured: Measurements, display: RunDisplay, doubts: Sequence[str]) -> dict[str, Any]:
     """Print what a linear model of the data tells about the effect of acting; returns it for a file, and a headline.
 
     `doubts`: what was said to be doubtful in them.
@@ -331,13 +331,13 @@ _MOST_LABELS = 10
 _MOST_BARS = 3000
 
 
-def draw_measurements(path: Path, measured: Measurements, title: str = "") -> None:
+def draw_measurements(path: Path, measured: Measurements, title: str) -> None:
     """Write the picture (PNG, SVG or PDF by suffix) of `measured`."""
     figure = measurements_figure(measured, title)
     figure.savefig(path, dpi=150, metadata={"Software": None} if path.suffix == ".png" else None)
 
 
-def measurements_figure(measured: Measurements, title: str = "") -> Figure:
+def measurements_figure(measured: Measurements, title: str) -> Figure:
     """The picture of `measured` at the width of a page, 7.2 inches."""
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
     from matplotlib.figure import Figure

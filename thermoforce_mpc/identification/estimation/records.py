@@ -200,7 +200,7 @@ def resolution_K(runs: Sequence[Record]) -> float:
     return grid if on_grid and grid >= _LEAST_GRID_K else 0.0
 
 
-def check_run(history: Record, name: str, levels: tuple[float, float] = LEVEL) -> None:
+def check_run(history: Record, name: str, levels: tuple[float, float]) -> None:
     """Check length, signals, range of levels and excitation of a run; of several actuators one must be excited enough.
 
     Raises:

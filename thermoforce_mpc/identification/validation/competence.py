@@ -209,7 +209,7 @@ def judge(
     operator: OperatorParameters,
     uncertainty: Mapping[str, float],
     log_odds: float,
-    heat_W_m2: float = float("nan"),
+    heat_W_m2: float,
 ) -> Competence:
     """Return the verdict on a model.
 
@@ -333,7 +333,7 @@ def _implausible(operator: OperatorParameters, heat_W_m2: float) -> list[Missed]
     return [Missed("implausible", float(response[first]), float(most[first]), float(STEP_RESPONSE_H[first]))]
 
 
-def most_K(hours: Sequence[float], heat_W_m2: float = float("nan")) -> Array:
+def most_K(hours: Sequence[float], heat_W_m2: float) -> Array:
     """The step response to full level, K at `hours` (T,), that 1 in 100 rooms exceeds; its size if cooled.
 
     Rooms are drawn from the priors of the network (`network.priors`). Heat enters the air at once here, which is the

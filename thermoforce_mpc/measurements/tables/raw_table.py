@@ -285,7 +285,7 @@ def as_numbers(column: pd.Series, decimal: str = ".") -> pd.Series:
     return pd.Series(_with_texts(column, decimal)[0], index=column.index)
 
 
-def has_units(column: pd.Series, decimal: str = ".") -> bool:
+def has_units(column: pd.Series, decimal: str) -> bool:
     """Whether cells of a column of text have a unit behind their number."""
     if pd.api.types.is_numeric_dtype(column):
         return False
@@ -293,7 +293,7 @@ def has_units(column: pd.Series, decimal: str = ".") -> bool:
     return any(quantity_of(str(cell), decimal) is not None for cell in cells)
 
 
-def with_numbers(df: pd.DataFrame, words: Mapping[str, float], decimal: str = ".") -> pd.DataFrame:
+def with_numbers(df: pd.DataFrame, words: Mapping[str, float], decimal: str) -> pd.DataFrame:
     """A data frame with numbers, as text, in the place of `words`, whatever their case, in its columns of text."""
     if not words:
         return df
@@ -377,7 +377,7 @@ def _of_quantities(
     return out
 
 
-def quantity_of(cell: str, decimal: str = ".") -> tuple[float, str, float] | None:
+def quantity_of(cell: str, decimal: str) -> tuple[float, str, float] | None:
     """Number of a cell such as '21.3 °C', what is measured, and in how many of its first unit; None for other cells."""
     match = _QUANTITY.fullmatch(_TELEGRAM.sub("", cell.strip().lower(), count=1))
     if match is None or (known := _QUANTITIES.get(match[2].strip())) is None:
@@ -388,7 +388,7 @@ def quantity_of(cell: str, decimal: str = ".") -> tuple[float, str, float] | Non
     return None if np.isnan(number) else (number, *known)
 
 
-def unit_of_cells(column: pd.Series, decimal: str = ".") -> str:
+def unit_of_cells(column: pd.Series, decimal: str) -> str:
     """The unit that stands in the cells of a column behind their numbers; '' where none does."""
     if not (pd.api.types.is_object_dtype(column) or pd.api.types.is_string_dtype(column)):
         return ""

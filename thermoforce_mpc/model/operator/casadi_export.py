@@ -17,9 +17,7 @@ from thermoforce_mpc.model.operator.parameters import N_FEATURES, ZONE, Operator
 Expression = TypeVar("Expression", ca.SX, ca.MX)
 
 
-def on_load_expression(
-    load: MachineLoad, u: Expression, T_out_C: Expression, on: Expression | None = None
-) -> Expression:
+def on_load_expression(load: MachineLoad, u: Expression, T_out_C: Expression, on: Expression | None) -> Expression:
     """`load(u, T_out)` in W as an expression (elementwise), for delivered heat, which has no term in u².
 
     `on`: share of the step in which the machine is on, by default that of a level that is held.
