@@ -234,6 +234,9 @@ def test_the_command(tmp_path: Path) -> None:
     late = CliRunner().invoke(cli, [*words, "2027-01-01"])
     assert isinstance(late.exception, DataError)
     assert "not inside the measurements (2026-01-01" in str(late.exception)
+    for option, at in (("--until", "2025-06-01"), ("--from", "2027-06-01")):
+        none_left = CliRunner().invoke(cli, [*words, "2026-01-29", option, at])
+        assert f"{option} {at}: leaves nothing of the measurements (2026-01-01" in str(none_left.exception)
     with_zone = CliRunner().invoke(cli, [*words, "2026-01-29T00:00Z"])
     assert isinstance(with_zone.exception, DataError)
     assert "--changed '2026-01-29T00:00Z' has a time zone and the record has none" in str(with_zone.exception)

@@ -241,8 +241,11 @@ def saving(
     begin = _index(record, first, "--from") if first else 0
     end = _index(record, last, "--until") if last else record.n_steps
     split = _index(record, changed, "--changed")
+    stamps = record.stamps()
+    if begin >= end:
+        only = " and ".join(f"{option} {at}" for option, at in (("--from", first), ("--until", last)) if at)
+        raise DataError(f"{only}: leaves nothing of the measurements ({stamps[0]} to {stamps[-1]})")
     if not begin < split < end:
-        stamps = record.stamps()
         raise DataError(f"--changed {changed} is not inside the measurements ({stamps[begin]} to {stamps[end]})")
     saving = verified_saving(record.slice(begin, split), record.slice(split, end), level=interval)
     console = Console(highlight=False, markup=False, soft_wrap=True)
