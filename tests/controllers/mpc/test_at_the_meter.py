@@ -128,6 +128,11 @@ def test_peaks_are_those_of_this_month_and_three_of_distinct_days(home):
     midnight = replace(record, power_W=evening_W, time_s=record.time_s - hour_s)
     now = replace(observation.boundary, time_s=observation.boundary.time_s - hour_s)
     assert state.peak_after(Observation(midnight, now), "three_days") == 2000.0, "today has none yet"
+    to_noon_s, noon_W = 12 * 3600.0 - hour_s, power_W.copy()
+    noon_W[0, -2] = 3500.0
+    noon = replace(record, power_W=noon_W, time_s=record.time_s + to_noon_s)
+    then = replace(observation.boundary, time_s=observation.boundary.time_s + to_noon_s)
+    assert state.peak_after(Observation(noon, then), "three_days") == 3500.0, "as high as today was"
     later = replace(record, power_W=power_W, time_s=record.time_s + 4 * 86400.0)  # 2 February
     ahead = replace(observation.boundary, time_s=observation.boundary.time_s + 4 * 86400.0)
     assert state.peak_after(Observation(later, ahead), "month") == 500.0
