@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import io
+import ipaddress
 import json
 import logging
 import math
@@ -296,6 +297,14 @@ def no_secret_in(address: str, key: str, instead: str) -> None:
     """
     if "@" in address:  # a password may hold a / too, after which no host could be told from a path
         raise ConfigError(f"{key}: a user or password in it would stand in logs: leave out what is before @; {instead}")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach `host`, a name or an IP address."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def secret_from(file: Path | None, variables: Sequence[str], key: str) -> str:

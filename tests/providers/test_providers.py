@@ -380,6 +380,14 @@ def test_an_answer_in_local_summer_time_of_23_hours_is_complete(outlook):
     assert price.loc[day + pd.Timedelta("23h") :].isna().all()
 
 
+@pytest.mark.parametrize(
+    "url", ["http://localhost.example.org", "http://127.0.0.1.example.org:80", "https://", "http://[::1"]
+)
+def test_what_only_begins_like_this_machine_is_asked_over_https(url):
+    with pytest.raises(ConfigError, match="expected https"):
+        build_provider("awattar", {"url": url})
+
+
 def test_services_are_asked_over_https_and_where_a_redirect_leads_nobody_is(tmp_path):
     with pytest.raises(ConfigError, match="https"):
         build_provider("awattar", {"url": "http://api.awattar.de"})

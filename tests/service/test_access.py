@@ -17,9 +17,10 @@ from boptest_client import BoptestClient, RequestRejected, TransportConfig
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli.live.serve import serve as command
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import is_loopback
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.service import server
-from thermoforce_mpc.service.access import Rate, Refusal, is_loopback
+from thermoforce_mpc.service.access import Rate, Refusal
 from thermoforce_mpc.service.server import build_server, serve_on
 from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
 

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from datetime import datetime
 from email.utils import parsedate_to_datetime
 from typing import Any, ClassVar
+from urllib.parse import urlsplit
 
 import pandas as pd
 import requests
 
 from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.files import no_secret_in
+from thermoforce_mpc.files import is_loopback, no_secret_in
 from thermoforce_mpc.version import VERSION
 
 OUTDOOR, SUN, PRICE = "temperature_C", "solar_W_m2", "price_per_kWh"
@@ -33,7 +34,12 @@ class Service:
 
     def __post_init__(self) -> None:
         no_secret_in(self.url, "provider: url", "a token belongs in token_file")
-        if not self.url.startswith(("https://", "http://127.0.0.1", "http://localhost", "http://[::1]")):
+        try:
+            asked = urlsplit(self.url)
+            scheme, host = asked.scheme, asked.hostname or ""
+        except ValueError:  # brackets that do not close
+            scheme, host = "", ""
+        if not host or not (scheme == "https" or (scheme == "http" and is_loopback(host))):
             raise ConfigError(f"provider: url: {self.url!r}: expected https:// (http:// on this machine alone)")
         self.url = self.url.rstrip("/")
 

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 from werkzeug.datastructures import Headers
 
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import is_loopback
 
 LEAST_TOKEN = 16
 # Addresses remembered; the one that asked longest ago is forgotten first.
@@ -21,14 +22,6 @@ _MOST_ADDRESSES = 10_000
 _SCHEME = "bearer"
 # What a browser says of a request by a page of the service, or by its user.
 _HERE = ("same-origin", "none")
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach `host`."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def check_token(host: str, token: str | None, variable: str = "BOPTEST_TOKEN") -> None:

@@ -18,13 +18,13 @@ from flask import Flask, Response, request
 from werkzeug.exceptions import HTTPException
 
 from thermoforce_mpc.errors import ThermoForceError
+from thermoforce_mpc.files import is_loopback
 from thermoforce_mpc.service.access import (
     HostNames,
     Rate,
     Refusal,
     check_authorization,
     check_page,
-    is_loopback,
     is_signed,
     signed,
 )

@@ -24,7 +24,7 @@ import pandas as pd
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError, ThermoForceError
 from thermoforce_mpc.execution.progress import duration
-from thermoforce_mpc.files import parse_json, read_bounded, secret_from
+from thermoforce_mpc.files import is_loopback, parse_json, read_bounded, secret_from
 from thermoforce_mpc.records.journal import NAME
 from thermoforce_mpc.records.people import KEYS, SHOWN, People
 from thermoforce_mpc.records.run_folder import MOST_BYTES, saving_so_far
@@ -70,7 +70,7 @@ class PageSettings:
             ConfigError: it is neither; others reach it and there is no token; the server is not installed.
         """
         try:
-            from thermoforce_mpc.service.access import check_token, is_loopback
+            from thermoforce_mpc.service.access import check_token
             from thermoforce_mpc.service.live_page import live_app  # noqa: F401
         except ModuleNotFoundError as error:
             raise ConfigError(

@@ -68,7 +68,8 @@ def serve(testcase: str, host: str, weather: str, prices: Path | None, token: st
     try:
         import flask  # noqa: F401
 
-        from thermoforce_mpc.service.access import check_token, is_loopback
+        from thermoforce_mpc.files import is_loopback
+        from thermoforce_mpc.service.access import check_token
         from thermoforce_mpc.service.server import serve
     except ModuleNotFoundError as error:
         if error.name not in ("flask", "waitress", "werkzeug"):

@@ -6,7 +6,6 @@ Where BOPTEST_TOKEN may go: it belongs to the services that its owner named, not
 from __future__ import annotations
 
 import contextlib
-import ipaddress
 import json
 import logging
 import math
@@ -41,7 +40,7 @@ from thermoforce_mpc.data import (
     Record,
 )
 from thermoforce_mpc.errors import ConfigError, InputError, NoForecast, NoSuchTest, PlantError
-from thermoforce_mpc.files import known_marks, note_marks
+from thermoforce_mpc.files import is_loopback, known_marks, note_marks
 from thermoforce_mpc.plants.points import (
     acting_means,
     boundary,
@@ -71,7 +70,7 @@ def allow_token(url: str) -> None:
 
 def check_token(url: str) -> None:
     """Raise `ConfigError` where BOPTEST_TOKEN would go to a service that neither user, BOPTEST_URL nor this host is."""
-    if not _has_token() or _is_here(url):
+    if not _has_token() or is_loopback(urlsplit(url).hostname or ""):
         return
     if _mark(url) not in {_mark(os.environ.get("BOPTEST_URL", "")), *known_marks()}:
         raise ConfigError(
@@ -89,14 +88,6 @@ def _mark(url: str) -> str:
     parts = urlsplit(url)
     port = parts.port or {"http": 80, "https": 443}.get(parts.scheme)
     return json.dumps(["token", f"{parts.scheme}://{parts.hostname}:{port}"])
-
-
-def _is_here(url: str) -> bool:
-    host = urlsplit(url).hostname or ""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 _LOG = logging.getLogger(__name__)
