@@ -279,3 +279,10 @@ def test_outdoor_temperatures_that_go_on_in_another_unit_are_refused_or_said(mea
     said: list[str] = []
     read_forecast(ahead, here, now=pd.Timestamp("2025-01-11", tz="Europe/Brussels"), left_out=said)
     assert any(likelier in one for one in said)
+
+
+def test_a_front_that_warms_a_day_by_16_kelvin_is_weather(measured):
+    """-10 °C before and 6 °C in the next day's median, which in °F would be -14 °C."""
+    record = replace(measured.record, T_out_C=np.full(measured.record.T_out_C.shape, -10.0))
+    ahead = hourly(49).assign(out=np.interp(np.arange(49), [0.0, 8.0], [-10.0, 6.0]))
+    assert read_forecast(ahead, replace(measured, record=record)).T_out_C.max() == 6.0

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.boundary.tariffs import Tariff, by_name, price_doubt, tariff_from_file
 from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array, Boundary, Record
+from thermoforce_mpc.data.clock import in_celsius, in_fahrenheit
 from thermoforce_mpc.data.dataframes import clock_s, days_before_s, new_year, seconds_since, stamps
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H
 from thermoforce_mpc.data.series import at_instants
@@ -51,9 +52,10 @@ _HEAD = 50
 _SHARE = 0.5
 # A forecast is no sensor: weather that stays is not stuck.
 _OUTDOOR_AHEAD = replace(OUTDOOR, stuck_h=0.0)
-# Medians of a day and of the next: weather does not move by the first, K; in another unit it goes on within the second.
-# By judgement: fronts move daily means by 10 K at most, and °F taken for °C is off by 15 K from -21 °C on.
-_OTHER_WEATHER_K, _GOES_ON_K = 15.0, 8.0
+# Medians of a while and of the next: weather does not move by the first, K; in another unit it goes on within the
+# second. By judgement: °F taken for °C is off by 15 K from -21 °C on. A day may be so much warmer than the one before
+# (fronts of continents), and its first hours may (foehn); that both are, and fit in °F, is no weather.
+_WHILES_S, _OTHER_WEATHER_K, _GOES_ON_K = (3.0 * HOUR_S, DAY_S), 15.0, 8.0
 
 
 def prices_over_steps(
@@ -342,18 +344,19 @@ def _grid(rows: Timed, time_s: Array, name: str, measured: Measurements, least_s
 
 def _unit_doubt(outdoor_C: Array, signal: Temperature, record: Record) -> str:
     """That a forecast (n,) from the end of the record on goes on from it in another unit only, in words; else ''."""
-    a_day = round(DAY_S / record.step_s)
-    past_C, ahead_C = (values[np.isfinite(values)] for values in (record.T_out_C[-a_day:], outdoor_C[:a_day]))
-    if not past_C.size or not ahead_C.size or signal.unit == "K":
+    if signal.unit == "K":
         return ""
-    past, ahead, fahrenheit = (
-        float(np.median(past_C)),
-        float(np.median(ahead_C)),
-        signal.unit not in ("°C", "C", "degC"),
-    )
-    unit, otherwise = ("°C", 1.8 * ahead + 32.0) if fahrenheit else ("°F", (ahead - 32.0) / 1.8)
-    if abs(ahead - past) < _OTHER_WEATHER_K or abs(otherwise - past) > _GOES_ON_K:
-        return ""
+    fahrenheit = signal.unit not in ("°C", "C", "degC")
+    unit, past, ahead, otherwise = ("°C" if fahrenheit else "°F"), np.nan, np.nan, np.nan
+    for while_s in _WHILES_S:
+        n = max(1, round(while_s / record.step_s))
+        past_C, ahead_C = (values[np.isfinite(values)] for values in (record.T_out_C[-n:], outdoor_C[:n]))
+        if not past_C.size or not ahead_C.size:
+            return ""
+        past, ahead = float(np.median(past_C)), float(np.median(ahead_C))
+        otherwise = float(in_fahrenheit(ahead) if fahrenheit else in_celsius(ahead))
+        if abs(ahead - past) < _OTHER_WEATHER_K or abs(otherwise - past) > _GOES_ON_K:
+            return ""
     return (
         f"column '{signal.columns[0]}': a median of {ahead:.0f} °C in the next day after {past:.0f} °C in the last; in "
         f"{unit} it would be {otherwise:.0f} °C: set unit: '{unit}' of forecast.outdoor in the map, or of outdoor"
