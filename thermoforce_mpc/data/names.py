@@ -22,7 +22,9 @@ AXIS = {
 
 @dataclass(frozen=True)
 class Names:
-    """Names of the zones (Z), actuators (A) and machines (M) of a building; `DataError` for none, or one twice."""
+    """Names of the zones (Z), actuators (A) and machines (M) of a building; `DataError` for none, one twice,
+    or an empty one.
+    """
 
     zones: tuple[str, ...] = ("zone",)
     actuators: tuple[str, ...] = ("actuator",)
@@ -33,6 +35,8 @@ class Names:
             names = tuple(getattr(self, kind))
             if not names or len(set(names)) != len(names):
                 raise DataError(f"{kind} are {list(names)}: expected one name or more, each once")
+            if not all(name.strip() for name in names):
+                raise DataError(f"{kind} are {list(names)}: one has no name")
             object.__setattr__(self, kind, names)
 
     @property

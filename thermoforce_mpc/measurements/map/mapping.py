@@ -402,6 +402,9 @@ class MeasurementMap(StrictModel):
 
     @model_validator(mode="after")
     def _check_references(self) -> MeasurementMap:
+        for kind, given in (("zones", self.zones), ("actuators", self.actuators), ("machines", self.machines)):
+            if not all(name.strip() for name in given):
+                raise ValueError(f"{kind}: one has an empty name")
         for name, actuator in self.actuators.items():
             for key, choices in (("zone", self.zones), ("machine", self.machines)):
                 choice = getattr(actuator, key)
