@@ -27,7 +27,7 @@ from thermoforce_mpc.connections.watchdog import Watchdog
 levels = Path("levels.json")
 with sole_control(levels):
     house, dog = FilesConnection(levels=levels), Watchdog("files", {"levels": "levels.json"}, levels, 0.5, Path("dog"))
-    dog.about_to_set(["pump"], 1.0)
+    dog.about_to_set(["pump"], 1.0, None)
     house.write({"pump": 0.7}, 1.0)
     dog.set(["pump"], 1.0)
     print("set", flush=True)

@@ -17,7 +17,7 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 
-QUICK = TransportConfig(connect_timeout_s=1.0, read_timeout_s=20.0, patience_s=0.5, backoff_s=0.01)
+QUICK = TransportConfig(connect_timeout_s=1.0, read_timeout_s=20.0, patience_s=2.0, backoff_s=0.01)
 TESTCASE = load_testcase("bestest_hydronic_heat_pump")
 
 
