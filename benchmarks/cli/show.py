@@ -12,7 +12,7 @@ from typing import Any
 from benchmarks.cases import revision
 
 _WIDTH_OF_FILES = 160
-# Widest column of words, characters, beyond which it is folded where a table has to be cut; of these at its left, most
+# Widest column, characters, beyond which it is folded where a table has to be cut; most columns of words at its left
 # that are told again in each part.
 _FOLDED, _MOST_NAMES = 40, 2
 _BEGAN_S = time.monotonic()  # of the command, which imports this first
@@ -31,8 +31,10 @@ def show(result: Mapping[str, Any], json_file: Path | None) -> None:
     # Consecutive rows with the same columns share a table.
     columns: tuple[str, ...]
     for columns, group in groupby(result["rows"], key=tuple):
-        rows = [{column: _cell(row[column]) for column in columns} for row in group]
-        for part in _parts(columns, rows, console.width):
+        values = list(group)
+        rows = [{column: _cell(row[column]) for column in columns} for row in values]
+        named = [column for column in columns[:_MOST_NAMES] if isinstance(values[0][column], str)] or [columns[0]]
+        for part in _parts(columns, named, rows, console.width):
             table = Table(title=f"bench {result['bench']}", title_justify="left")
             for column in part:
                 table.add_column(column, overflow="fold")
@@ -52,13 +54,13 @@ def show(result: Mapping[str, Any], json_file: Path | None) -> None:
         console.print(f"JSON: {json_file}")
 
 
-def _parts(columns: Sequence[str], rows: Sequence[Mapping[str, str]], width: int) -> list[list[str]]:
-    """The columns of tables that fit into `width` characters, each with the first columns, which name the rows."""
+def _parts(
+    columns: Sequence[str], named: Sequence[str], rows: Sequence[Mapping[str, str]], width: int
+) -> list[list[str]]:
+    """The columns of tables that fit into `width` characters, each with those first ones that name the rows."""
     wide = {column: min(max(len(column), *(len(row[column]) for row in rows)), _FOLDED) + 3 for column in columns}
     if sum(wide.values()) + 1 <= width:
         return [list(columns)]
-    named = [column for column in columns[:_MOST_NAMES] if not all(_is_number(row[column]) for row in rows)]
-    named = named or [columns[0]]
     parts, left = [list(named)], width - 1 - sum(wide[column] for column in named)
     room = left
     for column in columns[len(named) :]:
@@ -68,14 +70,6 @@ def _parts(columns: Sequence[str], rows: Sequence[Mapping[str, str]], width: int
         parts[-1].append(column)
         room -= wide[column]
     return parts
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _cell(value: Any) -> str:

@@ -106,11 +106,13 @@ class ControlledWeek:
 
     def gave_all(self, house: DrawnHouse) -> bool:
         """Whether the heat pump of a house of rooms gave all that it can in some block."""
-        pump, samples = house.heat_pump, [one for step in self.result.steps for one in step.samples]
-        most_W = [
-            full_capacity_W(pump.capacity_W, pump.capacity_per_K, house.design_out_C, one.T_out_C) for one in samples
-        ]
-        return any(float(np.sum(one.heat_W)) > _ALL * W for one, W in zip(samples, most_W, strict=True))
+        pump = house.heat_pump
+
+        def most_W(T_out_C: float) -> float:
+            return full_capacity_W(pump.capacity_W, pump.capacity_per_K, house.design_out_C, T_out_C)
+
+        samples = (one for step in self.result.steps for one in step.samples)
+        return any(float(np.sum(one.heat_W)) > _ALL * most_W(one.T_out_C) for one in samples)
 
     def left_unused(self) -> list[str]:
         """The first step with a share of a shared machine that plans leave unused."""

@@ -25,5 +25,5 @@ def test_an_empty_name_in_a_map_is_refused(kind):
         "machines": {"pump": {"power": "P"}},
     }
     MeasurementMap.model_validate(rules)
-    with pytest.raises(ValueError, match=f"{kind}: one has an empty name"):
+    with pytest.raises(ValueError, match=rf"{kind} are \[''\]: one has no name"):
         MeasurementMap.model_validate(rules | {kind: {"": next(iter(rules[kind].values()))}})

@@ -346,7 +346,7 @@ def _unit_doubt(outdoor_C: Array, signal: Temperature, record: Record) -> str:
     """That a forecast (n,) from the end of the record on goes on from it in another unit only, in words; else ''."""
     if signal.unit == "K":
         return ""
-    fahrenheit = signal.unit not in ("°C", "C", "degC")
+    fahrenheit = signal.unit.endswith("F")
     unit, past, ahead, otherwise = ("°C" if fahrenheit else "°F"), np.nan, np.nan, np.nan
     for while_s in _WHILES_S:
         n = max(1, round(while_s / record.step_s))

@@ -234,19 +234,22 @@ def _of_outdoors(record: Record, layout: Layout) -> list[Remark]:
     warm = rows & (T_out > T_zone - _WARM_K)
     share = float(u[warm].sum() / u[rows].sum())
     outdoors_C, rooms_C = float(np.median(T_out[rows])), float(np.median(T_zone[rows]))
-    as_fahrenheit, (least_C, most_C) = float(in_celsius(np.array(outdoors_C))), RULES["T_zone_C"].usual
-    if share < _MOST_WARM_SHARE or (rooms_C >= least_C and as_fahrenheit > rooms_C - _COLDER_K):
+    rule = RULES["T_zone_C"]
+    # Of rooms without a temperature of any room their unit is asked by their readings.
+    if share < _MOST_WARM_SHARE or rooms_C < rule.range[0]:
         return []
-    if rooms_C < RULES["T_zone_C"].range[0]:
-        return []  # no temperature of a room at all: their unit is asked by their readings
     why = f"{100 * share:.0f} % of the heating happens while it is as warm outdoors as in the rooms "
-    if rooms_C >= least_C:
-        remedy = f"°F is likelier, a median of {as_fahrenheit:.0f} °C: set unit: °F, or give (x − 32) / 1.8"
-        return [Remark("unit of temperature", "T_out_C", f"{why}(median {outdoors_C:.0f} °C)", remedy)]
-    exchanged = least_C <= outdoors_C <= most_C
-    remedy = "are the columns of rooms and outdoors exchanged?" if exchanged else "check column and unit of the rooms"
-    why += f"(medians {outdoors_C:.0f} and {rooms_C:.0f} °C)"
-    return [Remark("unit of temperature", "T_zone_C", why, remedy)]
+    if rooms_C < rule.usual[0]:
+        remedy = "check column and unit of the rooms"
+        if rule.usual[0] <= outdoors_C <= rule.usual[1]:
+            remedy = "are the columns of rooms and outdoors exchanged?"
+        why += f"(medians {outdoors_C:.0f} and {rooms_C:.0f} °C)"
+        return [Remark("unit of temperature", "T_zone_C", why, remedy)]
+    as_fahrenheit = float(in_celsius(outdoors_C))
+    if as_fahrenheit > rooms_C - _COLDER_K:
+        return []
+    remedy = f"°F is likelier, a median of {as_fahrenheit:.0f} °C: set unit: °F, or give (x − 32) / 1.8"
+    return [Remark("unit of temperature", "T_out_C", f"{why}(median {outdoors_C:.0f} °C)", remedy)]
 
 
 def _area_m2(layout: Layout, fed: list[int]) -> float:

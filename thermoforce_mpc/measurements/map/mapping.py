@@ -16,7 +16,7 @@ from thermoforce_mpc.commands.kinds import AnyCommand
 from thermoforce_mpc.commands.tank import AnyTankCommand
 from thermoforce_mpc.data import J_PER_KWH, ZERO_C_K, Array, Layout, Names
 from thermoforce_mpc.data.limits import ZONE_C
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, Written, WrittenOtherwise
 from thermoforce_mpc.scenario.comfort import OfComfort, OfTankComfort
 from thermoforce_mpc.scenario.settings import StrictModel, read_yaml, validate
@@ -402,9 +402,10 @@ class MeasurementMap(StrictModel):
 
     @model_validator(mode="after")
     def _check_references(self) -> MeasurementMap:
-        for kind, given in (("zones", self.zones), ("actuators", self.actuators), ("machines", self.machines)):
-            if not all(name.strip() for name in given):
-                raise ValueError(f"{kind}: one has an empty name")
+        try:
+            self.names  # noqa: B018 (they are checked where they are made)
+        except DataError as error:
+            raise ValueError(str(error)) from error
         for name, actuator in self.actuators.items():
             for key, choices in (("zone", self.zones), ("machine", self.machines)):
                 choice = getattr(actuator, key)
