@@ -164,6 +164,14 @@ def storage_errors(path: Path) -> Iterator[None]:
     """Convert `OSError` to a `StorageError` that names `path`."""
     try:
         yield
+    except (FileExistsError, NotADirectoryError) as error:
+        file = next((one for one in (path, *path.parents) if one.exists() and not one.is_dir()), path)
+        raise StorageError(f"{path}: cannot be written: {file} is a file, no folder; choose another name") from error
+    except FileNotFoundError as error:
+        folder = next((one for one in reversed(path.absolute().parents) if not one.exists()), path)
+        raise StorageError(f"{path}: cannot be written: there is no {folder}; make it, or name another") from error
+    except IsADirectoryError as error:
+        raise StorageError(f"{path}: cannot be written: it is a folder; name a file") from error
     except OSError as error:
         raise StorageError(
             f"{path}: cannot be written ({error.strerror or error}); make room or choose a folder that can be written"

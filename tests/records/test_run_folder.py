@@ -30,7 +30,7 @@ def test_an_existing_target_is_refused_untouched(tmp_path, what):
 
 def test_a_folder_that_cannot_be_made_is_one_error(tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(StorageError, match="cannot create the run folder"):
+    with pytest.raises(StorageError, match="file is a file, no folder; choose another name"):
         create_run_folder(tmp_path / "file" / "below", "s")
 
 

@@ -252,6 +252,36 @@ def test_what_is_written_aside_keeps_its_suffix_and_vanishes_after_an_error(tmp_
         pytest.fail("not reached")
 
 
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("there.csv/plan.csv", "there.csv is a file, no folder; choose another name"),
+        ("folder", "it is a folder; name a file"),
+        ("no/such/plan.csv", "there is no .*no; make it, or name another"),
+    ],
+)
+def test_a_file_for_a_folder_and_the_reverse_are_called_that(tmp_path, place, said):
+    (tmp_path / "there.csv").touch()
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(StorageError, match=said):
+        write_whole(tmp_path / place, "x")
+
+
+def test_a_folder_that_is_a_file_is_called_that_by_every_command_that_makes_one(tmp_path):
+    out = tmp_path / "out"
+    out.touch()
+    of_air = ("--testcase", "bestest_air")
+    for words in (
+        ("compare", *of_air, "--windows", "30", "--out", str(out)),
+        ("fleet", "small", "--out", str(out)),
+        ("init", str(out)),
+        ("run", *of_air, "--out", str(out / "run")),
+    ):
+        error = _raised(words)
+        assert isinstance(error, StorageError), words
+        assert str(error).endswith(f"cannot be written: {out} is a file, no folder; choose another name"), words
+
+
 def test_a_model_for_which_there_is_no_room_is_a_storage_error_as_every_other_file(tmp_path):
     with files_of_at_most(1000), pytest.raises(StorageError, match="model: cannot be written"):
         simple_model().save(tmp_path / "model")

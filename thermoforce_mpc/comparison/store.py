@@ -15,7 +15,7 @@ from typing import Any
 
 from thermoforce_mpc.comparison.cells import FORMAT, Cell
 from thermoforce_mpc.comparison.input_files import InputFiles
-from thermoforce_mpc.errors import ArtifactError, StorageError
+from thermoforce_mpc.errors import ArtifactError
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import check_plain, storage_errors, write_folder, write_plain, write_whole
 from thermoforce_mpc.model.saved import read_model_file
@@ -90,10 +90,8 @@ class Store:
     def create(self) -> None:
         """Create the folder; raises `StorageError` if that fails, `ConfigError` where there is a link in it."""
         check_plain(self.folder)
-        try:
+        with storage_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StorageError(f"--out {self.folder}: cannot be created ({error.strerror or error})") from error
 
     def record_path(self, key: str) -> Path:
         """The record of a run."""

@@ -44,6 +44,8 @@ from thermoforce_mpc.scenario.own_code import line_in, own_code
 from thermoforce_mpc.version import VERSION, installed
 
 LOCK, LOG = ".lock", "log.jsonl"
+# Longer than `in_use` has the lock to see whether it is free.
+_LOOK_S = 0.5
 _PACKAGES = ("casadi", "torch", "chronos-forecasting", "numpy", "pandas", "requests", "numba", "scipy", "pydantic")
 
 
@@ -54,7 +56,7 @@ def create_run_folder(out: Path | None, stem: str, root: Path = Path("runs")) ->
         ConfigError: `out` exists and is not an empty folder.
         StorageError: it cannot be created.
     """
-    try:
+    with storage_errors(out or root):
         if out is not None:
             if out.exists() and not is_empty(out):
                 raise ConfigError(f"--out {out}: exists already and is never overwritten; choose another folder")
@@ -68,8 +70,6 @@ def create_run_folder(out: Path | None, stem: str, root: Path = Path("runs")) ->
             except FileExistsError:
                 continue
             return folder
-    except OSError as error:
-        raise StorageError(f"cannot create the run folder {out or root}: {error.strerror or error}") from error
     raise ConfigError(f"{root}: no free run folder name left for {stem}")
 
 
@@ -98,7 +98,7 @@ def sole_use(folder: Path) -> Iterator[None]:
         with suppress(FileNotFoundError):
             if (folder / name).stat().st_nlink > 1:
                 raise ConfigError(f"{folder / name}: {HARD_LINK}")
-    lock = FileLock(folder / LOCK, timeout=0)
+    lock = FileLock(folder / LOCK, timeout=_LOOK_S)
     try:
         lock.acquire()
     except Timeout as error:

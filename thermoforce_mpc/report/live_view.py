@@ -6,6 +6,7 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from thermoforce_mpc.records.journal import (
     planned_of,
     tank_of,
 )
-from thermoforce_mpc.records.run_folder import is_complete
+from thermoforce_mpc.records.run_folder import LOCK, in_use, is_complete
 from thermoforce_mpc.records.told_steps import StepReader, ToldBuilding, ToldStep, told_building
 
 # Past shown, and steps of it at most.
@@ -341,4 +342,11 @@ class LiveRun:
         # One that is older than the journal is of a run that was resumed.
         if early.is_file() and early.stat().st_mtime >= self._tail.path.stat().st_mtime:
             return "ended early", early.read_text(encoding="utf-8", errors="replace")[:500].strip()
+        if (self._folder / LOCK).exists() and not in_use(self._folder):
+            resume = f"tf-mpc resume {quote(str(self._folder))}"
+            again = "`tf-mpc control` with the same --out" if "building" in self._head else f"`{resume}`"
+            return (
+                "ended early",
+                f"no process here has the folder: it was killed, or its machine stopped; {again} goes on",
+            )
         return "running", ""

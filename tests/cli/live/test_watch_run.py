@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from thermoforce_mpc.errors import InputError, PlantError
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.records.journal import Journal, JournalError, JournalTail, read_journal
+from thermoforce_mpc.records.run_folder import LOCK, in_use, sole_use
 from thermoforce_mpc.report.live_view import LiveRun, ZoneNow
 from thermoforce_mpc.service.live_page import page_server
 from thermoforce_mpc.service.server import running
@@ -176,6 +178,39 @@ def test_the_end_of_a_run_is_said(single, tmp_path):
         (tmp_path / name).touch()
     assert LiveRun(tmp_path).now().state == "finished"
     assert shown(view, 3.0, Console())
+
+
+def test_a_run_that_was_killed_is_not_under_way(single, tmp_path):
+    shutil.copy(single[0] / "journal.jsonl", tmp_path)
+    with sole_use(tmp_path):
+        assert LiveRun(tmp_path).now().state == "running"
+    assert LiveRun(tmp_path).now().state == "running", "nothing says how it ended, as of a copy"
+    (tmp_path / LOCK).touch()  # a process that is killed leaves it
+    for _ in range(2):  # looking changes nothing
+        view = LiveRun(tmp_path).now()
+        assert view.state == "ended early"
+        assert f"it was killed, or its machine stopped; `tf-mpc resume {tmp_path}` goes on" in view.said
+
+
+def test_who_looks_whether_a_folder_is_in_use_keeps_nobody_out(tmp_path):
+    """`watch` looks again and again, while a run is resumed."""
+    (tmp_path / LOCK).touch()
+    ends = threading.Event()
+
+    def look():
+        while not ends.is_set():
+            in_use(tmp_path)
+
+    looking = threading.Thread(target=look)
+    looking.start()
+    try:
+        for _ in range(100):
+            with sole_use(tmp_path):
+                pass
+            (tmp_path / LOCK).touch()
+    finally:
+        ends.set()
+        looking.join()
 
 
 def test_a_finished_run_shows_its_controller_and_names_the_baselines(tmp_path):
