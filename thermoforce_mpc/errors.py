@@ -67,7 +67,7 @@ class NoSuchTest(ThermoForceError):
 
 
 class EngineError(ThermoForceError):
-    """The cluster that runs many tasks is gone, or has a worker that does not fit (exit code 7)."""
+    """The cluster that runs many tasks is gone or misfits, or no process can start (exit code 7)."""
 
 
 def out_of_memory(error: BaseException) -> bool:

@@ -19,6 +19,7 @@ from controllers.many.worker import Answer, PlanningProcess, Plans
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution.local import refuse_while_starting
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
@@ -45,6 +46,7 @@ def plan_many(
         ControllerConfigError: `workers` is no number of processes, `config` names a building without a model, or what
             is given for a building is no model or no options.
         DataError: what is given is no observation.
+        EngineError: `workers` is above 1 in a process that is itself being started.
     """
     with Portfolio(models, config, workers=workers) as portfolio:
         return portfolio.plan(observations, states)
@@ -81,6 +83,8 @@ class Portfolio:
         self._here = BatchPlanner(buildings, grace_s)
         self.deadline_s = deadline_s
         names, workers = list(buildings), min(workers, max(1, len(buildings)))
+        if workers > 1:
+            refuse_while_starting()
         shares = [{name: buildings[name] for name in names[i::workers]} for i in range(workers)] if workers > 1 else []
         self._workers = [PlanningProcess(share, grace_s) for share in shares]
         self._worker_of = {name: worker for worker, share in zip(self._workers, shares, strict=True) for name in share}
@@ -132,6 +136,8 @@ class Portfolio:
         except TimeoutError:
             worker.end()
         except Exception as error:
+            if isinstance(error, BrokenProcessPool) and (reason := worker.never_began()):
+                return self._without_plan(requests, reason)
             if time.monotonic() < until_s:
                 # Whether one of them ended the process is not known; that one cannot be sent or read is.
                 batches = [requests] if isinstance(error, BrokenProcessPool) else _halves(requests)

@@ -130,6 +130,10 @@ class PlanningProcess:
             self._process = OneProcess(_begin, self._buildings, self._grace_s, self._folder)
         return self._process
 
+    def never_began(self) -> str:
+        """Why another process would end like the last one, before it could plan; "" where it would not."""
+        return self._process.never_began() if self._process is not None else ""
+
     def end(self) -> None:
         """End the process at once, even while it starts: it holds nothing that outlives it.
 

@@ -233,3 +233,38 @@ def test_an_interrupted_campaign_is_taken_up(tmp_path, sent):
     wait_for("no worker outlives its parent", (tmp_path / "released").exists)
     told = subprocess.run([*call, "on"], env=env, capture_output=True, text=True, timeout=LONG_S, check=True).stdout
     assert told.split() == ["key0", "0", "key1", "0", "key2", "0", "key3", "1"]
+
+
+_UNGUARDED = """
+from pathlib import Path
+import executed_tasks as functions
+from benchmarks.cases import JsonResults
+from thermoforce_mpc.execution import LocalEngine, Task, execute
+
+with open("begun", "a") as file:
+    file.write(".")
+tasks = [Task(f"key{n}", f"task {n}", functions.total, {"n": n, "log": "log"}) for n in range(8)]
+with LocalEngine(1) as engine:
+    list(execute(tasks, engine, JsonResults(Path("kept"))))
+"""
+
+
+def test_a_program_that_starts_processes_as_it_is_imported_is_told_so_once(tmp_path):
+    script = tmp_path / "campaign.py"
+    script.write_text(_UNGUARDED, encoding="utf-8")
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(SUPPORT)])}
+    ended = subprocess.run(
+        [sys.executable, str(script)],
+        cwd=tmp_path,
+        env=env,
+        capture_output=True,
+        text=True,
+        timeout=LONG_S,
+        check=False,
+    )
+    assert ended.returncode == 1
+    assert ended.stderr.splitlines()[-1].startswith(
+        "thermoforce_mpc.errors.EngineError: task 'key0': its process ended"
+    )
+    assert ended.stderr.count("EngineError: a process that is being started would start processes in turn") == 1
+    assert (tmp_path / "begun").read_text(encoding="utf-8") == ".."

@@ -18,13 +18,16 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from multiprocessing import synchronize
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, TypeVar
 
+from thermoforce_mpc.errors import EngineError
 from thermoforce_mpc.execution.execute import Begun, Ended, Event, Lost, Told, WorkerAnswer, answer_to
 
 Result = TypeVar("Result")
+_GUARD = 'A program that starts processes needs `if __name__ == "__main__":` around all that is not a definition'
 _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -89,7 +92,10 @@ class LocalEngine:
         try:
             answer = future.result()
         except BrokenProcessPool:
-            return Lost(key, process.leave())
+            how = process.leave()
+            if reason := process.never_began():
+                raise EngineError(f"task '{key}': {reason}") from None
+            return Lost(key, how)
         self._idle.append(process)
         return Ended(key, answer)
 
@@ -103,11 +109,16 @@ class LocalEngine:
 
 
 class OneProcess:
-    """A pool of one spawned process that computes on one thread; its first call starts it."""
+    """A pool of one spawned process that computes on one thread; its first call starts it.
+
+    Raises `EngineError` in a process that is itself being started.
+    """
 
     def __init__(self, initializer: Callable[..., None], *initargs: Any) -> None:
+        refuse_while_starting()
         self._context = _Remembering()
-        self._pool = ProcessPoolExecutor(1, self._context, initializer, initargs)
+        self._began = self._context.Event()
+        self._pool = ProcessPoolExecutor(1, self._context, _first, (self._began, initializer, *initargs))
 
     def submit(self, function: Callable[..., Result], *args: Any) -> Future[Result]:
         """The result of a call there, to come; raises `BrokenProcessPool` where the process has ended."""
@@ -131,6 +142,22 @@ class OneProcess:
                 process.kill()
         self._pool.shutdown()
         return ", ".join(_how_ended(process.exitcode or 0) for process in self._context.started)
+
+    def never_began(self) -> str:
+        """Why every other process would end as this one did: by an error while it started. "" where it did not."""
+        for process in self._context.started:
+            process.join(1.0)  # its end is known by its pipe, its code a moment later
+        codes = [process.exitcode for process in self._context.started if process.exitcode]
+        if self._began.is_set() or not codes or codes[-1] < 0:  # killed: there may be room for another one
+            return ""
+        return f"its process ended as it started ({_how_ended(codes[-1])}; what it said is above). {_GUARD}"
+
+
+def refuse_while_starting() -> None:
+    """Raise `EngineError` where this process is being started by another one, and runs the program for its names."""
+    # What multiprocessing itself looks at as it starts a process; it has no public name.
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise EngineError(f"a process that is being started would start processes in turn. {_GUARD}")
 
 
 class _Process(OneProcess):
@@ -166,6 +193,12 @@ class _Remembering(SpawnContext):
         """A process that is remembered."""
         self.started.append(SpawnProcess(*args, **kwargs))
         return self.started[-1]
+
+
+def _first(began: synchronize.Event, initializer: Callable[..., None], *initargs: Any) -> None:
+    """What the process does first: all that could fail in its start is behind it."""
+    began.set()
+    initializer(*initargs)
 
 
 def _listen(channel: Connection, events: queue.SimpleQueue[Any]) -> None:

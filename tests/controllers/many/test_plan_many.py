@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import pickle
+import subprocess
+import sys
 import tempfile
 import time
 from dataclasses import replace
@@ -361,3 +363,27 @@ def test_a_deadline_holds_for_all_that_wait_behind_and_while_processes_start(mon
         found = portfolio.plan(houses(8))
         assert time.monotonic() - began < LONG_S
         assert {one.reason for one in found.values()} == {"no plan within 0.1 s: native control"}
+
+
+_UNGUARDED = """
+from test_plan_many import WEATHER_MODEL, houses, models
+from controllers.many.portfolio import plan_many
+
+found = plan_many(models(4), houses(4), config=WEATHER_MODEL, workers=2)
+print({one.reason for one in found.values()})
+"""
+
+
+@pytest.mark.slow
+def test_a_program_without_a_guard_around_its_processes_falls_back_at_once_and_says_why(tmp_path):
+    """Its processes would run it anew, each up to where it starts processes."""
+    script = tmp_path / "plans.py"
+    script.write_text(_UNGUARDED, encoding="utf-8")
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(Path(__file__).parent)])}
+    ended = subprocess.run(
+        [sys.executable, str(script)], env=env, capture_output=True, text=True, timeout=LONG_S, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.count("its process ended as it started (exit code 1") == 1
+    assert '__name__ == "__main__"' in ended.stdout
+    assert ended.stderr.count("EngineError: a process that is being started would start processes in turn") == 2
