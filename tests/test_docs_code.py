@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
-from pages import PAGES, blocks
+from click.testing import CliRunner
+from pages import PAGES, CodeBlock, blocks
 from places import ROOT
+from remembered import remember_identification
+
+from thermoforce_mpc.cli import cli
 
 HERE = "tests/test_docs_code.py"
 FOLLOWED = [page for page in PAGES if any(block.run_by == HERE for block in blocks(page))]
@@ -19,7 +26,7 @@ FOLLOWED = [page for page in PAGES if any(block.run_by == HERE for block in bloc
 
 @pytest.fixture(scope="module")
 def practice(tmp_path_factory) -> Path:
-    """The tutorial's files, and `tf-mpc` and `python` as its reader would have them."""
+    """The tutorial's files, and `python` as its reader would have it."""
     folder = tmp_path_factory.mktemp("practice")
     script = ROOT / "examples" / "practice_house.py"
     subprocess.run([sys.executable, str(script), str(folder)], check=True, capture_output=True)
@@ -27,9 +34,9 @@ def practice(tmp_path_factory) -> Path:
     (folder / "map.yaml").write_text(next(b.text for b in blocks(tutorial) if b.title == "map.yaml"), encoding="utf-8")
     (folder / "examples").symlink_to(ROOT / "examples")
     (folder / "bin").mkdir()
-    for name, command in {"tf-mpc": f"{sys.executable} -m thermoforce_mpc", "python": sys.executable}.items():
-        (folder / "bin" / name).write_text(f'#!/bin/sh\nexec {command} "$@"\n', encoding="utf-8")
-        (folder / "bin" / name).chmod(0o755)
+    python = folder / "bin" / "python"
+    python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n', encoding="utf-8")
+    python.chmod(0o755)
     return folder
 
 
@@ -65,35 +72,78 @@ def check_output(expected: list[str], printed: str, command: str) -> None:
         del lines[: at + 1]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("page", FOLLOWED, ids=lambda page: page.stem)
-def test_page_is_followed(page, practice, tmp_path):
-    folder = tmp_path / "reader"
-    shutil.copytree(practice, folder, symlinks=True)
-    environment = os.environ | {
-        "PATH": f"{folder / 'bin'}:{os.environ['PATH']}",
-        "PYTHONPATH": str(ROOT),
-        "COLUMNS": "110",
-    }
+class Reader:
+    """Who follows a page in a folder of the tutorial's files: writes its files, runs its commands and its Python.
 
-    def run(*command: str) -> str:
+    `tf-mpc` and Python run in this process: starting each anew took longer than what most of them do.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def follows(self, block: CodeBlock) -> str:
+        """What is printed."""
+        if block.title:
+            (self.folder / block.title).write_text(block.text, encoding="utf-8")
+            return ""
+        if block.language == "python":
+            with redirect_stdout(io.StringIO()) as printed:
+                exec(compile(block.text, str(self.folder), "exec"), {"__name__": "__main__"})
+            assert printed.getvalue().strip()
+            return printed.getvalue()
+        return "".join(self._line(line) for line in block.text.replace("\\\n", " ").splitlines())
+
+    def _line(self, line: str) -> str:
+        program, *words = shlex.split(line)
+        if program != "tf-mpc":
+            return self._shell(line)
+        words, into = (words[:-2], words[-1]) if ">" in words else (words, None)
+        done = CliRunner().invoke(cli, words)
+        assert done.exit_code == 0, f"{line}\n{done.output}{done.exception}"
+        if into is None:
+            return done.stdout
+        (self.folder / into).write_text(done.stdout, encoding="utf-8")
+        return ""
+
+    def _shell(self, text: str) -> str:
         done = subprocess.run(
-            command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False
+            ["bash", "-ec", text], cwd=self.folder, capture_output=True, text=True, timeout=300, check=False
         )
-        assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+        assert done.returncode == 0, f"{text}\n{done.stdout}{done.stderr}"
         return done.stdout
 
+
+@pytest.fixture(scope="module", autouse=True)
+def remembering():
+    """Pages that identify the same house alike do so once."""
+    with pytest.MonkeyPatch.context() as patch:
+        remember_identification(patch)
+        yield
+
+
+@pytest.fixture
+def reader(practice, tmp_path, monkeypatch, computed_here) -> Reader:
+    folder = tmp_path / "reader"
+    shutil.copytree(practice, folder, symlinks=True)
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.setenv("PATH", f"{folder / 'bin'}:{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("COLUMNS", "110")
+    return Reader(folder)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # as a user's Python has it
+@pytest.mark.parametrize("page", FOLLOWED, ids=lambda page: page.stem)
+def test_page_is_followed(page, reader):
     found = blocks(page)
     for block, after in zip(found, [*found[1:], None], strict=True):
         if block.run_by != HERE:
             continue
-        if block.title:
-            (folder / block.title).write_text(block.text, encoding="utf-8")
-        elif block.language == "python":
-            assert run(sys.executable, "-c", block.text).strip()
-        else:
-            output = after.text.splitlines() if after and after.language == "text" and not after.run_by else []
-            check_output(output, run("bash", "-ec", block.text), block.text)
+        printed = reader.follows(block)
+        if block.language == "bash" and after and after.language == "text" and not after.run_by:
+            check_output(after.text.splitlines(), printed, block.text)
 
 
 def test_pages_are_followed():

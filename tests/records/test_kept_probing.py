@@ -15,6 +15,7 @@ import pytest
 from click.testing import CliRunner
 from hands_on import HandsOn
 from places import ROOT
+from remembered import remember_identification
 from simple_house import SimpleHouse
 from waiting import LONG_S, wait_for
 
@@ -30,7 +31,7 @@ from thermoforce_mpc.records.journal import JournalError, read_journal
 TESTCASE = "bestest_hydronic_heat_pump"
 # Probing of the simple house: two days that end where its warm-up of two days before day 10 begins.
 SETTINGS = (
-    "--days", "0.25", "--baselines", "thermostat", "--no-equal-comfort", "--set", "identification.days=2",
+    "--days", "0.0625", "--baselines", "thermostat", "--no-equal-comfort", "--set", "identification.days=2",
     "--set", "identification.most_days=2", "--set", "identification.end_early=false",
     "--set", "identification.options.modulation=linear", "--set", "identification.probing.candidates=4",
 )  # fmt: skip
@@ -83,6 +84,14 @@ def results(folder: Path) -> dict[str, bytes]:
     """What must be the same: the model and all trajectories."""
     files = [*(folder / "model").iterdir(), *folder.glob("trajectory*.csv")]
     return {path.name: path.read_bytes() for path in files}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def remembering():
+    """The same probing is identified once: one that differs in anything is identified anew, to another model."""
+    with pytest.MonkeyPatch.context() as patch:
+        remember_identification(patch)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -186,8 +195,18 @@ def test_the_probing_of_an_earlier_run_is_identified_with_other_options(whole, t
 
 
 @pytest.mark.slow
-def test_a_comparison_takes_the_probing_of_an_earlier_run(whole, tmp_path):
-    words = ("compare", "--testcase", TESTCASE, "--controllers", "thermoforce_mpc", "--windows", "20", "--days", "0.25")
+def test_a_comparison_takes_the_probing_of_an_earlier_run(whole, tmp_path, computed_here):
+    words = (
+        "compare",
+        "--testcase",
+        TESTCASE,
+        "--controllers",
+        "thermoforce_mpc",
+        "--windows",
+        "20",
+        "--days",
+        "0.0625",
+    )
     settings = ("--no-equal-comfort", "--set", "identification.options.modulation=linear", "--jobs", "1")
     done = call(*words, *settings, "--probing", whole, "--out", tmp_path / "compared")
     assert done.exit_code == 0, done.output
@@ -256,7 +275,7 @@ def test_a_run_has_one_source_of_its_model(tmp_path):
 
 @pytest.mark.slow
 def test_sigkill_while_probing_in_earnest(tmp_path):
-    """The embedded plant in processes of their own: an undisturbed run, and one killed while probing and resumed."""
+    """The embedded plant: an undisturbed run here; one killed while probing and resumed in processes of their own."""
     env = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     words = ["run", "--testcase", TESTCASE, "--period", "20", *SETTINGS, "--quiet", "--out"]
 
@@ -268,7 +287,7 @@ def test_sigkill_while_probing_in_earnest(tmp_path):
         print(process.communicate(timeout=LONG_S))
         return process.returncode
 
-    assert ended(start(*words, str(tmp_path / "whole"))) == 0
+    assert call(*words, tmp_path / "whole").exit_code == 0
     folder = tmp_path / "killed"
     journal, process = folder / PROBING, start(*words, str(folder))
     long = lambda: journal.exists() and journal.stat().st_size > 120_000  # noqa: E731
