@@ -17,7 +17,7 @@ import numpy as np
 from click.testing import CliRunner, Result
 
 from benchmarks.chaos.episode import Outcome
-from benchmarks.chaos.fmu.building import build_house
+from benchmarks.chaos.fmu.building import build_troubled
 from benchmarks.chaos.live import live_faults, torn_table, two_controllers, wrong_wall_clock
 from benchmarks.chaos.troubles import Trouble
 from thermoforce_mpc.cli import cli
@@ -217,7 +217,7 @@ def prepared(folder: Path) -> Path:
     """The folder of all trials, with an FMU and a finished run whose journal they damage."""
     if missing := [name for name in ("fmpy", "pythonfmu") if find_spec(name) is None]:
         raise ConfigError(f"trials with an FMU need {' and '.join(missing)}: pip install -e '.[dev]'")
-    build_house(folder)
+    build_troubled(folder)
     done = _call("run", *_WORDS, "--out", folder / "whole")
     if done.exit_code:
         raise ThermoForceError(f"the run without faults ended with {done.exception}")

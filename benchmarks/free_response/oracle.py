@@ -13,7 +13,7 @@ from typing import Any, Protocol, cast, runtime_checkable
 import numpy as np
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Levels, Measurement, Record
-from thermoforce_mpc.data.dataframes import control_free
+from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.model.free_response.checks import LEVELS
 from thermoforce_mpc.model.free_response.linear_weather import Persistence

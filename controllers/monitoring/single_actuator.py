@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.data.dataframes import control_free
 from thermoforce_mpc.data.limits import ROUNDING
+from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.identification.effects.couplings import largest_W
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel

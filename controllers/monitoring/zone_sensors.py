@@ -25,8 +25,8 @@ import numpy as np
 from pydantic import Field
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
-from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.data.limits import RULES, SENSOR_STEP_K
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.card import JUDGED_H
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.screening import implausible_zone

@@ -18,7 +18,7 @@ from controllers.mpc.margins import Margins
 from controllers.optimisation.plan_model import Evaluation
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, FreeForecast, Observation, Plan
-from thermoforce_mpc.data.dataframes import compose
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext
 

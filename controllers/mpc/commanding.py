@@ -40,8 +40,9 @@ from thermoforce_mpc.data import (
     PlanStatus,
 )
 from thermoforce_mpc.data.compiled import njit
-from thermoforce_mpc.data.dataframes import clock_s, compose
+from thermoforce_mpc.data.dataframes import clock_s
 from thermoforce_mpc.data.series import first_order
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.card import JUDGED_H, MOST_ERROR_K, ModelCard
 from thermoforce_mpc.model.machine.change import COMPARED_H, weight_of_demand
 from thermoforce_mpc.model.operator.building import BuildingOperator

@@ -14,7 +14,7 @@ import numpy as np
 from controllers.optimisation.problem import MPCProblem
 from controllers.safety.fallback_policy import FallbackPolicy
 from thermoforce_mpc.data import Array, Boundary, Layout
-from thermoforce_mpc.data.dataframes import compose
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import ZONE
 

@@ -23,9 +23,9 @@ from controllers.optimisation.solution import Solution
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, HotWaterPlan, Plan, PlanStatus
-from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import ZONE

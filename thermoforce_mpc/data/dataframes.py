@@ -1,9 +1,4 @@
-"""Tables of time stamps as arrays, and back: pandas at the door, seconds and numbers inside.
-
-Superposition (paper eq:compose): a zone's temperature is its free response plus the forced one.
-
-Solvers state the sum in their own variables; identification estimates both parts of a measured temperature at once.
-"""
+"""Tables of time stamps as arrays, and back: pandas at the door, seconds and numbers inside."""
 
 from __future__ import annotations
 
@@ -13,18 +8,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data.clock import DAY_S, Array
+from thermoforce_mpc.data.clock import DAY_S
 from thermoforce_mpc.errors import DataError, suggestion
-
-
-def compose(T_free_C: Array | float, forced_K: Array | float) -> Array:
-    """T = T_free + F, °C; shapes that broadcast, such as (Z, N) and (..., Z, N)."""
-    return np.asarray(T_free_C + forced_K, dtype=np.float64)
-
-
-def control_free(T_zone_C: Array, forced_K: Array) -> Array:
-    """T_free = T − F, °C: a measured temperature without what actions added to it; NaN where T is not measured."""
-    return np.asarray(T_zone_C - forced_K, dtype=np.float64)
 
 
 def new_year(index: pd.Index, what: str) -> pd.Timestamp:

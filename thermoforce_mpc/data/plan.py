@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data.clock import Array
-from thermoforce_mpc.data.dataframes import compose
 from thermoforce_mpc.data.names import SINGLE, Names, of_each
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables go out

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation
-from thermoforce_mpc.data.dataframes import compose
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import ArtifactError, DataError, InputError
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.outside import CODE, HUB, unknown

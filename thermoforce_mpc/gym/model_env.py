@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from controllers.policy.trained import FORECAST, SIGNALS, PolicySpec
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Record
-from thermoforce_mpc.data.dataframes import compose, control_free
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.data.series import interpolated
+from thermoforce_mpc.data.superposition import compose, control_free
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.forced_state import forced_history
 from thermoforce_mpc.model.operator.parameters import feature_matrix

@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Array, Record
-from thermoforce_mpc.data.dataframes import control_free
 from thermoforce_mpc.data.limits import ROUNDING
 from thermoforce_mpc.data.series import held
+from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import ZONE, feature_matrix

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import SINGLE, Array, Boundary, FreeForecast, Names, Observation, Record
-from thermoforce_mpc.data.dataframes import compose, control_free
 from thermoforce_mpc.data.limits import ROUNDING
 from thermoforce_mpc.data.series import WEATHER, bridged
+from thermoforce_mpc.data.superposition import compose, control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, gather, run, timed
 from thermoforce_mpc.model.forced_state import ForcedState, InitialForce, followed

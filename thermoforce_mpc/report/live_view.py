@@ -15,7 +15,7 @@ from boptest_client import safe_text
 from thermoforce_mpc.commands.tank import tank_in_words
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Record
 from thermoforce_mpc.data.clock import words_of
-from thermoforce_mpc.data.dataframes import compose
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.files import check_plain, plain_json
 from thermoforce_mpc.loop.closed_loop import in_force, with_level

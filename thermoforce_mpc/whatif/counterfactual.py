@@ -28,9 +28,10 @@ from thermoforce_mpc.data import (
     Observation,
     Record,
 )
-from thermoforce_mpc.data.dataframes import control_free, seconds_at, table
+from thermoforce_mpc.data.dataframes import seconds_at, table
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.data.series import WEATHER, bridged, interpolated, lagged
+from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
 from thermoforce_mpc.model.forced_state import followed

@@ -1,1 +1,1 @@
-"""The emulator as an FMU that fails on purpose; the tests run it too."""
+"""FMUs: the emulator, and a small house that fails on purpose; the tests run them too."""

@@ -30,8 +30,17 @@ CONFIG = {"name": "bestest_hydronic_heat_pump", "area": 192.0, "start_time": 0.0
 
 def build_house(folder: Path) -> Path:
     """The emulator as an FMU, with a synthetic year in its resources."""
-    bare = bare_fmu(_HERE / "fmu_house.py", folder / "bare.fmu")
-    time_s = np.arange(0.0, 365 * 86400.0 + 1.0, 900.0)
+    return _with_a_year("fmu_house.py", folder, 900.0)
+
+
+def build_troubled(folder: Path) -> Path:
+    """A small house that fails where the environment says, see `fmu_troubled.py`, with the year in hours."""
+    return _with_a_year("fmu_troubled.py", folder, 3600.0)
+
+
+def _with_a_year(script: str, folder: Path, step_s: float) -> Path:
+    bare = bare_fmu(_HERE / script, folder / "bare.fmu")
+    time_s = np.arange(0.0, 365 * 86400.0 + 1.0, step_s)
     weather = synthetic_weather()
     T_out = weather.at("T_dry_C", time_s)
     lower, upper = HEAT_PUMP.schedule.bounds_C(time_s)

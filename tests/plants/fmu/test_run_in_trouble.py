@@ -20,7 +20,7 @@ from click.testing import CliRunner
 from places import ROOT
 from waiting import wait_for
 
-from benchmarks.chaos.fmu.building import build_house
+from benchmarks.chaos.fmu.building import build_troubled
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.plants.worker_process import PASSED
@@ -37,7 +37,7 @@ def told_by_the_environment(monkeypatch):
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
-    return build_house(tmp_path_factory.mktemp("fmu"))
+    return build_troubled(tmp_path_factory.mktemp("fmu"))
 
 
 def words(file: Path, folder: Path, patience_min: float = 2.0 / 60.0) -> list[str]:

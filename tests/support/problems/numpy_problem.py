@@ -6,7 +6,7 @@ import numpy as np
 
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.data.dataframes import compose
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.machine.load import running_share
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR

@@ -16,7 +16,7 @@ from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.commands.loop import saving_in_words
 from thermoforce_mpc.commands.tank import tank_in_words
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.data.dataframes import compose
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.experiment.explaining import (
     ExplainedStep,
     alternatives_json,
