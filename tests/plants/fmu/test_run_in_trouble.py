@@ -27,7 +27,7 @@ from thermoforce_mpc.plants.worker_process import PASSED
 
 pytestmark = pytest.mark.slow
 TESTCASE = "bestest_hydronic_heat_pump"
-RESTARTED = "restarted with tolerance 1e-07: the FMU's step from day 30.0521 took more than 2 s"
+RESTARTED = "restarted with tolerance 1e-07: the FMU's step from day 0.302083 took more than 2 s"
 
 
 @pytest.fixture(autouse=True)
@@ -41,16 +41,17 @@ def file(tmp_path_factory):
 
 
 def words(file: Path, folder: Path, patience_min: float = 2.0 / 60.0) -> list[str]:
-    run = ["run", "--testcase", TESTCASE, "--fmu", str(file), "--period", "30", "--days", "0.125", "--baselines", ""]
+    """Of a run from six o'clock at New Year, so that the warm-up is six hours."""
+    run = ["run", "--testcase", TESTCASE, "--fmu", str(file), "--period", "0.25", "--days", "0.125", "--baselines", ""]
     return [*run, "--controller", "thermostat", "--set", f"plant.patience_min={patience_min}", "--out", str(folder)]
 
 
 def test_a_restart_stands_in_the_folder_and_a_resumed_run_does_the_same(file, tmp_path, monkeypatch):
-    monkeypatch.setenv("FMU_HOUSE_SLEEPS_ON_DAY", "30.06")
+    monkeypatch.setenv("FMU_HOUSE_SLEEPS_ON_DAY", "0.31")
     monkeypatch.setenv("FMU_HOUSE_UNLESS", str(tmp_path / "happened"))
     done = CliRunner().invoke(cli, words(file, tmp_path / "whole"), catch_exceptions=False)
     assert done.exit_code == 0, done.output
-    assert re.search(r"the FMU's step from day 30\.0521 takes \d\.?\d* s already; it is ended after 2 s", done.output)
+    assert re.search(r"the FMU's step from day 0\.302083 takes \d\.?\d* s already; it is ended after 2 s", done.output)
     assert RESTARTED in done.output
     assert RESTARTED in json.loads((tmp_path / "whole" / "manifest.json").read_text())["plant"]["details"]["restarts"]
     for name in ("report.html", "log.jsonl", "journal.jsonl"):
@@ -70,10 +71,10 @@ def test_a_restart_stands_in_the_folder_and_a_resumed_run_does_the_same(file, tm
 
 
 def test_a_run_whose_fmu_cannot_go_on_ends_with_a_report_until_there(file, tmp_path, monkeypatch):
-    monkeypatch.setenv("FMU_HOUSE_FAILS_ON_DAY", "30.06")
+    monkeypatch.setenv("FMU_HOUSE_FAILS_ON_DAY", "0.31")
     done = CliRunner().invoke(cli, words(file, tmp_path / "run"))
     assert isinstance(done.exception, PlantError), done.output
-    assert "could not simulate at day 30.0521" in str(done.exception)
+    assert "could not simulate at day 0.302083" in str(done.exception)
     assert "restarted with tolerance 1e-05" in str(done.exception)
     assert ", with a report: report.html; `tf-mpc resume" in str(done.exception)
     assert "1e-05" in (tmp_path / "run" / "INCOMPLETE.txt").read_text()
@@ -86,7 +87,7 @@ def test_a_run_whose_fmu_cannot_go_on_ends_with_a_report_until_there(file, tmp_p
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_a_step_that_hangs_ends_with_its_run(file, tmp_path, how):
     folder, hangs = tmp_path / "run", tmp_path / "hangs"
-    environment = {"FMU_HOUSE_SLEEPS_ON_DAY": "30.06", "FMU_HOUSE_UNLESS": str(hangs), "PYTHONPATH": str(ROOT)}
+    environment = {"FMU_HOUSE_SLEEPS_ON_DAY": "0.31", "FMU_HOUSE_UNLESS": str(hangs), "PYTHONPATH": str(ROOT)}
     run = subprocess.Popen(
         [sys.executable, "-m", "thermoforce_mpc", *words(file, folder, 15.0)],
         env=os.environ | environment, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
