@@ -172,7 +172,8 @@ def plugin_sources() -> dict[str, str]:
 def _announcing() -> dict[str, Distribution]:
     found: dict[str, Distribution] = {}
     for one in distributions():
-        if one.name != OWN and _ours(one):
+        # In this order: a name is in a distribution's metadata, and reading those of all takes a tenth of a second.
+        if _ours(one) and one.name != OWN:
             found.setdefault(one.name, one)  # the first on the path is the one that is imported
     return found
 

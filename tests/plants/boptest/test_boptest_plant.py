@@ -17,7 +17,10 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 
-QUICK = TransportConfig(connect_timeout_s=1.0, read_timeout_s=20.0, patience_s=2.0, backoff_s=0.01)
+# Patience is counted in the pauses that are asked for, none is slept.
+QUICK = TransportConfig(
+    connect_timeout_s=1.0, read_timeout_s=20.0, patience_s=2.0, backoff_s=0.01, sleep=lambda seconds: None
+)
 TESTCASE = load_testcase("bestest_hydronic_heat_pump")
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.data import DAY_S, Period
+from thermoforce_mpc.data import DAY_S, HOUR_S, Period
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
 
@@ -60,9 +60,10 @@ def unit_of(name: str) -> str | None:
 
 @functools.cache
 def template() -> EmbeddedPlant:
-    # Finding windows takes a simulated year; which ones they are is not tested here.
+    # Finding windows takes a simulated year, and their week of warm-up a tenth of a second; neither is tested here.
     days = {"peak_heat_day": 16, "typical_heat_day": 108}
-    plant = EmbeddedPlant(synthetic_weather(), periods={name: Period(name, day * DAY_S) for name, day in days.items()})
+    periods = {name: Period(name, day * DAY_S, warmup_s=HOUR_S) for name, day in days.items()}
+    plant = EmbeddedPlant(synthetic_weather(), periods=periods)
     plant.reset(3600.0, 3600.0)  # compiled now: later it would cost a client's patience
     return plant
 
