@@ -11,18 +11,23 @@ import shutil
 import subprocess
 import sys
 import threading
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 from click.testing import CliRunner
 from places import ROOT
+from rich.console import Console
 from simple_house import SimpleHouse, simple_model
 from waiting import LONG_S
 
-from thermoforce_mpc.cli import cli
+from thermoforce_mpc.cli import Terminated, cli, main
+from thermoforce_mpc.cli.running import comparing
+from thermoforce_mpc.comparison.store import Store
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import ConfigError, PlantError, StorageError
 from thermoforce_mpc.experiment import experiment as experiment_module
@@ -133,6 +138,38 @@ def with_model(tmp_path):
         "--model", tmp_path / "model", "--set", "controller.options.free_response.name=chronos",
         "--out", tmp_path / "run",
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("error", "code"), [(KeyboardInterrupt(), 130), (Terminated(15), 143), (StorageError("no room"), 6)]
+)
+def test_whoever_ends_a_run_is_told_where_it_is_and_what_goes_on(tmp_path, monkeypatch, capsys, error, code):
+    def ends() -> None:
+        raise error
+
+    folder = tmp_path / "run"
+    monkeypatch.setattr(ChosenPlant, "build", lambda *_: WatchedHouse(ends))
+    monkeypatch.setattr(sys, "argv", ["tf-mpc", *WORDS, "--days", "2", "--out", str(folder)])
+    monkeypatch.setattr("thermoforce_mpc.cli.signal.signal", lambda *_: None)
+    with warnings.catch_warnings(), pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == code
+    printed = capsys.readouterr()
+    assert printed.out.startswith(f"Folder: {folder}\n")
+    said = printed.err
+    assert f"What was recorded until then is in {folder}" in said
+    assert said.rstrip().endswith(f"`tf-mpc resume {folder}` goes on from there")
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), Terminated(15)])
+def test_whoever_ends_many_runs_is_told_how_many_are_kept(tmp_path, monkeypatch, error):
+    def ends(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(comparing, "outcomes_of", ends)
+    with pytest.raises(type(error)) as ended:
+        comparing.run_cells([SimpleNamespace(inputs=None)], Store(tmp_path), Console(), None, True, {})
+    assert ended.value.__notes__ == [f"0 of 0 runs are kept in {tmp_path}; repeat the command to resume"]
 
 
 def test_a_run_ended_between_identification_and_the_first_step_can_be_resumed(call, with_model, tmp_path, monkeypatch):

@@ -99,6 +99,14 @@ def _show_warning(message: Warning | str, category: type[Warning], *place: Any, 
         _show_otherwise(message, category, *place, **further)
 
 
+def _say_end(words: str, error: BaseException) -> None:
+    """Print `words` and the notes of `error`, such as where what was recorded is; click puts its Abort around some."""
+    from boptest_client import safe_text  # it may quote a file, a service or a journal
+
+    notes = [*getattr(error.__cause__, "__notes__", ()), *getattr(error, "__notes__", ())]
+    click.echo(safe_text("\n".join((words, *notes)), _MOST_SHOWN), err=True)
+
+
 def _run() -> Any:
     """Run the command; what cannot be imported since something of the user's hides it says so."""
     try:
@@ -131,10 +139,8 @@ def main() -> None:
         kind = next((kind for kind in _ENDS if isinstance(error, kind)), None)
         if kind is None:
             raise
-        from boptest_client import safe_text  # it may quote a file, a service or a journal
-
         words, code = _ENDS[kind]
-        click.echo(f"{words}: {safe_text(error, _MOST_SHOWN)}", err=True)
+        _say_end(f"{words}: {error}", error)
         sys.exit(code)
     except PermissionError as error:  # also of a folder on the way, in which nobody may look
         if error.filename is None:
@@ -152,10 +158,10 @@ def main() -> None:
         click.echo(f"Cannot be written: {error.strerror}; make room or write elsewhere", err=True)
         sys.exit(6)
     except Terminated as error:
-        click.echo("Terminated.", err=True)
+        _say_end("Terminated.", error)
         sys.exit(128 + error.number)
-    except (KeyboardInterrupt, click.Abort):
-        click.echo("Interrupted.", err=True)
+    except (KeyboardInterrupt, click.Abort) as error:
+        _say_end("Interrupted.", error)
         sys.exit(130)
     except (MemoryError, RuntimeError) as error:
         if not out_of_memory(error):

@@ -260,6 +260,7 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
     with sole_use(folder):
         if not is_empty(folder):  # another run was quicker
             raise ConfigError(f"{folder}: exists already and is never overwritten; choose another folder")
+        display.say(f"Folder: {folder}")  # what a run that is killed is resumed by, or watched
         return _carry_out(RunBook.begin(folder, experiment, command), display)
 
 

@@ -213,4 +213,7 @@ def ended_early(book: RunBook, records: Mapping[str, Sequence[StepRecord]], erro
     if lacks_memory:
         how = f" ({error})" if isinstance(error, MemoryError) and str(error) else ""
         return StorageError(f"out of memory: close other programs, or give the machine more{how}\n{there}")
-    return PlantError(f"{error}\n{there}") if isinstance(error, PlantError) else error
+    if isinstance(error, PlantError):
+        return PlantError(f"{error}\n{there}")
+    error.add_note(there)
+    return error

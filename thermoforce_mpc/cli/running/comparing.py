@@ -94,8 +94,10 @@ def run_cells(
 ) -> None:
     """Run tasks; the record of each cell, its result or the reason of its failure, goes into `records` by key.
 
-    An interrupt says how many of all are kept.
+    An interrupt or a signal to end notes how many of all are kept.
     """
+    from thermoforce_mpc.cli import Terminated
+
     everyone = {*records, *(task.key for task in tasks if isinstance(task.inputs, Cell))}
     try:
         for outcome in outcomes_of(tasks, store, console, engine, quiet) if tasks else ():
@@ -105,9 +107,9 @@ def run_cells(
                 if outcome.reason:
                     store.write(cell, ran)
                 records[cell.key] = ran.record
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, Terminated) as error:
         kept = sum(record["status"] == DONE for record in records.values())
-        click.echo(f"{kept} of {len(everyone)} runs are kept in {store.folder}; repeat the command to resume", err=True)
+        error.add_note(f"{kept} of {len(everyone)} runs are kept in {store.folder}; repeat the command to resume")
         raise
 
 
