@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.commands import COMMANDS, GROUPS, SYNONYMS
 from thermoforce_mpc.cli.options import scenario_from
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.scenario.comfort import window_name
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
@@ -49,6 +49,31 @@ def test_help_shows_commands_subcommands_and_topics():
     assert "_TF_MPC_COMPLETE=bash_source" in said("help", "completion")
     assert said("help") == said("--help")
     assert "has no commands of its own" in said("help", "run", "more")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("plan", "--model", "m", "--data", "a.csv", "--map", "b", "--forecast", "c", "--out", "./a.csv"), "--data"),
+        (("plan", "--model", "m", "--data", "*.csv", "--map", "b", "--forecast", "c", "--commands", "a.csv"), "--data"),
+        (
+            ("saving", "--data", "b", "--data", "a.csv", "--map", "b", "--changed", "2026-02-01", "--out", "a.csv"),
+            "--data",
+        ),
+        (("saving", "--data", "b", "--map", "l.svg", "--changed", "2026-02-01", "--plot", "a.svg"), "--map"),
+        (("data", "check", "a.csv", "--map", "b", "--json", "a.csv"), "the command"),
+        (("data", "probe-plan", "b", "--map", "a.csv", "--out", "a.csv"), "--map"),
+    ],
+)
+def test_a_file_that_is_read_is_not_written_over(tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.csv", "a.svg", "b"):
+        (tmp_path / name).write_text("measured")
+    (tmp_path / "l.svg").symlink_to("a.svg")
+    done = CliRunner().invoke(cli, list(words))
+    assert isinstance(done.exception, InputError), done.output
+    assert f": {message} reads this file; give another name" in str(done.exception)
+    assert {path.read_text() for path in tmp_path.iterdir()} == {"measured"}
 
 
 def test_all_synonyms_are_of_commands_that_there_are():

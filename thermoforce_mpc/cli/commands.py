@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import glob
 import importlib
 import importlib.util
+import itertools
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +131,47 @@ def _completed(command: str, option: click.Parameter, kind: click.ParamType) -> 
     return kind
 
 
+# Options that name a file to write.
+_WRITTEN = ("--out", "--plot", "--json", "--commands")
+
+
+def _files(value: object) -> list[Path]:
+    """The files that the value of an option names: a path, several, or a pattern."""
+    if isinstance(value, tuple | list):
+        return [path for item in value for path in _files(item)]
+    if not isinstance(value, str | Path):
+        return []
+    try:
+        there = [Path(value)] if Path(value).exists() else [Path(name) for name in glob.glob(str(value))]
+        return [path for path in there if path.is_file()]
+    except (OSError, ValueError):  # no name of a file at all
+        return []
+
+
+class _KeepingInputs(click.Context):
+    """The context of a command, which is not run where a file that it would write is one that it reads."""
+
+    def invoke(self, callback: Any, /, *args: Any, **kwargs: Any) -> Any:
+        """Run the command; raises `InputError` naming the option."""
+        given = [(option, _files(self.params.get(option.name or ""))) for option in self.command.params]
+        written = [(option, path) for option, paths in given if option.opts[-1] in _WRITTEN for path in paths]
+        read = [(option, path) for option, paths in given if option.opts[-1] not in _WRITTEN for path in paths]
+        for (output, out), (option, path) in itertools.product(written, read):
+            if out.samefile(path):
+                name = option.opts[-1] if isinstance(option, click.Option) else "the command"
+                raise InputError(f"{output.opts[-1]} {out}: {name} reads this file; give another name")
+        return super().invoke(callback, *args, **kwargs)
+
+
+def _leaves(command: click.Command) -> Iterator[click.Command]:
+    """A command, or those of a group."""
+    if isinstance(command, click.Group):
+        for one in command.commands.values():
+            yield from _leaves(one)
+    else:
+        yield command
+
+
 class CommandGroups(click.Group):
     """Click group that shows its commands in groups and imports only the one that is called."""
 
@@ -150,6 +193,8 @@ class CommandGroups(click.Group):
             command = getattr(importlib.import_module(f"thermoforce_mpc.cli.{module}"), function)
         for option in command.params:
             option.type = _completed(cmd_name, option, _plainly(option.type))
+        for leaf in _leaves(command):
+            leaf.context_class = _KeepingInputs
         command.name = cmd_name  # functions have other names; the command line reference shows this one
         return command
 

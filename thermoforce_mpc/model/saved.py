@@ -43,6 +43,7 @@ FORMAT = "thermoforce-mpc thermal model"
 FORMAT_VERSION = 9
 JSON_NAME = "model.json"
 ARRAYS_NAME = "arrays.safetensors"
+FILES = (ARRAYS_NAME, JSON_NAME)
 # Thirty rooms with all pairs coupled: 0.8 MB of JSON, 2.1 MB of arrays.
 _MOST_JSON_BYTES, _MOST_ARRAYS_BYTES = 20_000_000, 100_000_000
 

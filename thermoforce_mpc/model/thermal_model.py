@@ -25,13 +25,14 @@ from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.certificate import Certificate
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Prediction, Predictor
-from thermoforce_mpc.model.saved import JSON_NAME, decode, encode, read_model_file, write_model_file
+from thermoforce_mpc.model.saved import FILES, JSON_NAME, decode, encode, read_model_file, write_model_file
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor, off_sensors
 from thermoforce_mpc.protocols import FreeResponse
 
 # What a card says of its arrays, and how exactly: it is worked out from them.
 _STEP_RESPONSE = re.compile(r"step_response_(\d+)h_K(?:\[(.+)\])?")
 _SAME, _EFFECT_H = 1e-3, 8.0
+_PICTURES = (".png", ".svg")
 
 
 @dataclass(frozen=True)
@@ -287,11 +288,11 @@ class ThermalModel:
     def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
         """Write the model to `folder`; the same model gives the same bytes.
 
-        Raises `ArtifactError` where `folder` exists (unless `overwrite` and it holds a model) or the model fails its
-        certificate, and `StorageError` where the disk refuses.
+        Raises `ArtifactError` as `check_replaceable` or where the model fails its certificate, and `StorageError` where
+        the disk refuses.
         """
         folder = Path(folder)
-        _check_replaceable(folder, overwrite)
+        check_replaceable(folder, overwrite)
         proofs = self.operator.certificates()
         _check_proofs(proofs, f"{folder}: not saved, ")
         content, arrays = encode(**{item.name: getattr(self, item.name) for item in fields(self)})
@@ -358,13 +359,23 @@ def _step_response_K(pair: OperatorParameters, hours: float) -> float:
     return float(pair.impulse(steps).sum())
 
 
-def _check_replaceable(folder: Path, overwrite: bool) -> None:
+def check_replaceable(folder: Path, overwrite: bool) -> None:
+    """Raise `ArtifactError` where a model cannot be saved in `folder`, which is replaced.
+
+    It exists, unless with `overwrite` it is that of a model, and holds nothing else that would be removed.
+    """
     if not folder.exists():
         return
     if not overwrite:
         raise ArtifactError(f"{folder}: exists already; choose another folder or ask to overwrite it")
     if not (folder / JSON_NAME).is_file():
         raise ArtifactError(f"{folder}: not overwritten, since it holds no {JSON_NAME} and so is not a saved model")
+    # Pictures are drawn again.
+    others = [p.name for p in sorted(folder.iterdir()) if p.name not in FILES and p.suffix not in _PICTURES]
+    if others:
+        raise ArtifactError(
+            f"{folder}: not overwritten, since {others[0]} in it would be removed; choose another folder"
+        )
 
 
 def _check_proofs(proofs: Mapping[tuple[str, str], Certificate], where: str) -> None:

@@ -123,6 +123,11 @@ def test_nothing_is_overwritten_unless_asked(tmp_path, model):
     with pytest.raises(ArtifactError, match="not a saved model"):
         model.save(precious, overwrite=True)
     assert (precious / "chapter").read_text() == "words"
+    (folder / "house.csv").write_text("measured")
+    with pytest.raises(ArtifactError, match=r"since house\.csv in it would be removed"):
+        model.save(folder, overwrite=True)
+    (folder / "house.csv").rename(folder / "fit.png")
+    model.save(folder, overwrite=True)
     assert {path.name for path in tmp_path.iterdir()} == {"model", "thesis"}, "leftovers of an unfinished write"
 
 

@@ -75,9 +75,12 @@ def identify(**options: Any) -> None:
       tf-mpc run --testcase bestest_hydronic_heat_pump --model my_model
       tf-mpc identify --data house.csv --map map.yaml --out my_house
     """
+    from thermoforce_mpc.model.thermal_model import check_replaceable
+
     out: Path = options["out"]
     if out.exists() and not options["overwrite"]:
         raise ArtifactError(f"--out {out}: exists already; choose another folder or give --overwrite")
+    check_replaceable(out, options["overwrite"])
     check_writable(out)
     if options["files"] or options["map_file"]:
         _from_measurements(options)
