@@ -53,7 +53,7 @@ def wheel(sdist, tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory) -> Path:
     target = tmp_path_factory.mktemp("site")
-    quiet = ["--quiet", "--no-deps", "--no-index", "--disable-pip-version-check"]
+    quiet = ["--quiet", "--no-deps", "--no-index", "--no-compile", "--disable-pip-version-check"]
     command = [sys.executable, "-m", "pip", "install", *quiet, "--target", str(target), str(wheel)]
     subprocess.run(command, check=True, timeout=120)
     return target

@@ -182,7 +182,14 @@ def test_a_plant_is_checked_before_it_is_built(spec, testcase, words):
 def example(tmp_path_factory) -> Path:
     """examples/plugin, installed as its page says, into a folder of its own."""
     target = tmp_path_factory.mktemp("site")
-    quiet = ["--quiet", "--no-deps", "--no-index", "--no-build-isolation", "--disable-pip-version-check"]
+    quiet = [
+        "--quiet",
+        "--no-deps",
+        "--no-index",
+        "--no-build-isolation",
+        "--no-compile",
+        "--disable-pip-version-check",
+    ]
     command = [sys.executable, "-m", "pip", "install", *quiet, "--target", str(target), str(ROOT / "examples/plugin")]
     subprocess.run(command, check=True, timeout=120)
     return target
@@ -207,7 +214,7 @@ house.forecast().to_csv("tomorrow.csv")
 with served(house) as url:
     gateway = build_connection("gateway", {"url": url})
     control(LiveBuilding(gateway, MeasurementMap.model_validate(sim.RULES), 3600.0), sim.mpc(), clock=house, steps=3)
-done = tf.run("north_house", controller="night_setback", baselines=["native"], period="cold_week", days=1,
+done = tf.run("north_house", controller="night_setback", baselines=["native"], period="cold_week", days=0.5,
               progress=False)
 from contextlib import closing
 from thermoforce_mpc.model.free_response.registry import build_free_response

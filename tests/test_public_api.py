@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import subprocess
 import sys
+from contextlib import redirect_stdout
 
 import numpy as np
 import pandas as pd
 import pytest
 from places import ROOT
+from remembered import remember_identification
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.boundary.weather import synthetic_weather
@@ -49,7 +52,16 @@ def blocks(page: str) -> list[str]:
     return re.findall(r"<!-- run-by-tests: tests/test_public_api\.py -->\n```python\n(.*?)```", text, re.S)
 
 
+@pytest.fixture(scope="module")
+def identified_once():
+    """The pages identify one record."""
+    with pytest.MonkeyPatch.context() as patch:
+        remember_identification(patch)
+        yield
+
+
 @pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # as a user's Python has it
 @pytest.mark.parametrize(
     ("page", "number", "says"),
     [
@@ -59,15 +71,13 @@ def blocks(page: str) -> list[str]:
     ],
     ids=["readme", "table", "many"],
 )
-def test_documented_code_runs(page, number, says, tables, tmp_path):
+def test_documented_code_runs(page, number, says, tables, tmp_path, monkeypatch, identified_once):
     tables[0].to_csv(tmp_path / "room.csv")
     tables[1].to_csv(tmp_path / "forecast.csv")
-    code = blocks(page)[number]
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert says in done.stdout
+    monkeypatch.chdir(tmp_path)
+    with redirect_stdout(io.StringIO()) as printed:
+        exec(compile(blocks(page)[number], page, "exec"), {"__name__": "__main__"})
+    assert says in printed.getvalue()
 
 
 def test_every_public_name_is_there_and_import_loads_none_of_them():

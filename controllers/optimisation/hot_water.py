@@ -207,7 +207,9 @@ class TankWays:
         )  # fmt: skip
         for k, now_s in enumerate(self.begins_s.tolist()):
             held = now_s - since < hold_s - 1e-6
-            most = np.array([command.most_change(one) for one in now_s - since])
+            # Of many ways few were changed at different times.
+            ages_s, of_way = np.unique(now_s - since, return_inverse=True)
+            most = np.array([command.most_change(one) for one in ages_s])[of_way]
             wanted = np.clip(values[:, k], last - most, last + most)
             if isinstance(command, StepwiseCommand):
                 wanted = np.where(most < np.inf, command.nearest(wanted), wanted)

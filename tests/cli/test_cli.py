@@ -6,8 +6,10 @@ import importlib
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +20,7 @@ import yaml
 from click.testing import CliRunner
 from simple_house import SimpleHouse, simple_model
 
-from thermoforce_mpc.cli import cli
+from thermoforce_mpc.cli import cli, main
 from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification.validation import competence
@@ -37,20 +39,31 @@ WEAK_PRIORS = (
 cli_identify = importlib.import_module("thermoforce_mpc.cli.building.identify")
 
 
-def tf_mpc(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    call = [sys.executable, "-c", "from thermoforce_mpc.cli import main; main()", *words]
-    return subprocess.run(call, capture_output=True, text=True, cwd=cwd, timeout=120, check=False)
+@pytest.fixture
+def tf_mpc(monkeypatch, capsys, tmp_path):
+    """`tf-mpc` by its entry point in this process, in an empty folder: gives exit code and what it said on stderr."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+    before = signal.getsignal(signal.SIGTERM)
+
+    def call(*words: str) -> tuple[object, str]:
+        monkeypatch.setattr(sys, "argv", ["tf-mpc", *words])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code, capsys.readouterr().err
+
+    yield call
+    signal.signal(signal.SIGTERM, before)
 
 
-@pytest.mark.slow
-def test_what_a_message_quotes_does_nothing_to_the_terminal(tmp_path):
+def test_what_a_message_quotes_does_nothing_to_the_terminal(tf_mpc, tmp_path):
     file = tmp_path / "\x1b[31m\x9bred.yaml"
     file.write_text("testcase: bestest_hydronic_heat_pump\n\x00")
-    done = tf_mpc("validate", str(file))
-    assert done.returncode == 2
-    assert "[31mred.yaml" in done.stderr
-    assert "\x1b" not in done.stderr
-    assert "\x9b" not in done.stderr
+    code, said = tf_mpc("validate", str(file))
+    assert code == 2
+    assert "[31mred.yaml" in said
+    assert "\x1b" not in said
+    assert "\x9b" not in said
 
 
 @pytest.fixture
@@ -186,7 +199,6 @@ def test_a_stretch_longer_than_a_year_is_refused_by_its_option():
     assert "'--hours'" in done.output
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -203,20 +215,19 @@ def test_a_stretch_longer_than_a_year_is_refused_by_its_option():
         (["inspect", "absent"], "absent"),
     ],
 )
-def test_bad_input_is_one_message_and_exit_code_2(words, message, tmp_path):
-    done = tf_mpc(*words, cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
+def test_bad_input_is_one_message_and_exit_code_2(words, message, tf_mpc, tmp_path):
+    code, said = tf_mpc(*words)
+    assert code == 2, said
+    assert message in said
+    assert "Traceback" not in said
     assert not list(tmp_path.glob("runs/*")), "nothing half-written"
 
 
-@pytest.mark.slow
-def test_an_unreachable_service_is_exit_code_3(tmp_path):
-    done = tf_mpc("run", "--testcase", TESTCASE, "--url", "http://127.0.0.1:9", "--quiet", cwd=tmp_path)
-    assert done.returncode == 3, done.stderr
-    assert "127.0.0.1:9" in done.stderr
-    assert "Traceback" not in done.stderr
+def test_an_unreachable_service_is_exit_code_3(tf_mpc, unhurried):
+    code, said = tf_mpc("run", "--testcase", TESTCASE, "--url", "http://127.0.0.1:9", "--quiet")
+    assert code == 3, said
+    assert "127.0.0.1:9" in said
+    assert "Traceback" not in said
 
 
 @pytest.mark.slow
@@ -394,15 +405,14 @@ def test_prices_that_end_before_the_window_does_are_refused_before_a_step(simple
     assert not (tmp_path / "out" / "steps.csv").exists()
 
 
-@pytest.mark.slow
-def test_validate_names_what_is_wrong(tmp_path):
+def test_validate_names_what_is_wrong(tf_mpc, tmp_path):
     good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
     good.write_text(f"testcase: {TESTCASE}\n")
     bad.write_text(f"testcase: {TESTCASE}\ncontroller: {{name: thermostat, options: {{setpoint: 21}}}}\n")
     assert CliRunner().invoke(cli, ["validate", str(good)]).exit_code == 0
-    done = tf_mpc("validate", str(bad))
-    assert done.returncode == 2
-    assert "setpoint: unknown key, did you mean 'setpoint_C'?" in done.stderr
+    code, said = tf_mpc("validate", str(bad))
+    assert code == 2
+    assert "setpoint: unknown key, did you mean 'setpoint_C'?" in said
 
 
 def test_a_connection_lists_its_options_with_their_meaning():

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from here import Here
 from simple_house import simple_model
 
 from thermoforce_mpc.cli import cli
@@ -44,7 +45,9 @@ def test_a_killed_worker_changes_no_record(tmp_path, monkeypatch):
     with patient, LocalCluster(n_workers=2, **options) as made, Client(made, set_as_default=False) as client:
         monkeypatch.chdir(tmp_path)
         (tmp_path / "prices.csv").write_text("time,price\n0,0.1\n43200,0.3\n31536000,0.2\n", encoding="utf-8")
-        here = CliRunner().invoke(cli, [*CALL, *PRICES, "--jobs", "1", "--out", str(tmp_path / "here")])
+        with monkeypatch.context() as patch:
+            patch.setattr("thermoforce_mpc.execution.open_engine", lambda *_, **options: Here())
+            here = CliRunner().invoke(cli, [*CALL, *PRICES, "--jobs", "1", "--out", str(tmp_path / "here")])
         assert here.exit_code == 0, here.output
         killed = []
 

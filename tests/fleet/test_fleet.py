@@ -18,6 +18,7 @@ import yaml
 from click.testing import CliRunner
 from executed_tasks import identified_at_once
 from places import ROOT
+from remembered import remember_identification
 from simple_house import simple_model
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
@@ -69,7 +70,9 @@ def _rows(**columns: list[Any]) -> pd.DataFrame:
 
 
 @pytest.mark.slow
-def test_a_fleet_is_run_once_and_its_dataset_is_the_same_bytes_whatever_ran_before(tmp_path: Path) -> None:
+def test_a_fleet_is_run_once_and_its_dataset_is_the_same_bytes_whatever_ran_before(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     path = _file(tmp_path, trajectories=True, prices=["constant", "dynamic"], windows=["cold_week"])
     code, said = _fleet(path)
     assert code == 0, said
@@ -90,7 +93,8 @@ def test_a_fleet_is_run_once_and_its_dataset_is_the_same_bytes_whatever_ran_befo
     bytes_before = (out / "runs.parquet").read_bytes()
     assert "8 runs done, 0 left" in _fleet(path)[1]
     assert (out / "runs.parquet").read_bytes() == bytes_before
-    # What is missing is run again, to the same result but for the time it took.
+    # What is missing is run again, here and not in a process, to the same result but for the time it took.
+    request.getfixturevalue("computed_here")
     run = next((out / "runs").rglob("*.json"))
     run.unlink()
     assert "7 runs done, 1 left" in _fleet(path)[1]
@@ -573,7 +577,10 @@ def test_a_building_without_a_model_runs_what_needs_none_and_says_why_of_the_res
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("computed_here")
-def test_buildings_of_a_table_are_identified_from_their_measurements_and_run_on_them(tmp_path: Path) -> None:
+def test_buildings_of_a_table_are_identified_from_their_measurements_and_run_on_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    remember_identification(monkeypatch)  # two of them have one record
     (tmp_path / "map.yaml").write_text(MAP)
     _measured(tmp_path / "good.csv", heated=True)
     _measured(tmp_path / "off.csv", heated=False)

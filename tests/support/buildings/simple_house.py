@@ -46,6 +46,11 @@ def native_level(T_C: float) -> float:
     return float(T_C < 21.2) * 0.5
 
 
+def power_W(u: float) -> float:
+    """Electric power at a level; of an unknown one unknown."""
+    return (FIXED_W * (u > 0) + PER_U_W * u) if np.isfinite(u) else np.nan
+
+
 class SimpleHouse:
     """Implements `Plant`; `fail_at_s` makes the next advance past that time raise `PlantError`."""
 
@@ -68,17 +73,21 @@ class SimpleHouse:
         return self.measure()
 
     def measure(self, u: float = np.nan) -> Measurement:
-        power = (FIXED_W * (u > 0) + PER_U_W * u) if np.isfinite(u) else np.nan
+        power = power_W(u)
         return Measurement(self.now_s, self.T, float(outdoor_C(self.now_s)), 0.0, u, power, 2.5 * power)
 
-    def step(self, u: float | None, duration_s: float) -> Measurement:
+    def live(self, u: float | None, duration_s: float) -> float:
+        """Go on at level `u`, or under native control; returns the level."""
         level = native_level(self.T) if u is None else u
         share = duration_s / HOUR_S
         pole = POLE**share
         gain = GAIN_K / (1 - POLE) * (1 - pole)
         self.T = pole * self.T + (1 - pole) * float(outdoor_C(self.now_s)) + gain * level
         self.now_s += duration_s
-        measurement = self.measure(level)
+        return level
+
+    def step(self, u: float | None, duration_s: float) -> Measurement:
+        measurement = self.measure(self.live(u, duration_s))
         self._rows.append((duration_s, measurement))
         return measurement
 

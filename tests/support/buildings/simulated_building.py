@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 import yaml
-from simple_house import SimpleHouse, simple_model
+from simple_house import SimpleHouse, outdoor_C, power_W, simple_model
 
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
@@ -60,9 +60,9 @@ class SimulatedBuilding:
     def wait_until(self, at: pd.Timestamp) -> None:
         while (left_s := (at - self.at).total_seconds()) > 1e-6:
             part_s = min(60.0, left_s)
-            row = {"time": self.at, "T": self.house.T, "out": self.house.measure().T_out_C, "sun": 0.0}
-            done = self.house.step(self.level, part_s)
-            self.rows.append(row | {"u": done.u[0], "P": done.power_W[0], "low": 20.0, "high": 24.0})
+            row = self._present()
+            level = self.house.live(self.level, part_s)
+            self.rows.append(row | {"u": level, "P": power_W(level), "low": 20.0, "high": 24.0})
             self.at += pd.Timedelta(seconds=part_s)
 
     def measurements(self) -> pd.DataFrame:
@@ -70,7 +70,7 @@ class SimulatedBuilding:
         return pd.DataFrame([*self.rows[-4 * 1440 :], self._present()])
 
     def _present(self):
-        return {"time": self.at, "T": self.house.T, "out": self.house.measure().T_out_C, "sun": 0.0}
+        return {"time": self.at, "T": self.house.T, "out": float(outdoor_C(self.house.now_s)), "sun": 0.0}
 
     def forecast(self) -> pd.DataFrame:
         self.failing("forecast", self.at)
