@@ -10,7 +10,14 @@ import pytest
 from click.testing import CliRunner
 
 from benchmarks.closed_loop import buildings, offices
-from benchmarks.closed_loop.buildings import Case, Outcome, run_buildings_bench, run_case, targets
+from benchmarks.closed_loop.buildings import (
+    Case,
+    Outcome,
+    identify_by_default,
+    run_buildings_bench,
+    run_case,
+    targets,
+)
 from benchmarks.closed_loop.offices import OfficeCase, OfficeOutcome
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import DataError, InputError
@@ -48,7 +55,13 @@ def by_name(outcomes: list[Outcome]) -> list[tuple[float, bool]]:
 
 @pytest.mark.slow
 def test_one_short_window_for_real():
-    first = run_case(Case(7, 3, "cold_week", draw=True, **SHORT))
+    models = []
+
+    def identified(*given):
+        models.append(identify_by_default(*given))
+        return models[0]
+
+    first = run_case(Case(7, 3, "cold_week", draw=True, **SHORT), identified)
     assert first.failed == ""
     assert first.refused == ""
     assert set(first.kpis) == {"thermoforce_mpc", "thermostat", "native"}
@@ -61,7 +74,7 @@ def test_one_short_window_for_real():
     assert first.equal.kpis["tdis_tot"] <= first.kpis["thermoforce_mpc"]["tdis_tot"] + 0.1
     assert first.plot.startswith(b"\x89PNG")
     assert len(first.plot) > 10_000
-    again = run_case(Case(7, 3, "cold_week", **SHORT))
+    again = run_case(Case(7, 3, "cold_week", **SHORT), lambda *given: models[0])
     assert (again.kpis, again.statuses, again.model) == (first.kpis, first.statuses, first.model)
 
 

@@ -164,7 +164,19 @@ def test_buildings_of_a_run_and_a_word_where_energyplus_is_missing(monkeypatch: 
 @pytest.mark.usefixtures("computed_here")
 def test_two_houses_for_real(tmp_path: Path) -> None:
     file = tmp_path / "effects.json"
-    command = ["bench", "effects", "--quick", "--days", "3", "--jobs", "1", "--json", str(file), "--out", str(tmp_path)]
+    command = [
+        "bench",
+        "effects",
+        "--quick",
+        "--days",
+        "1.5",
+        "--jobs",
+        "1",
+        "--json",
+        str(file),
+        "--out",
+        str(tmp_path),
+    ]
     done = CliRunner().invoke(cli, command)
     assert done.exit_code == 0, done.output
     result = json.loads(file.read_text(encoding="utf-8"))

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
+from here import Here
 
 from benchmarks.factual import suite, tables
 from benchmarks.factual.bench import run_factual_bench
@@ -23,7 +24,6 @@ from benchmarks.free_response.scales import SMALLER
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution import LocalEngine
 
 _STEP_S, _PER_DAY = 1800.0, 48
 _SMALL = Protocol(days=(3,), most_origins=12)
@@ -54,13 +54,13 @@ def homes() -> list[Home]:
 
 
 @pytest.fixture(scope="module")
-def engine() -> Iterator[LocalEngine]:
-    with LocalEngine(1) as made:
+def engine() -> Iterator[Here]:
+    with Here() as made:
         yield made
 
 
 @pytest.fixture(scope="module")
-def run(homes: list[Home], engine: LocalEngine, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Scores], Path]:
+def run(homes: list[Home], engine: Here, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Scores], Path]:
     folder = tmp_path_factory.mktemp("factual")
     scores, _, computed = run_suite(homes, _SMALL, folder, backbone="shipped_tiny", engine=engine)
     assert computed == 2
@@ -95,7 +95,7 @@ def test_without_an_effect_thermoforce_is_the_raw_forecast(run: tuple[list[Score
 
 
 def test_scores_are_kept_and_computed_anew_for_other_data(
-    homes: list[Home], run: tuple[list[Scores], Path], engine: LocalEngine
+    homes: list[Home], run: tuple[list[Scores], Path], engine: Here
 ) -> None:
     scores, folder = run
     again, _, computed = run_suite(homes, _SMALL, folder, backbone="shipped_tiny", engine=engine)
@@ -109,7 +109,7 @@ def test_scores_are_kept_and_computed_anew_for_other_data(
 
 
 def test_scores_are_computed_anew_for_other_weights(
-    homes: list[Home], engine: LocalEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    homes: list[Home], engine: Here, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     weights = tmp_path / "weights"
     shutil.copytree(SMALLER["shipped_tiny"], weights)
@@ -132,7 +132,7 @@ def _nothing(task: tuple) -> Scores:
 
 
 def test_nothing_is_chosen_on_the_test_part(
-    homes: list[Home], run: tuple[list[Scores], Path], engine: LocalEngine, tmp_path: Path
+    homes: list[Home], run: tuple[list[Scores], Path], engine: Here, tmp_path: Path
 ) -> None:
     home, first = homes[0], prepared(homes[0], _SMALL).test[0]
     T: Array = home.record.T_zone_C.copy()
@@ -189,9 +189,7 @@ def test_wins_and_wilcoxon() -> None:
 
 
 @pytest.mark.slow
-def test_the_bench_writes_tables_figures_manifest_and_page(
-    homes: list[Home], engine: LocalEngine, tmp_path: Path
-) -> None:
+def test_the_bench_writes_tables_figures_manifest_and_page(homes: list[Home], engine: Here, tmp_path: Path) -> None:
     result = run_factual_bench(
         homes[:1], tmp_path, backbone="shipped_tiny", others=["shipped_tiny"], quick=True, engine=engine
     )
@@ -205,6 +203,7 @@ def test_the_bench_writes_tables_figures_manifest_and_page(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_your_own_table_by_its_map(homes: list[Home], tmp_path: Path) -> None:
     record = homes[0].record
     frame = pd.DataFrame(

@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 from places import SHARED
 
+from benchmarks.measured_rooms import bench
 from benchmarks.measured_rooms.against import earlier_rooms, ratio_rows, targets
 from benchmarks.measured_rooms.records import BOX, KNOWN, found_records
 from benchmarks.measured_rooms.score import DEFAULT, PERSISTENCE, identified, score, split, starts_of
@@ -41,8 +42,11 @@ def _bench(*words: str) -> Any:
 
 
 @pytest.mark.slow
-def test_a_simulated_box_is_predicted_and_compared_with_itself(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("computed_here")
+def test_a_simulated_box_is_predicted_and_compared_with_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first, second = tmp_path / "first.json", tmp_path / "second.json"
+    models = []
+    monkeypatch.setattr(bench, "identified", lambda *given: models.append(identified(*given)) or models[0])
     done = _bench("--records", str(_box(tmp_path)), "--json", str(first))
     assert done.exit_code == 0, done.output
     rows = json.loads(first.read_text())["rows"]
@@ -53,6 +57,7 @@ def test_a_simulated_box_is_predicted_and_compared_with_itself(tmp_path: Path) -
     assert model["full_48h_K"] == pytest.approx(_GAIN_K * (1 - np.exp(-48 / _TAU_H)), rel=0.4)
     assert model["all_full_48h_K"] == model["full_48h_K"]
     assert model["says"] == "competent"
+    monkeypatch.setattr(bench, "identified", lambda *given: models[0])
     done = _bench("--records", str(tmp_path), "--against", str(first), "--json", str(second))
     assert done.exit_code == 0, done.output
     again = json.loads(second.read_text())

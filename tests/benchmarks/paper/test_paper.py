@@ -6,21 +6,31 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.paper import tables
+from benchmarks.paper import closed_loop, tables
 from benchmarks.paper.closed_loop import closed_loop_tests
 from benchmarks.paper.parts import PARTS, Table
 from benchmarks.paper.printed import BACKBONES, CLOSED_LOOP, COVARIATES
 from benchmarks.paper.run import markdown
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.experiment.run import run_scenario
 
 
 @pytest.mark.slow
-def test_a_days_closed_loop_stands_beside_the_papers(tmp_path):
+def test_a_days_closed_loop_stands_beside_the_papers(tmp_path, monkeypatch):
+    """One window is run; the others are asked for and shown with its figures."""
+    asked = []
+
+    def one_window(scenario, display, folder, words):
+        asked.append((scenario.period, run_scenario(scenario, display, folder, words) if not asked else asked[0][1]))
+        return asked[0][1]
+
+    monkeypatch.setattr(closed_loop, "run_scenario", one_window)
     done = CliRunner().invoke(
         cli, ["paper", "--quick", "--seeds", "1", "--only", "closed-loop", "--out", str(tmp_path / "p")]
     )
     assert done.exit_code == 0, done.output
+    assert [period for period, _ in asked] == list(closed_loop.WINDOWS.values())
     with (tmp_path / "p" / "tables.csv").open() as file:
         rows = list(csv.DictReader(file))
     native = next(r for r in rows if r["row"] == "peak A: native" and r["quantity"] == "energy, kWh/m²")

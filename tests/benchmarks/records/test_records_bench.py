@@ -63,6 +63,7 @@ def test_no_houses_are_refused() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("computed_here")
 def test_the_command_runs_and_writes_its_answers(tmp_path: Path) -> None:
     file = tmp_path / "records.json"
     words = ["bench", "records", "--houses", "1", "--seed", "5", "--jobs", "1", "--json", str(file)]

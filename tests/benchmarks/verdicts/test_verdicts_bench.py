@@ -90,11 +90,13 @@ def test_houses_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("computed_here")
 def test_two_houses_for_real(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With two days in the place of the week."""
-    monkeypatch.setattr(house, "WEEK_DAYS", 2)
-    monkeypatch.setattr(house, "WARMUP_DAYS", 2)
+    """With half a day in the place of the week."""
+    monkeypatch.setattr(house, "WEEK_DAYS", 0.5)
+    monkeypatch.setattr(house, "WARMUP_DAYS", 1)
     file = tmp_path / "verdicts.json"
-    done = CliRunner().invoke(cli, ["bench", "verdicts", "--quick", "--days", "3", "--jobs", "1", "--json", str(file)])
+    done = CliRunner().invoke(
+        cli, ["bench", "verdicts", "--quick", "--days", "1.5", "--jobs", "1", "--json", str(file)]
+    )
     assert done.exit_code == 0, done.output
     first, second = json.loads(file.read_text(encoding="utf-8"))["rows"][:2]
     assert 0.0 < first["effect_error"] < 0.5
