@@ -146,11 +146,11 @@ def test_the_house_left_alone_costs_what_the_model_says(plan, home):
 
 def lived_under_control(days):
     """What `days` of a home cost under planned and under its own set-points, and its temperatures; by `control`."""
-    home, alone = HomeBySetpoint(), HomeBySetpoint()
+    home, alone = HomeBySetpoint(days=14), HomeBySetpoint(days=14)
     first = len(home.rows)
     measured = read_measurements(home.measurements(), RULES, step_s=3600.0).served()
     building = LiveBuilding(home, MeasurementMap.model_validate(RULES), 3600.0)
-    control(building, controller(measured), clock=home, steps=24 * days, delay_s=0.0)
+    control(building, controller(measured, horizon_h=12.0), clock=home, steps=24 * days, delay_s=0.0)
     alone.wait_until(home.at)
 
     def cost(one):

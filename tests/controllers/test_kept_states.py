@@ -60,6 +60,8 @@ def test_the_state_of_every_controller_is_kept(name, tmp_path):
     testcase = load_testcase("bestest_hydronic_heat_pump")
     plans = REGISTRY.find(name).needs_model
     options = {"step_s": HOUR_S, "gate": {"enabled": False}, "watch": {"enabled": True}} if plans else {}
+    if name == "dpc":
+        options["policy"] = {"instances": 64, "epochs": 1}
     check_kept(state_after(build_controller(name, options, testcase, model() if plans else None), 3), tmp_path)
     if plans:
         check_kept(state_after(build_controller(name, options, testcase, "too few data"), 3), tmp_path)

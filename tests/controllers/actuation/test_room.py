@@ -315,7 +315,7 @@ def test_what_loops_miss_at_night_is_kept_off_the_bound_of_the_night(model):
     period = Period("day 30", 30 * DAY_S, 4 * DAY_S, 2 * DAY_S)
 
     def course(corrections: bool):
-        options = {"free_response": {"name": "linear_weather"}, "horizon_h": 24.0, "corrections": corrections}
+        options = {"free_response": {"name": "linear_weather"}, "horizon_h": 12.0, "corrections": corrections}
         config = controller_config("thermoforce_mpc", options, testcase)
         assert isinstance(config, MPCConfig)
         return run_closed_loop(DroppingOffice(), ThermoForceMPC(model, config), period)

@@ -61,16 +61,29 @@ def _planned(controller: ThermoForceMPC, record: Record, state: object) -> Plan:
     return controller.plan(Observation(record, ahead), state)
 
 
+@pytest.fixture(scope="module")
+def found_at_night(sunlit):
+    """Plans of a controller a day before the end of the record, at noon after it and in the night at its end."""
+    kept: list[Plan] = []
+
+    def plans() -> list[Plan]:
+        if not kept:
+            controller = _controller()
+            for end in (DAY, DAY // 2, 0):
+                state = kept[-1].state if kept else None
+                kept.append(_planned(controller, sunlit.slice(0, sunlit.n_steps - end), state))
+        return kept
+
+    return plans
+
+
 @pytest.mark.slow
-def test_it_is_found_in_the_night_after_it_shone_and_taken_off(sunlit, tmp_path):
-    controller = _controller()
-    begun = _planned(controller, sunlit.slice(0, sunlit.n_steps - DAY), None)
+def test_it_is_found_in_the_night_after_it_shone_and_taken_off(sunlit, found_at_night, tmp_path):
+    controller, (begun, noon, night) = _controller(), found_at_night()
     assert (begun.state.sun.looked_s, begun.state.sun.found) == (float(sunlit.time_s[-1 - DAY]), (None,))
     assert begun.state.sun.sun_Wh_m2 == 0.0, "nothing was looked at yet"
-    noon = _planned(controller, sunlit.slice(0, sunlit.n_steps - DAY // 2), begun.state)
     assert noon.news == ""
     assert noon.state.sun == begun.state.sun, "in the sun nothing is looked for"
-    night = _planned(controller, sunlit, noon.state)
     (sun,) = night.state.sun.found
     assert sun.azimuth_deg == 180.0
     assert sun.probability > 0.95
@@ -88,11 +101,9 @@ def test_it_is_found_in_the_night_after_it_shone_and_taken_off(sunlit, tmp_path)
     assert below > 1.0
 
 
-def test_what_later_days_contradict_is_taken_off_no_longer(sunlit, shaded):
-    controller = _controller()
+def test_what_later_days_contradict_is_taken_off_no_longer(shaded, found_at_night):
+    controller, found = _controller(), found_at_night()[-1].state.sun
     state = _planned(controller, shaded.slice(0, shaded.n_steps - DAY), None).state
-    wrong = _controller()
-    found = _planned(wrong, sunlit, _planned(wrong, sunlit.slice(0, sunlit.n_steps - DAY), None).state).state.sun
     state = replace(state, sun=replace(found, sun_Wh_m2=state.sun.sun_Wh_m2))
     night = _planned(controller, shaded, state)
     assert night.state.sun.found == (None,)
@@ -143,10 +154,8 @@ def test_no_step_waits_for_a_look_beyond_its_deadline(sunlit, monkeypatch):
     assert night.state.sun.found == (None,)
 
 
-def test_days_that_tell_nothing_change_nothing(sunlit):
-    controller = _controller()
-    first = _planned(controller, sunlit.slice(0, sunlit.n_steps - DAY), None)
-    found = _planned(controller, sunlit, first.state).state
+def test_days_that_tell_nothing_change_nothing(sunlit, found_at_night):
+    controller, found = _controller(), found_at_night()[-1].state
     unknown = replace(sunlit, u=np.full_like(sunlit.u, np.nan))
     state = replace(found, sun=replace(found.sun, sun_Wh_m2=0.0), last_s=None)
     assert _planned(controller, unknown, state).state.sun.found == found.sun.found
