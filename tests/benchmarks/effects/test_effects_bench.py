@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.effects import bench
+from benchmarks.effects import bench, operated
 from benchmarks.effects.asking import Answer, Score, said, scored, without_steps
 from benchmarks.effects.operated import (
     HouseAnswer,
@@ -191,7 +191,7 @@ def test_two_houses_for_real(tmp_path: Path) -> None:
     assert (tmp_path / "effects.png").stat().st_size > 10_000
 
 
-def operated(own_K: float, cross_K: float, *, competent: bool) -> HouseAnswer:
+def answered(own_K: float, cross_K: float, *, competent: bool) -> HouseAnswer:
     """A house whose truth is 1 K in the own room and 0.2 K in the other, with bands of ± 30 %."""
 
     def scores(true_K: float, said_K: float) -> tuple[Score, ...]:
@@ -206,14 +206,14 @@ def operated(own_K: float, cross_K: float, *, competent: bool) -> HouseAnswer:
 
 
 def test_operation_is_scored_by_own_and_cross_effects():
-    answers = [operated(0.9, 0.25, competent=True), operated(0.4, 0.6, competent=True)]
+    answers = [answered(0.9, 0.25, competent=True), answered(0.4, 0.6, competent=True)]
     own, cross = operated_rows(answers)[-2:]
     assert (own["in_90_band"], own["median_bias"]) == (0.5, -0.35)
     assert (cross["in_90_band"], cross["signs"]) == (0.5, 1.0)
     wrong = operated_targets(answers)[-1]
     assert (wrong.value, wrong.goal) == (1, 0)
     assert not wrong.holds
-    assert operated_targets([operated(0.4, 0.2, competent=False)])[-1].value == 0
+    assert operated_targets([answered(0.4, 0.2, competent=False)])[-1].value == 0
     assert operated_rows([HouseAnswer("house:3rooms:1", "made up", "too short")])[-1]["in_90_band"] is None
 
 
@@ -232,10 +232,11 @@ def test_operation_takes_no_days_of_probing(words, message):
 
 
 @pytest.mark.slow
-def test_a_house_is_asked_after_a_week_of_operation():
+def test_a_house_is_asked_after_a_week_of_operation(monkeypatch):
+    monkeypatch.setattr(operated, "_ROOMS", (2,))
     answer = ask_operated(OperatedCase(3, 0, days=7.0))
     assert not answer.refused
-    assert [pair.own for pair in answer.pairs].count(True) == 3
-    assert len(answer.pairs) == 9
+    assert [pair.own for pair in answer.pairs].count(True) == 2
+    assert len(answer.pairs) == 4
     assert all(score.true_K > 0.0 for pair in answer.pairs if pair.own for score in pair.scores)
     assert all(np.isfinite([score.low_K, score.high_K]).all() for pair in answer.pairs for score in pair.scores)
