@@ -66,7 +66,7 @@ def test_a_log_that_grows_is_read_as_if_at_once(path, monkeypatch, wrong, units)
         path.write_text("time,topic,value\n" + "".join(content))
         now = pd.Timestamp("2025-01-12 05:20:30", tz="UTC")
         both = []
-        for part_bytes in (4000, 10**9):
+        for part_bytes in (12_000, 10**9):
             monkeypatch.setattr(appended, "PART_BYTES", part_bytes)
             found = read_measurements(str(path), OF_READINGS, step_s=900.0, at=now.floor("15min"), now=now)
             record = found.record

@@ -41,7 +41,7 @@ def operated(slope_per_K: float, days: float = DAYS):
 def test_the_temperature_tells_how_heat_goes_with_the_weather():
     found = {}
     for slope in (0.03, -0.02):  # heat pump, circuit on a heating curve
-        zone = identify(operated(slope, 28.0)[1], config=CONFIG).only
+        zone = identify(operated(slope, 20.0)[1], config=CONFIG).only
         factor = zone.operator.heat_input
         true = slope / (1.0 + slope * factor.reference_C)  # per K of the heat at the mean outdoor temperature
         (said,) = (note for note in zone.card.notes if note.startswith("heat was not measured: from the temperatures"))

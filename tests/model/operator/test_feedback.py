@@ -22,7 +22,7 @@ from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.saved import content_sha256
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
-N = 12
+N = 8
 
 
 def total(*args, **kwargs):
