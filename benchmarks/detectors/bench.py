@@ -132,10 +132,22 @@ def run_case(case: PanelCase) -> dict[str, Any]:
         without = {rule.name: _figures(follow(place, rule)) for rule in again}
         cost, K_h = _figures(ran)
         idle = sum(not step.plan.u.size for step in ran.result.steps)
-        outcome = WeekOutcome(case, cost, K_h, idle, claims, without)
+        outcome = without_right_claims(WeekOutcome(case, cost, K_h, idle, claims, without))
     except Exception as error:  # recorded as failure of this case; the others continue
         outcome = WeekOutcome(case, failed=f"{type(error).__name__}: {error}")
     return asdict(replace(outcome, seconds=time.perf_counter() - began))
+
+
+def without_right_claims(outcome: WeekOutcome) -> WeekOutcome:
+    """The week of a clean plant without claims of rules that act on what is read, unless it is the worse for them."""
+    right = {
+        rule.name
+        for rule in RULES
+        if rule.on_readings and rule.name in outcome.without and outcome.worth_without(rule.name) <= 0.0
+    }
+    if outcome.case.fault or not right:
+        return outcome
+    return replace(outcome, claims={name: said for name, said in outcome.claims.items() if name not in right})
 
 
 def follow(place: BuiltCase, without: Detector | None) -> ControlledWeek:

@@ -1,9 +1,10 @@
 """Every rule that changes what the controller does because of what it believes of the plant, and when it claims that.
 
-A claim is what the rule says or does where it believes in a fault: on a clean plant each is false, but for a shared
-machine that did give all that it can (valves of a drawn house take 1.6 times its heat). What is learned continuously
-and claims nothing (margins, offset, the return of a model that was adapted while the watch stood back) is counted with
-the rule that it belongs to.
+A claim is what the rule says or does where it believes in a fault: on a clean plant each is false, with two exceptions.
+A shared machine may have given all that it can (valves of a drawn house take 1.6 times its heat). And the guard acts on
+what is read, which is true: it is wrong only where the week would have been better without it, as a plan may rightly
+leave a room cold before a day of sun. What is learned continuously and claims nothing (margins, offset, the return of a
+model that was adapted while the watch stood back) is counted with the rule that it belongs to.
 """
 
 from __future__ import annotations
@@ -131,7 +132,8 @@ class Detector:
     """A rule: what it `changes`, its `claims` in a run, and the options without it.
 
     `controller`: of the controller, `identification`: of the identification. Without either it cannot be turned off, or
-    only says something.
+    only says something. `on_readings`: it believes in no fault, only in what is read; on a clean plant it is wrong
+    where the week would have been better without it.
     """
 
     name: str
@@ -139,6 +141,7 @@ class Detector:
     claims: Callable[[ControlledWeek], list[str]]
     controller: Mapping[str, Any] = field(default_factory=dict)
     identification: Mapping[str, Any] = field(default_factory=dict)
+    on_readings: bool = False
 
     @property
     def can_be_off(self) -> bool:
@@ -199,7 +202,11 @@ RULES: tuple[Detector, ...] = (
         controller={"gate": {"enabled": False}},
     ),
     Detector(
-        "guard", "full level or off", lambda ran: ran.spells(PlanStatus.GUARD), controller={"guard": {"enabled": False}}
+        "guard",
+        "full level or off",
+        lambda ran: ran.spells(PlanStatus.GUARD),
+        controller={"guard": {"enabled": False}},
+        on_readings=True,
     ),
     Detector(
         "zone sensor",

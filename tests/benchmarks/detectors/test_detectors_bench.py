@@ -87,6 +87,22 @@ def test_each_false_claim_is_told_with_what_it_cost():
     assert (units["false claim"], units["without"], units["it cost per m²"]) == ("units", "–", None)
 
 
+@pytest.mark.parametrize(
+    ("rule", "without", "fault", "claims"),
+    [
+        ("guard", (0.99, 1.5), "", []),  # a K·h colder for a hundredth less
+        ("guard", (0.99, 0.4), "", ["guard"]),
+        ("guard", (0.99, 1.5), "guard", ["guard"]),
+        ("watch", (0.99, 1.5), "", ["watch"]),  # it believes in a fault where there is none
+    ],
+)
+def test_a_guard_that_the_week_is_better_for_was_right_about_a_clean_plant(rule, without, fault, claims):
+    """What it acts on was read, and on a clean plant that is so."""
+    judged = bench.without_right_claims(week(0, 1.0, rule, fault=fault, **{rule: without}))
+    assert list(judged.claims) == claims
+    assert judged.without[rule] == without
+
+
 def test_doors_that_stood_open_while_probing_are_shut_since():
     place = built(PanelCase("house of rooms", 0, 3, "watch, doors"))
 
