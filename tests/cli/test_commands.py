@@ -8,6 +8,7 @@ from click.testing import CliRunner
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.commands import COMMANDS, GROUPS, SYNONYMS
 from thermoforce_mpc.cli.options import scenario_from
+from thermoforce_mpc.connections.registry import build_connection
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.scenario.comfort import window_name
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -74,6 +75,37 @@ def test_a_file_that_is_read_is_not_written_over(tmp_path, monkeypatch, words, m
     assert isinstance(done.exception, InputError), done.output
     assert f": {message} reads this file; give another name" in str(done.exception)
     assert {path.read_text() for path in tmp_path.iterdir()} == {"measured"}
+
+
+@pytest.mark.parametrize("levels", ["house.csv", "./house.csv", "tomorrow.csv", "link.csv"])
+def test_levels_are_not_written_over_what_is_read(tmp_path, monkeypatch, levels):
+    monkeypatch.chdir(tmp_path)
+    for name in ("house.csv", "tomorrow.csv"):
+        (tmp_path / name).touch()
+    (tmp_path / "link.csv").symlink_to("house.csv")
+    assert build_connection("files", {"measurements": "h*.csv"})
+    with pytest.raises(ConfigError, match=r"levels: .* reads; name another"):
+        build_connection("files", {"measurements": "h*.csv", "levels": levels})
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "--config", "home"),
+        ("compare", "--testcase", "home"),
+        ("compare", "--testcase", "bestest_air", "--variants", "home"),
+        ("fleet", "home"),
+        ("commission", "home"),
+        ("control", "--model", "m", "--map", "home/map.yaml", "--connection", "home"),
+        ("data", "check", "house.csv", "--map", "home"),
+    ],
+)
+def test_a_folder_for_a_yaml_file_is_said_with_what_is_in_it(tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(cli, ["init", "home", "--for", "files"]).exit_code == 0
+    done = CliRunner().invoke(cli, list(words))
+    assert isinstance(done.exception, ConfigError), done.output
+    assert "home: is a folder; name the file in it: connection.yaml, map.yaml" in str(done.exception)
 
 
 def test_all_synonyms_are_of_commands_that_there_are():

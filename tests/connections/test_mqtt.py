@@ -382,6 +382,18 @@ def test_wrong_options_are_refused_with_their_key(options, said, monkeypatch):
         build_connection("mqtt", options)
 
 
+@pytest.mark.parametrize("days", [1.0, 3000.0])
+def test_a_table_of_somebody_else_is_no_record_and_stays_as_it_is(tmp_path, days):
+    """The export of a logger lost its header and its old rows."""
+    house = tmp_path / "house.csv"
+    house.write_text("time,T living\n2025-01-12 00:00,21.0\n")
+    home = build_connection("mqtt", {"port": 9, "actuators": HALL, "record": str(house), "days": days})
+    with pytest.raises(ConfigError, match=r"record: .*house\.csv: is no record of this connection"):
+        home.begin()
+    home.close()
+    assert house.read_text() == "time,T living\n2025-01-12 00:00,21.0\n"
+
+
 def test_a_broker_that_is_not_there_is_said(tmp_path):
     home = build_connection("mqtt", {"port": 9, "actuators": HALL, "record": str(tmp_path / "m.csv")})
     with pytest.raises(PlantError, match=r"127.0.0.1|localhost"):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
 
@@ -32,7 +32,14 @@ class FilesConnection:
             levels: what is to be set, `{"levels": {"heat_pump": 1.0}, "from": …, "until": …}`, times in UTC; never
                 half-written. Of an actuator with a command in the map that command, temperatures in °C. A level null,
                 or an `until` that has passed: the building's own control.
+
+        Raises:
+            ConfigError: levels would be written over what is read.
         """
+        reads = {"measurements": measurements} | ({"forecast": forecast} if isinstance(forecast, str) else {})
+        for key, name in reads.items():
+            if levels.resolve() in {Path(one).resolve() for one in (name, *glob.glob(name))}:
+                raise ConfigError(f"connection files: levels: {levels}: is what {key} reads; name another")
         self._measurements, self._outlook, self._levels = measurements, Outlook(forecast), levels
 
     def measurements(self) -> str:

@@ -575,6 +575,13 @@ def _keep_lately(record: Path, days: float) -> None:
     since = (utc_now() - timedelta(days=days)).date().isoformat().encode()
     with storage_errors(record), record.open("rb") as file:  # line by line: it may be of a hundred million bytes
         last, lines, old = file.readline(), 0, 0
+        if not _HEADER.startswith(
+            last.decode(errors="replace").rstrip("\r\n")
+        ):  # an export, say: it would be cut and added to
+            raise ConfigError(
+                f"connection mqtt: record: {record}: is no record of this connection, whose first line is "
+                f"'{_HEADER.strip()}': name another file; a model takes both (--data {record} --data …)"
+            )
         for last in file:
             lines, old = lines + 1, old + (last[:10] < since)
     if last.endswith(b"\n") and old <= 0.2 * lines:

@@ -20,7 +20,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.protocols import Connection
 from thermoforce_mpc.registry import Registry
 from thermoforce_mpc.scenario.own_code import called, options_model, unfit
-from thermoforce_mpc.scenario.settings import StrictModel, merge, read_yaml, validate
+from thermoforce_mpc.scenario.settings import StrictModel, check_no_folder, merge, read_yaml, validate
 
 REGISTRY: Registry[Callable[..., Connection]] = Registry(
     "connection",
@@ -44,6 +44,8 @@ def connection_settings(named: str, options: Mapping[str, Any]) -> tuple[str, di
     Raises `ConfigError` for a file that is none.
     """
     if not named.endswith((".yaml", ".yml")):
+        if named not in REGISTRY:
+            check_no_folder(Path(named))
         return named, dict(options)
     if not Path(named).is_file():
         raise ConfigError(f"--connection {named}: no such file; `tf-mpc init --for home-assistant` writes one")

@@ -381,6 +381,13 @@ _OTHER = {
 }  # fmt: skip
 
 
+def check_no_folder(path: Path) -> None:
+    """Raise `ConfigError` where `path`, which is to be a YAML file, is a folder, such as one of `tf-mpc init`."""
+    if path.is_dir():
+        inside = ", ".join(sorted(one.name for one in path.iterdir() if one.suffix in {".yaml", ".yml"}))
+        raise ConfigError(f"{path}: is a folder; name the file in it{inside and ': '}{inside}")
+
+
 def find_config(kind: str, name: str, others: Iterable[str] = ()) -> Path:
     """Return the path of a shipped configuration by name, or `name` itself if it is a YAML file.
 
@@ -397,6 +404,7 @@ def find_config(kind: str, name: str, others: Iterable[str] = ()) -> Path:
         return path
     known = named_configs(kind)
     if name not in known:
+        check_no_folder(path)
         all_names = [*known, *others]
         known_names, other = ", ".join(all_names), _OTHER.get(kind, "")
         raise ConfigError(f"unknown {kind[:-1]} '{name}'{suggestion(name, all_names)}; known: {known_names}{other}")

@@ -19,7 +19,7 @@ from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, Written, WrittenOtherwise
 from thermoforce_mpc.scenario.comfort import OfComfort, OfTankComfort
-from thermoforce_mpc.scenario.settings import StrictModel, read_yaml, validate
+from thermoforce_mpc.scenario.settings import StrictModel, check_no_folder, read_yaml, validate
 
 TemperatureUnit = Literal["°C", "C", "degC", "K", "°F", "F", "degF"]
 PowerUnit = Literal[
@@ -556,5 +556,6 @@ class MeasurementMap(StrictModel):
 def load_map(path: Path) -> MeasurementMap:
     """The map in a YAML file; raises `ConfigError` where it is missing, or naming every wrong key or value."""
     if not Path(path).is_file():
+        check_no_folder(Path(path))
         raise ConfigError(f"--map {path}: no such file; `tf-mpc data map FILE` writes one to start from")
     return validate(MeasurementMap, read_yaml(Path(path)), str(path))
