@@ -31,7 +31,7 @@ DAY = pd.Timedelta("1D")
 
 
 def controlled(folder, house, steps, told=lambda decision: None, acts=False):
-    controller = mpc(horizon_h=24.0)
+    controller = mpc()
     if not (folder / "given").exists():
         simple_model(0.1).save(folder / "given")
     journal = LiveJournal(folder, real_run(folder, folder / "given", Path("h.yaml"), MAP, controller.config, "x"))
@@ -43,7 +43,7 @@ def controlled(folder, house, steps, told=lambda decision: None, acts=False):
 
 def shadow(folder, house, steps, book=None):
     """What a shadow says over some steps, '' left out, and its book."""
-    words, book = [], book or ShadowBook(folder, simple_model(0.1), mpc(horizon_h=24.0), key="k")
+    words, book = [], book or ShadowBook(folder, simple_model(0.1), mpc(), key="k")
     controlled(folder, house, steps, lambda decision: words.append(book.day_over(decision.instant)))
     return [text for text in words if text], book
 
@@ -130,19 +130,20 @@ class KilledError(BaseException):
 
 def probed(folder, kill_at_h=None, days=1.0, most_days=1.0):
     """Probe a house, killed once; returns it and the model, None where nothing could be identified."""
-    house, rules = SimulatedBuilding(), MAP.model_copy(update={"step": "15min"})
+    house, rules = SimulatedBuilding(), MAP.model_copy(update={"step": "30min"})
     spec = ProbingSpec(
         days=days,
         most_days=most_days,
         probing={"candidates": 4, "trial_levels": [0.5]},
         options={"modulation": "linear", "order": 1},
     )
-    plan = ProbingPlan.of(spec, MPCConfig(), rules)
-    run = real_run(folder, None, Path("h.yaml"), rules, MPCConfig(), "x", "probing")
+    config = MPCConfig(step_s=1800.0)
+    plan = ProbingPlan.of(spec, config, rules)
+    run = real_run(folder, None, Path("h.yaml"), rules, config, "x", "probing")
 
     def go():
         return probe_building(
-            LiveBuilding(house, rules, 900.0),
+            LiveBuilding(house, rules, 1800.0),
             plan,
             clock=house,
             kept=KeptState(folder / "state.npz", probing_key(plan, rules)),
@@ -173,7 +174,7 @@ def test_a_real_building_is_probed_politely_and_goes_on_where_it_was_killed(tmp_
     house, model = probed(tmp_path)
     levels = [(at, levels["actuator"]) for at, levels, _ in house.written]
     drawn = [level for _, level in levels if level is not None]
-    assert len(drawn) == 96
+    assert len(drawn) == 48
     assert 0.2 < np.mean(drawn) < 0.9
     assert levels[-1][1] is None
     T = [row["T"] for row in house.rows[house.begun :]]

@@ -28,7 +28,7 @@ from thermoforce_mpc.records.people import SHOWN
 from thermoforce_mpc.report.live_view import LiveRun
 
 _OFF = {"enabled": False}
-_OPTIONS = {"step_s": HOUR_S, "horizon_h": 24.0, "free_response": {"name": "persistence"}, "gate": _OFF, "watch": _OFF}
+_OPTIONS = {"step_s": HOUR_S, "horizon_h": 12.0, "free_response": {"name": "persistence"}, "gate": _OFF, "watch": _OFF}
 
 
 def lived(hours: int, home: HomeWithTank, rules: dict = MAP):
