@@ -285,6 +285,25 @@ def test_more_than_the_heat_can_do_is_not_competent():
     assert any("floor area" in advice for advice in verdict.advice)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("times", "surely"), [(1.12, False), (2.2, True)])
+def test_only_what_is_surely_more_than_the_heat_can_do_is_not_competent(times, surely):
+    """An estimate a little above the bound is of a room below it as often as not."""
+    run = record(HOUSE, 3.0, noise_K=0.01)
+    first = identify(run, config=LINEAR, floor_area_m2=190.0).only
+    area_m2 = 190.0 * times / over_bound(first, 190.0)
+    model = identify(run, config=LINEAR, floor_area_m2=area_m2).only
+    assert over_bound(model, area_m2) > 1.0  # it says more at first sight
+    assert any("the heat can do" in reason for reason in model.card.competence.reasons) == surely
+
+
+def over_bound(model, area_m2: float) -> float:
+    """The largest share of what its heat can do that a model says of full level."""
+    most = most_K(STEP_RESPONSE_H, model.operator.heat_input.reference_W / area_m2)
+    said = [model.card.uncertainty[f"step_response_{hours}h_K"] for hours in STEP_RESPONSE_H]
+    return float((np.array(said) / most).max())
+
+
 def test_the_owner_reads_whether_it_may_control_why_not_and_what_to_do():
     good = Competence(True, effect_K=10.0, effect_sd_K=1.2)
     assert "This model may act" in good.sentence()

@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data import HOUR_S, NORMAL_95, Array, Record
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
 from thermoforce_mpc.identification.estimation.regression import EFFECT_H, STEP_RESPONSE_H
 from thermoforce_mpc.identification.network.room import EMITTER, ROOM, RoomNetwork
@@ -238,7 +238,7 @@ def judge(
         held_out_h=last.held_out_h,
     )
     most_error_K = dict.fromkeys(JUDGED_H, math.inf) if operator.heat_input.u_min < 0.0 else MOST_ERROR_K
-    missed = [*missed_criteria(verdict, most_error_K, block_h), *_implausible(operator, heat_W_m2)]
+    missed = [*missed_criteria(verdict, most_error_K, block_h), *_implausible(operator, heat_W_m2, uncertainty)]
     return replace(
         verdict,
         competent=not missed,
@@ -315,10 +315,11 @@ def missed_criteria(verdict: Competence, most_error_K: Mapping[float, float], bl
     return missed
 
 
-def _implausible(operator: OperatorParameters, heat_W_m2: float) -> list[Missed]:
-    """The first time at which a step to full level, in weather as it was, does more than its heat can do.
+def _implausible(operator: OperatorParameters, heat_W_m2: float, uncertainty: Mapping[str, float]) -> list[Missed]:
+    """The first time at which a step to full level, in weather as it was, surely does more than its heat can do.
 
-    Signed levels are those of room set-points, whose full one is no machine's: nothing bounds its heat.
+    Surely, with 95 %: a room near what is possible is estimated beyond it as often as not. Signed levels are those of
+    room set-points, whose full one is no machine's: nothing bounds its heat.
     """
     if operator.heat_input.u_min < 0.0:
         return []
@@ -326,7 +327,8 @@ def _implausible(operator: OperatorParameters, heat_W_m2: float) -> list[Missed]
     steps = np.maximum(np.array(STEP_RESPONSE_H) * HOUR_S // operator.step_s, 1).astype(int)
     typical = float(operator.modulation(operator.feature_mean))
     response = typical * np.abs(np.cumsum(operator.impulse(int(steps[-1]))))[steps - 1]
-    over = np.flatnonzero(response > most)
+    sd_K = np.array([uncertainty[f"step_response_{hours}h_sd_K"] for hours in STEP_RESPONSE_H])
+    over = np.flatnonzero(response - NORMAL_95 * sd_K > most)
     if not over.size:
         return []
     first = int(over[0])
