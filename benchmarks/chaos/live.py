@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import subprocess
 import sys
 import time
@@ -59,9 +60,9 @@ class Silence:
     @staticmethod
     def _now() -> tuple[float, float, float]:
         waited_ns = 0
-        for task in Path("/proc/self/task").glob("*/schedstat"):
-            with suppress(OSError):  # a thread that has ended meanwhile
-                waited_ns += int(task.read_text().split()[1])
+        for task in os.listdir("/proc/self/task"):  # a service has two hundred threads: a path each would cost 20 ms
+            with suppress(OSError), open(f"/proc/self/task/{task}/schedstat") as told:  # one may have ended meanwhile
+                waited_ns += int(told.read().split()[1])
         return time.perf_counter(), waited_ns / 1e9, time.process_time()
 
 
