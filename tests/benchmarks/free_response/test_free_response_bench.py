@@ -100,9 +100,13 @@ def test_energyplus_zones_run_free_or_are_left_out_with_a_word(monkeypatch):
     monkeypatch.setattr(energyplus, "is_available", lambda: False)
     monkeypatch.setattr(bench, "embedded_sources", lambda people=None: [source(15)])
     monkeypatch.setattr(bench, "house_sources", lambda people=None: [])
+    others = {"look_rows": [{"looks": 1}], "cost_rows": [{"processor_ms": 1.0}]}  # which have tests of their own
+    for name, rows in others.items():
+        monkeypatch.setattr(bench, name, lambda *given, rows=rows: rows)
     result = bench.run_free_response_bench(quick=True, progress=lines.append)
     assert lines[0].startswith("EnergyPlus left out")
     assert {row["source"] for row in result["rows"] if {"source", "mae_24h_K"} <= row.keys()} == {"made up"}
+    assert [row for rows in others.values() for row in rows if row not in result["rows"]] == []
     monkeypatch.undo()
     pytest.importorskip("pyenergyplus")
     with LocalEngine(1) as engine:

@@ -125,7 +125,7 @@ def test_a_measured_room_beside_its_neighbours() -> None:
     if not (folder / one.file).is_file():
         pytest.skip(f"measured buildings not found at {folder}")
     measured = one.read(folder)
-    record = measured.record
+    record = measured.record.slice(0, 21 * 96)
     starts = starts_of(record, 24.0)
     assert starts[0] == split(record) == round(0.6 * record.n_steps - 0.6)
     assert starts[-1] + 96 <= record.n_steps

@@ -78,6 +78,12 @@ def run(fault: str, days: float = 6.0, **options: object) -> RunResult:
 
 
 @functools.cache
+def changed(fault: str) -> RunResult:
+    """A reading that jumps by 8 K is not believed; here the watch is to find out alone."""
+    return run(fault, sensor={"enabled": fault != "sensor"})
+
+
+@functools.cache
 def window_without_watch() -> RunResult:
     return run("window", watch={"enabled": False})
 
@@ -100,8 +106,7 @@ def watched(result: RunResult) -> list[float]:
     ],
 )
 def test_a_changed_plant_is_noticed_within_a_day_and_control_returns(fault, says):
-    # A reading that jumps by 8 K is not believed; here the watch is to find out alone.
-    result = run(fault, sensor={"enabled": fault != "sensor"})
+    result = changed(fault)
     spells = watch_spells(result)
     assert spells, "noticed"
     assert FROM_S < spells[0].start_s <= FROM_S + DAY_S
@@ -501,7 +506,7 @@ def test_meters_may_differ_by_more_where_the_model_was_not_identified(ranges, al
 
 @pytest.mark.slow
 def test_the_run_says_how_long_the_watch_held_control(capsys):
-    result = run("stuck")
+    result = changed("stuck")
     spells = watch_spells(result)
     assert sum(round((s.end_s - s.start_s) / HOUR_S) for s in spells) == result.fallback_levels()["watch"]
     assert "the actuator does not follow" in spells[0].in_words()

@@ -68,7 +68,7 @@ def test_bands_allow_for_a_building_that_is_not_what_the_priors_expect(area_m2):
 
 
 def test_more_days_make_narrower_bands():
-    few, many = (model_of(days, 3).only.card.uncertainty["step_response_24h_sd_K"] for days in (1.5, 9.0))
+    few, many = (model_of(days, 3).only.card.uncertainty["step_response_24h_sd_K"] for days in (1.5, 6.0))
     assert many < 0.8 * few
 
 
@@ -86,8 +86,8 @@ def test_rollouts_over_the_record_are_good_and_drawn(models, tmp_path):
 
 def test_levels_of_cooling_are_drawn(tmp_path, monkeypatch):
     rng = np.random.default_rng(0)
-    u = np.repeat(rng.choice([-1.0, 0.0, 1.0], 36), 8)
-    run = record(House(machine_W=(0.0, 10000.0)), 3.0, u=u, noise_K=0.01, heat_measured=False)
+    u = np.repeat(rng.choice([-1.0, 0.0, 1.0], 24), 8)
+    run = record(House(machine_W=(0.0, 10000.0)), 2.0, u=u, noise_K=0.01, heat_measured=False)
     run = replace(run, power_W=np.full(u.size, np.nan))
     model = identify([run], config=LINEAR, mode="both", u_min=-1.0)
     drawn = []
@@ -117,4 +117,4 @@ def test_a_model_that_knows_little_says_so():
     little[[10, 11, 30, 31, 60, 61]] = 1.0
     model = identify([record(HOUSE, 1.0, seed=2, u=little, noise_K=0.01)], config=LINEAR, floor_area_m2=190.0)
     assert any("uncertain: the effect of a day of action is known to" in note for note in model.only.card.notes)
-    assert not any("uncertain" in note for note in model_of(9.0, 3).only.card.notes)
+    assert not any("uncertain" in note for note in model_of(6.0, 3).only.card.notes)
