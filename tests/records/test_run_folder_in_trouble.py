@@ -411,16 +411,29 @@ def test_a_run_that_cannot_go_on_keeps_its_folder(call, tmp_path):
     assert (tmp_path / "run" / "journal.jsonl").exists()
 
 
+_IN_TURN = """
+import json, sys
+from thermoforce_mpc.cli import main
+commands, folder = json.loads(sys.argv[1]), sys.argv[2]
+for words in commands:
+    sys.argv = ["tf-mpc", *(folder if word == "FOLDER" else word for word in words)]
+    try:
+        main()
+    except SystemExit as end:
+        assert not end.code, words
+"""
+
+
 @pytest.mark.slow
 def test_a_folder_may_have_any_name(tmp_path):
-    """Bytes that are no text: run, resume, report and explain in processes of their own."""
+    """Bytes that are no text: run, resume, report, explain and watch in a process whose output is bytes."""
     folder = os.fsencode(tmp_path) + b"/\xff\xfe\n[a] \xe2\x82"
-    env = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    tf_mpc = [sys.executable, "-m", "thermoforce_mpc"]
-    for words in (
-        [*WORDS, "--days", "0.25", "--no-equal-comfort", "--out", folder], ["resume", folder], ["report", folder],
-        ["explain", folder], ["watch", folder, "--once"],
-    ):  # fmt: skip
-        done = subprocess.run([*tf_mpc, *words], env=env, capture_output=True, timeout=LONG_S, check=False)
-        assert done.returncode == 0, done.stderr
+    env = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8:strict"}
+    commands = [
+        [*WORDS, "--days", "0.25", "--no-equal-comfort", "--out", "FOLDER"], ["resume", "FOLDER"], ["report", "FOLDER"],
+        ["explain", "FOLDER"], ["watch", "FOLDER", "--once"],
+    ]  # fmt: skip
+    call = [sys.executable, "-c", _IN_TURN, json.dumps(commands), folder]
+    done = subprocess.run(call, env=env, capture_output=True, timeout=LONG_S, check=False)
+    assert done.returncode == 0, done.stderr
     assert json.loads(Path(os.fsdecode(folder), "manifest.json").read_bytes())["command"][-1] == os.fsdecode(folder)
