@@ -69,8 +69,10 @@ from controllers.safety.overrides import (
     decide,
 )
 from thermoforce_mpc.commands.loop import LearnedCommand, left_alone
+from thermoforce_mpc.commands.meter import scatter_of_days
 from thermoforce_mpc.commands.tank import LearnedTank
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, Record
+from thermoforce_mpc.data.dataframes import clock_s
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
@@ -384,7 +386,8 @@ class ThermoForceMPC(ActuatedController):
                 u = solution.u
                 if own is not None:
                     commanded = own.realise(u, forecast.state.actuation, planner.evaluator)
-                    saving = own.saving(commanded, planner.evaluator, self._power_spread(readings.history))
+                    spread, scatter_W = self._power_spread(readings.history), self._power_scatter(readings.history)
+                    saving = own.saving(commanded, planner.evaluator, spread, scatter_W)
                     if not saving.gain > 0.0:
                         own = own.without
                         commanded = own.realise(u, forecast.state.actuation, planner.evaluator)
@@ -534,6 +537,15 @@ class ThermoForceMPC(ActuatedController):
     def _power_spread(self, history: Record) -> float:
         """Largest error, as a share, of what a change of levels does to the power of a machine."""
         return max(self.model.power_change(m, history).spread for m in range(len(self.model.machines)))
+
+    def _power_scatter(self, history: Record) -> list[Array]:
+        """Scatter of the meter of each machine around its law (M), W, see `scatter_of_days`."""
+        hour = clock_s(history.time_s[:-1], history.origin) / HOUR_S % 24.0
+        out = []
+        for m, power_W in enumerate(history.power_W):
+            law_W = self.model.power_by_law(m, history.u, history.T_out_C[:-1], history.T_return_C[m])
+            out.append(scatter_of_days(power_W - law_W, hour, history.step_s))
+        return out
 
     def _guess(self, good: GoodPlan | None, time_s: float) -> Array | None:
         """Warm start (A, N): the plan of the previous step, shifted by one step; None without one."""

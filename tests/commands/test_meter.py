@@ -7,7 +7,7 @@ import pytest
 
 from thermoforce_mpc.commands.contacts import SGReady
 from thermoforce_mpc.commands.heating_curve import CurveOffset
-from thermoforce_mpc.commands.meter import MeterRecord, learn_meter
+from thermoforce_mpc.commands.meter import MeterRecord, beyond_sd, chance_sd, learn_meter
 
 CONTACT = SGReady(kind="sg_ready", column="contact")
 HOURS, STORED_WH = np.arange(24.0), 700.0
@@ -78,7 +78,8 @@ def test_its_bands_hold_what_days_take():
         z = np.random.default_rng(seed).standard_normal((200, meter.mean.size))
         cost = np.array([day(told, meter, meter.drawn(one[None]))[0] @ price for one in z])
         cost -= day(np.full(24, 2.0), meter)[0] @ price
-        beyond = meter.beyond_sd(float(np.median(cost)), 0.0, price * 1000.0, HOURS, 3600.0)
+        by_chance = chance_sd(meter.scatter_W, price * 1000.0, HOURS, 3600.0)
+        beyond = beyond_sd(float(np.median(cost)), 0.0, by_chance)
         scatter = beyond * np.random.default_rng(9).standard_normal(200)
         low, high = np.quantile(cost + scatter, [0.05, 0.95])
         inside += low <= (truth[0] - truth[1]) @ price <= high

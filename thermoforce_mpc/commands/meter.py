@@ -45,10 +45,10 @@ _NOT_COMMON = 1.0
 # Error of the form, as a share of what commands do on the meter: plans every 8 h of houses 421 and 9210 of `bench
 # commands` by SG-Ready (2026-11-28); of a tank that charges at its own hours 0.1 (`tests/commands/test_meter.py`).
 _FORM = 0.25
-# Error of what a day costs, as a share, beyond all that: what rooms hold at its end, levels that thermostats answer
-# otherwise. Of 40 such plans by SG-Ready and offset of houses 421, 9210, 9501 and 9502 (2026-11-28) the said saving was
-# off by 3.7 % of the cost (root mean square), 2.1 % of which the other errors tell.
-_OF_COST = 0.03
+# Error of what levels cost in a day, as a share, beyond all that: what rooms hold at its end, levels that thermostats
+# answer otherwise. Of 40 such plans by SG-Ready and offset of houses 421, 9210, 9501 and 9502 (2026-11-28) the said
+# saving was off by 3.7 % of the whole cost (root mean square), 2.1 % of which the other errors tell; .86 is levels.
+_OF_COST = 0.035
 _ROUNDS = 3
 # Largest correlation of the errors of two steps that is believed.
 _MOST_CORRELATED = 0.95
@@ -154,20 +154,27 @@ class MeterEffect:
         base_W = self.base_W[np.floor(hour).astype(np.intp) % 24]
         return np.maximum(course.is_on * (law_W + base_W) + W + course.off_W, 0.0) - law_W
 
-    def beyond_sd(self, moved: float, cost: float, price: Array, hour: Array, step_s: float) -> float:
-        """Standard deviation of what commands cost more or less than is said, beyond the errors of effects, currency.
 
-        `moved`: what they do on the meter, `cost`: what the building costs when it is left alone, currency; by the
-        form of both, and by when a machine runs and a tank is charged in two courses of the same hours. `price` (N,):
-        per kWh, at `hour` (N,) of the clock.
-        """
-        by_chance = 0.0
-        if len(self.scatter_W) > 1:
-            at = np.floor(hour).astype(np.intp) % 24
-            by_hour = np.array([price[at == h].mean() if (at == h).any() else price.mean() for h in range(24)])
-            of_day = self.scatter_W @ (by_hour - by_hour.mean()) / 1000.0
-            by_chance = float(_NOT_COMMON * np.std(of_day) * np.sqrt(price.size * step_s / DAY_S))
-        return float(np.sqrt(by_chance**2 + (_FORM * moved) ** 2 + (_OF_COST * cost) ** 2))
+def beyond_sd(moved: float, cost: float, by_chance: float) -> float:
+    """Standard deviation of what a day costs more or less than is said, beyond errors of effects, currency.
+
+    `moved`: what commands do on meters, `cost`: what levels cost when the building is left alone, `by_chance`: see
+    `chance_sd`, currency.
+    """
+    return float(np.sqrt(by_chance**2 + (_FORM * moved) ** 2 + (_OF_COST * cost) ** 2))
+
+
+def chance_sd(scatter_W: Array, price: Array, hour: Array, step_s: float) -> float:
+    """Standard deviation, currency, of what two courses of the same hours cost by when a machine runs and charges.
+
+    `scatter_W` (days, 24): see `scatter_of_days`; `price` (N,): per kWh, at `hour` (N,) of the clock.
+    """
+    if len(scatter_W) < 2:
+        return 0.0
+    at = np.floor(hour).astype(np.intp) % 24
+    by_hour = np.array([price[at == h].mean() if (at == h).any() else price.mean() for h in range(24)])
+    of_day = scatter_W @ (by_hour - by_hour.mean()) / 1000.0
+    return float(_NOT_COMMON * np.std(of_day) * np.sqrt(price.size * step_s / DAY_S))
 
 
 def learn_meter(command: Command, seen: MeterRecord) -> MeterEffect | None:
@@ -234,7 +241,9 @@ def learn_meter(command: Command, seen: MeterRecord) -> MeterEffect | None:
         error = left_W - design @ found
         error_W = _of_a_step(error)
     p = len(columns)
-    scatter = _by_days(error, hours[known], np.flatnonzero(known), seen.step_s)
+    every = np.full(known.size, np.nan)
+    every[known] = error
+    scatter = scatter_of_days(every, seen.hour, seen.step_s)
     root = np.asarray(np.linalg.cholesky(inverse[:p, :p] + 1e-12 * np.eye(p)), dtype=np.float64)
     return MeterEffect(states, usual, unit, off_W, found[:p], root, level_W, found[p : p + 24], scatter)
 
@@ -299,14 +308,14 @@ def _of_a_step(error: Array) -> float:
     return sd * float(np.sqrt((1.0 + correlation) / (1.0 - correlation)))
 
 
-def _by_days(error: Array, hour: NDArray[np.intp], step: NDArray[np.intp], step_s: float) -> Array:
-    """Errors (n,) of steps as means of the hours of whole days (days, 24), without the mean of each day."""
-    per_day = max(1, round(DAY_S / step_s))
-    day = (step - int(hour[0] * HOUR_S / step_s)) // per_day
+def scatter_of_days(error: Array, hour: Array, step_s: float) -> Array:
+    """Errors (n,) of steps at `hour` (n,) of the clock as means of the hours of whole days (days, 24), each day's mean
+    taken away; of days with an hour without any that is known (NaN) none."""
+    of_hour, day = np.floor(hour).astype(np.intp) % 24, np.arange(error.size) // max(1, round(DAY_S / step_s))
     out = []
     for one in np.unique(day):
-        rows = day == one
-        sums, counts = (np.bincount(hour[rows], weights=w, minlength=24) for w in (error[rows], None))
+        rows = (day == one) & np.isfinite(error)
+        sums, counts = (np.bincount(of_hour[rows], weights=w, minlength=24) for w in (error[rows], None))
         if (counts > 0).all():
             out.append(sums / counts - np.mean(sums / counts))
     return np.array(out).reshape(-1, 24)

@@ -167,6 +167,20 @@ def test_energy_lies_between_the_law_of_power_and_what_the_rooms_ask_for(parts):
         assert found.energy_alone_kWh == pytest.approx(by_law.energy_alone_kWh)
 
 
+def test_the_less_is_known_the_less_is_promised(parts):
+    """The best of many plans by a model that errs saves less than that says: of a wild meter next to nothing is."""
+    plan = begun(parts, price_per_kWh=np.where(np.arange(parts[2].n_steps) % 8 < 4, 0.1, 0.5)[None])
+    commanded = plan.realise(np.zeros((2, parts[2].n_steps)), STATES, parts[3].evaluator)
+    wild_W = np.where(np.arange(24) % 8 < 4, -1.0, 1.0) * np.array([[-1.0], [1.0]])
+    calm, wild, wildest = (plan.saving(commanded, parts[3].evaluator, 0.0, [W * wild_W]) for W in (0.0, 300.0, 30000.0))
+    assert abs(calm.saved) > 1.2 * abs(wild.saved) > 0.0
+    assert abs(wildest.saved) < 0.01 * abs(calm.saved)
+    for one in (calm, wild):
+        assert one.low < one.saved < one.high
+        assert one.cost + one.saved == pytest.approx(calm.cost + calm.saved), "what is not promised is a cost"
+    assert wild.high - wild.low > 1.2 * (calm.high - calm.low)
+
+
 def test_in_a_room_that_is_not_known_discomfort_counts_as_it_is_on_average_over_errors(parts):
     """Where a plan makes it worse than left alone does; by summing over the errors instead of in closed form."""
     _, _, problem, mpc = parts
