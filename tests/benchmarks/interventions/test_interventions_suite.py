@@ -126,7 +126,7 @@ def test_efficiency_compares_the_parts_with_the_paper(simulated, folder, tmp_pat
 
     monkeypatch.setattr(interventions, "QUICK", TINY)
     result = studies.run_study(
-        "efficiency", folder, out=tmp_path, engine=LocalEngine(1), days=(1,), quick=True, repeats=2
+        "efficiency", folder, out=tmp_path, engine=LocalEngine(1), days=(1,), quick=True, repeats=1
     )
     rows = {row["component"]: row for row in result["rows"]}
     assert rows["trained parameters"]["here"] <= rows["trained parameters"]["paper"] == 195.0

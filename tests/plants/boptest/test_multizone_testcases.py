@@ -133,7 +133,7 @@ def test_it_is_probed_planned_for_and_written_to_by_the_command_line(name, servi
 def test_thermostats_and_native_control_run_beside_each_other(name, service):
     plant = {"kind": "boptest", "url": service.url}
     result = run(
-        name, controller="thermostat", baselines=["native"], plant=plant, period="30", days=1 / 8, progress=False
+        name, controller="thermostat", baselines=["native"], plant=plant, period="1", days=1 / 8, progress=False
     )
     assert set(result.kpis) == {"thermostat", "native"}
     sent = {bool(any(one.values())): one for test in service.started for one in test.sent}
