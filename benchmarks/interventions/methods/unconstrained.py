@@ -18,7 +18,7 @@ from benchmarks.interventions.methods.thermoforce import identified
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.model.forced_state import forced_history
 from thermoforce_mpc.model.operator.building import single
-from thermoforce_mpc.model.operator.parameters import HIDDEN, N_FEATURES, feature_matrix
+from thermoforce_mpc.model.operator.parameters import HIDDEN, N_FEATURES, OperatorParameters, feature_matrix
 from thermoforce_mpc.protocols import FreeResponse
 
 _DECAY = (100.0, 10.0, 1.0, 1e-1, 1e-2)
@@ -92,18 +92,19 @@ class _Trainable(nn.Module):
 
 def build_unconstrained(training: Training, free_response: FreeResponse) -> FreeGainPredictor:
     """Train with each weight decay and keep the result with the best effect on the validation windows."""
+    linear = identified(training, 1, modulation="linear").only.operator
     candidates = {}
     for decay in _DECAY:
-        operator = _fit(training, decay)
+        operator = _fit(training, linear, decay)
         hours = -training.climate.spec.step_s / 3600.0 / np.log(operator.pole)
         note = f"{hours:.2g} h, gain without sign or bound, weight decay {decay:g}"
         candidates[note] = FreeGainPredictor(operator, free_response, note)
     return candidates[best(candidates, training.validation)]
 
 
-def _fit(training: Training, decay: float) -> FreeGain:
+def _fit(training: Training, linear: OperatorParameters, decay: float) -> FreeGain:
+    """The gain that begins at that of the `linear` operator."""
     pair = training.probe.pair
-    linear = identified(training, 1, modulation="linear").only.operator
     features = []
     for run in (pair.a, pair.b):
         free = run.T_zone_C[0] - forced_history(single(linear), run)[0, 0].sum(axis=1)
