@@ -9,6 +9,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import redirect_stdout
 from pathlib import Path
 
@@ -122,7 +123,7 @@ def remembering():
 
 
 @pytest.fixture
-def reader(practice, tmp_path, monkeypatch, computed_here) -> Reader:
+def reader(practice, tmp_path, monkeypatch, computed_here) -> Iterator[Reader]:
     folder = tmp_path / "reader"
     shutil.copytree(practice, folder, symlinks=True)
     monkeypatch.chdir(folder)
@@ -130,7 +131,10 @@ def reader(practice, tmp_path, monkeypatch, computed_here) -> Reader:
     monkeypatch.setenv("PATH", f"{folder / 'bin'}:{os.environ['PATH']}")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("COLUMNS", "110")
-    return Reader(folder)
+    yield Reader(folder)
+    for name, module in list(sys.modules.items()):
+        if (getattr(module, "__file__", None) or "").startswith(f"{folder}/"):  # what the reader wrote
+            del sys.modules[name]
 
 
 @pytest.mark.slow
