@@ -37,7 +37,7 @@ NEIGHBOUR = House(gain_K=(0.6, 8.0))
 FULL_W = sum(House().machine_W)
 
 
-def two_rooms(coupled: bool, days: float = 4.0, same: bool = False) -> Record:
+def two_rooms(coupled: bool, days: float = 3.0, same: bool = False) -> Record:
     """Living room and bedroom with a heater each; the living room's heater warms the bedroom too where `coupled`."""
     house, n = House(), round(days * 24 * HOUR_S / STEP_S)
     levels = [random_levels(n, seed, hold=8) for seed in (3, 3 if same else 4)]

@@ -129,10 +129,9 @@ def test_the_sensor_of_another_room_is_not_acted_on(seed, measured):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 2])
-def test_sun_that_swamps_everything_is_named(seed):
-    sunny = record(House(solar_K=(15.0, 40.0)), 3.0, seed=seed, noise_K=0.01)
-    elsewhere = weather(3.0, 900.0, seed + 77)[2]
+def test_sun_that_swamps_everything_is_named():
+    sunny = record(House(solar_K=(15.0, 40.0)), 3.0, seed=2, noise_K=0.01)
+    elsewhere = weather(3.0, 900.0, 79)[2]
     verdict = _verdict(replace(sunny, solar_W_m2=elsewhere))
     assert not verdict.competent
     assert any("6 h ahead it errs by" in reason for reason in verdict.reasons)

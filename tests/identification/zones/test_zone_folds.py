@@ -48,7 +48,7 @@ def same(a, b):
 
 @pytest.mark.slow
 def test_held_out_rows_are_not_seen():
-    run = record(House(), 4.0, 3600.0, noise_K=0.01)
+    run = record(House(), 3.0, 3600.0, noise_K=0.01)
     data, before = folds_of(run)
     seen = {fold: data.last_steps(fold)[0] for fold in ("whole", "training", "earlier")}
     assert seen["whole"] == run.n_steps
