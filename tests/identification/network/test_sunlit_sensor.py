@@ -62,9 +62,9 @@ def test_sun_on_a_sensor_is_found_and_its_size_is_right(sunlit):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("index", [34, 2, 35])
+@pytest.mark.parametrize("index", [34, 35])
 def test_sun_that_warms_a_light_room_is_not_taken_for_sun_on_its_sensor(index):
-    # Very light houses; 2 and 35 with glass of 0.29 of the floor area.
+    # Very light houses; 35 with glass of 0.29 of the floor area.
     house = replace(draw_house(501, index), sun_bias_K=0.0)
     assert found(probed(house)[0]) is None
 
