@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 pytest.importorskip("fmpy")
 pytest.importorskip("pythonfmu")
-from benchmarks.chaos.fmu.building import CONFIG, DAYS, KPIS, build_house, rewritten
+from benchmarks.chaos.fmu.building import CONFIG, DAYS, KPIS, build_house, build_troubled, rewritten
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
@@ -31,6 +31,12 @@ TESTCASE = load_testcase("bestest_hydronic_heat_pump")
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     return build_house(tmp_path_factory.mktemp("fmu"))
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """A house whose process begins in a tenth of the time; nothing makes it fail here."""
+    return build_troubled(tmp_path_factory.mktemp("small"))
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +71,8 @@ def test_it_measures_forecasts_and_scores_as_the_emulator_inside(file, inside):
 
 
 @pytest.mark.slow
-def test_two_plants_live_side_by_side_and_the_same_run_gives_the_same_bytes(file):
-    with FmuPlant(file, TESTCASE) as one, FmuPlant(file, TESTCASE) as other:
+def test_two_plants_live_side_by_side_and_the_same_run_gives_the_same_bytes(small):
+    with FmuPlant(small, TESTCASE) as one, FmuPlant(small, TESTCASE) as other:
         one.reset(30 * DAY_S, 0.0)
         other.reset(30 * DAY_S, 0.0)
         for _ in range(3):
@@ -99,7 +105,6 @@ def test_forecast_errors_leave_the_truth_alone(file):
         assert plant.advance(None, HOUR_S).T_out_C == pytest.approx(truth[1], abs=1e-6)
 
 
-@pytest.mark.slow
 def test_a_library_that_the_machine_lacks_is_named_with_what_to_do():
     loader = "Failed to load shared library wrapped.so. {}: cannot open shared object file: No such file or directory"
     assert "lacks: install it; on Debian" in missing_library(loader.format("libgfortran.so.5"))
@@ -109,9 +114,8 @@ def test_a_library_that_the_machine_lacks_is_named_with_what_to_do():
     assert missing_library("Failed to instantiate FMU") == ""
 
 
-@pytest.mark.slow
-def test_a_forecast_over_new_year_repeats_the_year(file):
-    with FmuPlant(file, TESTCASE) as plant:
+def test_a_forecast_over_new_year_repeats_the_year(small):
+    with FmuPlant(small, TESTCASE) as plant:
         plant.reset(364.5 * DAY_S, 0.0)
         seen = plant.forecast(DAY_S, HOUR_S)
         truth = synthetic_weather().at("T_dry_C", np.array([364.75, 0.25]) * DAY_S)
@@ -138,16 +142,15 @@ def test_what_needs_a_start_says_so(file):
                 ask()
 
 
-@pytest.mark.slow
-def test_a_start_beyond_the_data_is_refused(file, tmp_path):
+def test_a_start_beyond_the_data_is_refused(small, tmp_path):
     short = "time,TDryBul,HGloHor\n" + "".join(f"{hour * 3600},280.0,0.0\n" for hour in range(48))
-    with FmuPlant(rewritten(file, tmp_path / "short.fmu", {"resources/weather.csv": short}), TESTCASE) as plant:
+    with FmuPlant(rewritten(small, tmp_path / "short.fmu", {"resources/weather.csv": short}), TESTCASE) as plant:
         with pytest.raises(WeatherError, match=r"weather.csv: 'TDryBul' covers days 0 to 2, asked for days 3 to 3"):
             plant.reset(3 * DAY_S, 0.0)
         plant.reset(1.5 * DAY_S, 0.0)
         with pytest.raises(WeatherError, match="covers days 0 to 2"):
             plant.forecast(DAY_S, HOUR_S)
-    with FmuPlant(file, TESTCASE) as plant:
+    with FmuPlant(small, TESTCASE) as plant:
         with pytest.raises(InputError, match="beyond the year"):
             plant.reset(366 * DAY_S, 0.0)
         with pytest.raises(InputError, match="unknown tariff"):
@@ -293,7 +296,7 @@ def test_gas_is_billed_at_the_price_of_gas(file, inside, tmp_path):
 
 @pytest.mark.slow
 def test_the_cli_runs_it(file, tmp_path):
-    command = ["run", "--testcase", TESTCASE.name, "--fmu", str(file), "--period", "30", "--days", "0.25"]
+    command = ["run", "--testcase", TESTCASE.name, "--fmu", str(file), "--period", "0.25", "--days", "0.25"]
     options = ["--controller", "thermostat", "--baselines", "", "--out", str(tmp_path / "run")]
     result = CliRunner().invoke(cli, [*command, *options, "--quiet"], catch_exceptions=False)
     assert result.exit_code == 0, result.output
