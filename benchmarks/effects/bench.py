@@ -18,6 +18,7 @@ from benchmarks.cases import run_all
 from benchmarks.effects.asking import GENERATED, Answer, Case, ask, probed_days
 from benchmarks.effects.operated import (
     DAYS,
+    ROOMS,
     HouseAnswer,
     OperatedCase,
     ask_operated,
@@ -105,7 +106,7 @@ def run_operated_bench(
         raise InputError(f"{days:g} days of operation: expected {_LEAST_DAYS:g} to {_MOST_DAYS:g}")
     if houses < 1:
         raise InputError(f"{houses} houses: expected at least one")
-    cases = [OperatedCase(seed, n, days) for n in range(1 if quick else houses)]
+    cases = [OperatedCase(seed, n, ROOMS[n % len(ROOMS)], days) for n in range(1 if quick else houses)]
 
     def told(done: int, answer: HouseAnswer) -> None:
         (cells, *_) = operated_rows([answer])

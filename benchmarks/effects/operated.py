@@ -28,7 +28,7 @@ Row = dict[str, Any]
 DAYS = 28.0
 """Days of operation that a model is identified from."""
 # Rooms of the houses, one after another; days of the year on which records end; the question is asked a week later.
-_ROOMS, _ENDS, _LATER_DAYS = (3, 4, 5), (36, 60, 330, 48), 7
+ROOMS, _ENDS, _LATER_DAYS = (3, 4, 5), (36, 60, 330, 48), 7
 # Level of the other valves; effects below this, K, are too small to be told.
 _OTHERS, _LEAST_K = 0.3, 0.05
 _HALF = 0.5
@@ -37,16 +37,17 @@ _COVERED = (0.85, 0.95)
 
 @dataclass(frozen=True)
 class OperatedCase:
-    """House `number` of a population, `days` of whose operation are seen."""
+    """House `number` of a population, of so many `rooms`, `days` of whose operation are seen."""
 
     seed: int
     number: int
+    rooms: int
     days: float = DAYS
 
     @property
     def building(self) -> str:
         """Name of the house."""
-        return f"house:{_ROOMS[self.number % len(_ROOMS)]}rooms:{1000 * self.seed + self.number}"
+        return f"house:{self.rooms}rooms:{1000 * self.seed + self.number}"
 
 
 @dataclass(frozen=True)

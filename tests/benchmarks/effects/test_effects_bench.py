@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.effects import bench, operated
+from benchmarks.effects import bench
 from benchmarks.effects.asking import Answer, Score, said, scored, without_steps
 from benchmarks.effects.operated import (
     HouseAnswer,
@@ -232,9 +232,8 @@ def test_operation_takes_no_days_of_probing(words, message):
 
 
 @pytest.mark.slow
-def test_a_house_is_asked_after_a_week_of_operation(monkeypatch):
-    monkeypatch.setattr(operated, "_ROOMS", (2,))
-    answer = ask_operated(OperatedCase(3, 0, days=7.0))
+def test_a_house_is_asked_after_a_week_of_operation():
+    answer = ask_operated(OperatedCase(3, 0, rooms=2, days=7.0))
     assert not answer.refused
     assert [pair.own for pair in answer.pairs].count(True) == 2
     assert len(answer.pairs) == 4

@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 from houses import House, random_levels, record
 
-from benchmarks.operator import bench
 from benchmarks.operator.bench import run_operator_bench
 from benchmarks.operator.data import cut, read_hourly_pairs, read_run
 from benchmarks.operator.score import score_pairs
@@ -72,8 +71,7 @@ def reference(tmp_path_factory):
     return folder
 
 
-def test_bench_tells_rows_and_targets(reference, monkeypatch):
-    monkeypatch.setattr(bench, "_MANY_BUILDINGS", 10)
+def test_bench_tells_rows_and_targets(reference):
     result = run_operator_bench(reference, quick=True, epochs=3)
     json.dumps(result)
     assert result["bench"] == "operator"

@@ -6,16 +6,12 @@ import json
 
 import pytest
 
-from benchmarks.probing import bench
 from benchmarks.probing.bench import run_probing_bench
 
 pytestmark = pytest.mark.slow
 
 
-def test_bench_of_probing(monkeypatch):
-    """With one pair to score on, and one start of each."""
-    monkeypatch.setattr(bench, "_PAIR_DAYS", (12,))
-    monkeypatch.setattr(bench, "_START_DAYS", (18,))
+def test_bench_of_probing():
     result = run_probing_bench(quick=True)
     json.dumps(result)
     rows = {(r["draws"], r["data"]): r for r in result["rows"]}
