@@ -13,6 +13,7 @@ from __future__ import annotations
 import difflib
 import functools
 import math
+import os
 import re
 import reprlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -383,7 +384,7 @@ _OTHER = {
 
 def check_no_folder(path: Path) -> None:
     """Raise `ConfigError` where `path`, which is to be a YAML file, is a folder, such as one of `tf-mpc init`."""
-    if path.is_dir():
+    if os.path.isdir(path):  # what is no name of a file at all is none; `Path.is_dir` raises on some of these
         inside = ", ".join(sorted(one.name for one in path.iterdir() if one.suffix in {".yaml", ".yml"}))
         raise ConfigError(f"{path}: is a folder; name the file in it{inside and ': '}{inside}")
 

@@ -345,10 +345,15 @@ def test_a_deadline_holds_for_all_that_wait_behind_and_while_processes_start(mon
 
 
 _UNGUARDED = """
-from test_plan_many import WEATHER_MODEL, houses, models
+from simple_house import SimpleHouse, simple_model
 from controllers.many.portfolio import plan_many
+from thermoforce_mpc.data import Observation
 
-found = plan_many(models(4), houses(4), config=WEATHER_MODEL, workers=2)
+house = SimpleHouse()
+house.reset(10 * 86400.0, 6 * 86400.0)
+observation = Observation(house.past(3600.0), house.forecast(24 * 3600.0, 3600.0))
+names = ("house 0", "house 1")
+found = plan_many(dict.fromkeys(names, simple_model()), dict.fromkeys(names, observation), workers=2)
 print({one.reason for one in found.values()})
 """
 
@@ -358,7 +363,7 @@ def test_a_program_without_a_guard_around_its_processes_falls_back_at_once_and_s
     """Its processes would run it anew, each up to where it starts processes."""
     script = tmp_path / "plans.py"
     script.write_text(_UNGUARDED, encoding="utf-8")
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(Path(__file__).parent)])}
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     ended = subprocess.run(
         [sys.executable, str(script)], env=env, capture_output=True, text=True, timeout=LONG_S, check=False
     )

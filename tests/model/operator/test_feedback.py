@@ -79,7 +79,7 @@ def test_three_forms_follow_the_recursion(order):
     by_torch = module(torch.tensor(F0), torch.tensor(u), torch.tensor(features)).detach().numpy()
     np.testing.assert_allclose(by_torch, together, atol=1e-10)
     blind = replace(params, feedback=False)
-    assert np.abs(forced_rollout(blind, F0, u, features) - together).max() > 1e-3, "the choice must matter"
+    assert np.abs(forced_rollout(blind, F0, u, features) - together).max() > 1e-4, "the choice must matter"
     assert ForcedResponseOperator(params).numpy().feedback
 
 
