@@ -30,6 +30,7 @@ from thermoforce_mpc.commands.meter import MeterEffect, MeterRecord, beyond_sd, 
 from thermoforce_mpc.data import (
     HOUR_S,
     J_PER_KWH,
+    NORMAL_95,
     Array,
     Block,
     Boundary,
@@ -66,7 +67,7 @@ _LASTS_H = 12.0
 # SG-Ready, .16, .09 and .11 of the whole cost (50 houses of `bench commands`, seeds 9530 to 9541 and 9550 to 9554,
 # 2026-11-29), of which levels are .86. With it, what is said is off by .046 of the cost (.058 without). Standard
 # deviations between the quantiles of a band.
-_SAVES, _SDS = 0.145, 2.0 * 1.645
+_SAVES, _SDS = 0.145, 2.0 * NORMAL_95
 # What a change of a command must save, as a share of what levels cost when the building is left alone. By judgement: a
 # change an hour all day costs as much as 5 %.
 _PER_CHANGE = 0.002
@@ -177,7 +178,7 @@ def meters_of(model: ThermalModel, learned: Mapping[int, LearnedCommand]) -> dic
         if not one.machine or one.machine in out or one.record is None or one.set_to is None:
             continue
         record, m = one.record, model.names.machines.index(one.machine)
-        law_W = model.power_by_law(m, record.u, record.T_out_C[:-1], record.T_return_C[m])
+        law_W = model.power_by_law_of(m, record)
         begins_s = record.time_s[:-1]
         usual = one.usual_at(one.from_origin_s(begins_s, record.origin))
         hour = clock_s(begins_s, record.origin) / HOUR_S % 24.0

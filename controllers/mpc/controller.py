@@ -543,8 +543,8 @@ class ThermoForceMPC(ActuatedController):
         hour = clock_s(history.time_s[:-1], history.origin) / HOUR_S % 24.0
         out = []
         for m, power_W in enumerate(history.power_W):
-            law_W = self.model.power_by_law(m, history.u, history.T_out_C[:-1], history.T_return_C[m])
-            out.append(scatter_of_days(power_W - law_W, hour, history.step_s))
+            error_W = power_W - self.model.power_by_law_of(m, history)
+            out.append(scatter_of_days(error_W, hour, history.step_s))
         return out
 
     def _guess(self, good: GoodPlan | None, time_s: float) -> Array | None:

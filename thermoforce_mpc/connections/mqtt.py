@@ -575,9 +575,8 @@ def _keep_lately(record: Path, days: float) -> None:
     since = (utc_now() - timedelta(days=days)).date().isoformat().encode()
     with storage_errors(record), record.open("rb") as file:  # line by line: it may be of a hundred million bytes
         last, lines, old = file.readline(), 0, 0
-        if not _HEADER.startswith(
-            last.decode(errors="replace").rstrip("\r\n")
-        ):  # an export, say: it would be cut and added to
+        # Another table, an export say, would be cut and added to.
+        if not _HEADER.encode().startswith(last.rstrip(b"\r\n")):
             raise ConfigError(
                 f"connection mqtt: record: {record}: is no record of this connection, whose first line is "
                 f"'{_HEADER.strip()}': name another file; a model takes both (--data {record} --data …)"

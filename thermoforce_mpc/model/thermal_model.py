@@ -195,11 +195,15 @@ class ThermalModel:
 
     def power_change(self, m: int, record: Record) -> Share:
         """How much of what the power law of machine `m` says of other levels was in `record`."""
-        power, own_W = self.power[m], self.power_by_law(m, record.u, record.T_out_C[:-1], record.T_return_C[m])
+        power, own_W = self.power[m], self.power_by_law_of(m, record)
         if power is None or not np.isfinite(own_W).any():
             return Share(1.0, UNKNOWN)
         other = 0.0 if power.foreign is None else power.foreign(record.time_s[:-1], record.T_out_C[:-1])
         return share_of_change(own_W, record.power_W[m] - other, record)
+
+    def power_by_law_of(self, m: int, record: Record) -> Array:
+        """`power_by_law` of the levels and temperatures of `record` (n,), W."""
+        return self.power_by_law(m, record.u, record.T_out_C[:-1], record.T_return_C[m])
 
     def power_by_law(self, m: int, u: Array, T_out_C: Array, T_return_C: Array | float = np.nan) -> Array:
         """Power of machine `m` by levels `u` (A, n) at `T_out_C`, `T_return_C` (n,) °C, W, without other loads (n,).

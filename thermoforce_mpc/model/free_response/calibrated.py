@@ -68,7 +68,7 @@ class IssuedForecasts:
 
     time_s: Array
     raw: Array
-    group: NDArray[np.intp]
+    group: NDArray[np.int8]
     adapted: Array
 
     def select(self, which: NDArray[np.bool_]) -> IssuedForecasts:
@@ -85,7 +85,7 @@ class Scores:
 
     time_s: Array
     values: Array
-    group: NDArray[np.intp]
+    group: NDArray[np.int8]
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class CalibratedFreeResponse(Computed):
         return forecast, replace(compared, issued=issued, latest_s=now, n_steps=n, inner=kept)
 
 
-def _group_of(boundary: Boundary) -> NDArray[np.intp]:
+def _group_of(boundary: Boundary) -> NDArray[np.int8]:
     """Number of the group of each step of a forecast (N,): its lead time, and its kind of sun."""
     n, hour = boundary.n_steps, max(1, round(HOUR_S / boundary.step_s))
     lead = np.searchsorted(_LEAD_EDGES_H, np.arange(1, n + 1) * boundary.step_s / HOUR_S - 1e-9)
@@ -160,7 +160,7 @@ def _group_of(boundary: Boundary) -> NDArray[np.intp]:
     shone = np.fmax.accumulate(sun)[1:] >= _SUN_W_M2
     by_day = np.where(sun[1:] > before, _RISING, _FALLING)
     kind = np.where(sun[1:] >= _SUN_W_M2, by_day, np.where(shone, _GONE, _NONE))
-    return np.asarray(lead + _LEADS * kind, dtype=np.intp)
+    return np.asarray(lead + _LEADS * kind, dtype=np.int8)  # states hold thousands
 
 
 def _scored(last: CalibratedState, lead_s: Array, free: Array, history: Record) -> CalibratedState:
@@ -169,7 +169,7 @@ def _scored(last: CalibratedState, lead_s: Array, free: Array, history: Record) 
     if issued is None:
         return last
     nothing = np.empty((0, lead_s.size))
-    scores = last.scores or Scores(np.empty(0), nothing, nothing.astype(np.intp))
+    scores = last.scores or Scores(np.empty(0), nothing, nothing.astype(np.int8))
     ends = issued.time_s[:, None] + lead_s
     due = (ends > last.latest_s + 0.5) & (ends <= now + 0.5)
     fresh = now - scores.time_s <= _WINDOW_S
@@ -189,7 +189,7 @@ def _scored(last: CalibratedState, lead_s: Array, free: Array, history: Record) 
         gain = _STEERING_OF_LEAD[index % _LEADS]
         steering[index] = np.clip(steering[index] + gain * (_INSIDE - share), *_STEERING_RANGE)
     instants, row = np.unique(ends[due], return_inverse=True)
-    new, of_new = np.full((instants.size, lead_s.size), np.nan), np.zeros((instants.size, lead_s.size), dtype=np.intp)
+    new, of_new = np.full((instants.size, lead_s.size), np.nan), np.zeros((instants.size, lead_s.size), dtype=np.int8)
     new[row, lead], of_new[row, lead] = score, group
     values, groups = np.concatenate([scores.values[fresh], new]), np.concatenate([scores.group[fresh], of_new])
     return replace(
@@ -201,7 +201,7 @@ def _scored(last: CalibratedState, lead_s: Array, free: Array, history: Record) 
     )
 
 
-def _windows(values: Array, groups: NDArray[np.intp]) -> Array:
+def _windows(values: Array, groups: NDArray[np.int8]) -> Array:
     """Width of each group (G,) from distances `values` (H, K) in H hours, of the groups `groups` (H, K).
 
     The fewer hours a group was seen in, the nearer it is to what its lead times have in any sun: NaN where these were
