@@ -7,7 +7,10 @@ A failed solve is not an exception: it is reported by the status of the `Plan`.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import signal
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import NoReturn
 
 
 class ThermoForceError(Exception):
@@ -68,6 +71,63 @@ class NoSuchTest(ThermoForceError):
 
 class EngineError(ThermoForceError):
     """The cluster that runs many tasks is gone or misfits, or no process can start (exit code 7)."""
+
+
+class Terminated(BaseException):
+    """A signal to end: ends as Ctrl-C does, with the plant released and the journal whole; exit code 128 + `number`."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+# The signals that asked this process to end.
+_asked: list[int] = []
+
+
+@contextmanager
+def terminated_by(name: str) -> Iterator[None]:
+    """Within it the first signal of this `name`, such as "SIGTERM", raises `Terminated` where the program is.
+
+    A second one must not cut the plant's release short. One that is ignored, as under nohup, or that this system has
+    not changes nothing.
+    """
+    number = getattr(signal, name, None)
+    if number is None or (before := signal.getsignal(number)) is signal.SIG_IGN:
+        yield
+        return
+    signal.signal(number, _terminate)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)
+        _asked[:] = [asked for asked in _asked if asked != number]
+
+
+def _terminate(number: int, _: object) -> NoReturn:
+    signal.signal(number, signal.SIG_IGN)
+    _asked.append(number)
+    raise Terminated(number)
+
+
+def raise_if_terminated() -> None:
+    """Raise `Terminated` where a signal asked this process to end, whatever became of what was raised then.
+
+    It may have come within a library that turns every exception into one of its own, or drops it, as Python does in a
+    finalizer: who acts on a building for long asks for it once a step.
+    """
+    if _asked:
+        raise Terminated(_asked[-1])
+
+
+def interruption(error: BaseException) -> BaseException | None:
+    """The Ctrl-C or signal to end in whose handling `error` was raised, as by a library that closes its files."""
+    before: BaseException | None = error
+    while before is not None:
+        if isinstance(before, (KeyboardInterrupt, Terminated)):
+            return before
+        before = before.__cause__ or before.__context__
+    return None
 
 
 def out_of_memory(error: BaseException) -> bool:

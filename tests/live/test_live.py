@@ -28,7 +28,7 @@ from waiting import LONG_S, wait_for
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.connections.sole import set_by, sole_control
 from thermoforce_mpc.data import Block
-from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.errors import ConfigError, PlantError, Terminated, terminated_by
 from thermoforce_mpc.live import KeptState, LiveBuilding, WallClock, control
 from thermoforce_mpc.live.building import Kept
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
@@ -311,6 +311,32 @@ def test_an_interrupted_run_gives_the_building_back():
     house.wait_until = interrupted
     with pytest.raises(KeyboardInterrupt):
         controlled(house, 24)
+    assert house.level is None
+    assert house.written[-1][1:] == ({"actuator": None}, 0.0)
+
+
+def test_a_signal_that_a_library_keeps_to_itself_ends_the_run_before_the_next_wait():
+    """A library that closes its files raises an error of its own in place of what the signal raised."""
+    house, controller, sent = SimulatedBuilding(), mpc(), []
+    plan = controller.plan
+
+    def interrupted(observation, state=None):
+        if house.at >= START + 2 * HOUR and not sent:
+            sent.append(house.at)
+            try:
+                signal.raise_signal(signal.SIGTERM)
+            except BaseException as error:
+                raise ValueError("cannot close the file") from error
+        return plan(observation, state)
+
+    controller.plan = interrupted
+    building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0)
+    with terminated_by("SIGTERM"):
+        with pytest.raises(Terminated):
+            control(building, controller, clock=house, steps=24)
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    assert sent == [house.at]
     assert house.level is None
     assert house.written[-1][1:] == ({"actuator": None}, 0.0)
 

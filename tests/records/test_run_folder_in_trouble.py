@@ -25,11 +25,11 @@ from rich.console import Console
 from simple_house import SimpleHouse, simple_model
 from waiting import LONG_S
 
-from thermoforce_mpc.cli import Terminated, cli, main
+from thermoforce_mpc.cli import cli, main
 from thermoforce_mpc.cli.running import comparing
 from thermoforce_mpc.comparison.store import Store
 from thermoforce_mpc.data import DAY_S
-from thermoforce_mpc.errors import ConfigError, PlantError, StorageError
+from thermoforce_mpc.errors import ConfigError, PlantError, StorageError, Terminated
 from thermoforce_mpc.experiment import experiment as experiment_module
 from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.run_book import RunBook
@@ -150,7 +150,7 @@ def test_whoever_ends_a_run_is_told_where_it_is_and_what_goes_on(tmp_path, monke
     folder = tmp_path / "run"
     monkeypatch.setattr(ChosenPlant, "build", lambda *_: WatchedHouse(ends))
     monkeypatch.setattr(sys, "argv", ["tf-mpc", *WORDS, "--days", "2", "--out", str(folder)])
-    monkeypatch.setattr("thermoforce_mpc.cli.signal.signal", lambda *_: None)
+    monkeypatch.setattr("thermoforce_mpc.errors.signal.signal", lambda *_: None)
     with warnings.catch_warnings(), pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == code
@@ -159,6 +159,23 @@ def test_whoever_ends_a_run_is_told_where_it_is_and_what_goes_on(tmp_path, monke
     said = printed.err
     assert f"What was recorded until then is in {folder}" in said
     assert said.rstrip().endswith(f"`tf-mpc resume {folder}` goes on from there")
+
+
+@pytest.mark.parametrize(("end", "code"), [(KeyboardInterrupt(), 130), (Terminated(15), 143)])
+def test_an_error_of_a_library_that_was_interrupted_is_an_interruption(monkeypatch, capsys, end, code):
+    """As of a ZIP file that is closed while it is written to."""
+
+    def ends(**_: object) -> None:
+        try:
+            raise end
+        finally:
+            raise ValueError("cannot close the file")
+
+    monkeypatch.setattr("thermoforce_mpc.cli.cli.main", ends)
+    with warnings.catch_warnings(), pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == code
+    assert capsys.readouterr().err in ("Interrupted.\n", "Terminated.\n")
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), Terminated(15)])

@@ -5,12 +5,9 @@ from __future__ import annotations
 import errno
 import io
 import os
-import signal
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
@@ -23,8 +20,11 @@ from thermoforce_mpc.errors import (
     NoSuchTest,
     PlantError,
     StorageError,
+    Terminated,
     ThermoForceError,
+    interruption,
     out_of_memory,
+    terminated_by,
 )
 from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.version import VERSION
@@ -58,33 +58,6 @@ def cli() -> None:
     """
 
 
-class Terminated(BaseException):
-    """A signal to end: ends as Ctrl-C does, with the plant released and the journal whole; exit code 128 + `number`."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
-
-
-def _terminate(number: int, _: object) -> NoReturn:
-    signal.signal(number, signal.SIG_IGN)  # a second one must not cut the plant's release short
-    raise Terminated(number)
-
-
-@contextmanager
-def hangup_ends() -> Iterator[None]:
-    """Within it a closed terminal (SIGHUP) ends the command as SIGTERM does, unless it is ignored, as under nohup."""
-    hangup = getattr(signal, "SIGHUP", None)
-    if hangup is None or signal.getsignal(hangup) is not signal.SIG_DFL:
-        yield
-        return
-    signal.signal(hangup, _terminate)
-    try:
-        yield
-    finally:
-        signal.signal(hangup, signal.SIG_DFL)
-
-
 _show_otherwise = warnings.showwarning
 
 
@@ -110,12 +83,19 @@ def _say_end(words: str, error: BaseException) -> None:
 def _run() -> Any:
     """Run the command; what cannot be imported since something of the user's hides it says so."""
     try:
-        return cli.main(standalone_mode=False)
+        with terminated_by("SIGTERM"):
+            return cli.main(standalone_mode=False)
+    except (click.ClickException, ThermoForceError):
+        raise
     except ImportError:
         from thermoforce_mpc.registry import check_nothing_hides_us
 
         check_nothing_hides_us()
         raise
+    except Exception as error:
+        if (end := interruption(error)) is None:
+            raise
+        raise end from error
 
 
 def main() -> None:
@@ -127,7 +107,6 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):  # names of files may be of any bytes
         sys.stdout.reconfigure(errors="backslashreplace")
     warnings.showwarning = _show_warning
-    signal.signal(signal.SIGTERM, _terminate)
     try:
         code = _run()
         if isinstance(code, int):  # a command that exits with a code of its own

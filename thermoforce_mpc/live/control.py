@@ -20,7 +20,7 @@ from thermoforce_mpc.connections.sole import Sets, set_by, sole_control
 from thermoforce_mpc.connections.watchdog import Watchdog
 from thermoforce_mpc.data import Block, Boundary, CommandValue, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.errors import ControllerRaised, NoForecast, PlantError, ThermoForceError
+from thermoforce_mpc.errors import ControllerRaised, NoForecast, PlantError, ThermoForceError, raise_if_terminated
 from thermoforce_mpc.live.building import Applied, Kept, KeptState, LiveBuilding, SetCommand
 from thermoforce_mpc.loop.inputs import OUTAGE_H, UnitDoubts
 from thermoforce_mpc.loop.loop import Believed, Decided, Loop, not_followed
@@ -337,8 +337,8 @@ class _Building:
         while left:
             block = left.pop(0)
             until = min(begin + pd.Timedelta(seconds=block.duration_s), end)
-            # No longer than a step, where the clock was set back; a machine that slept may wake after the block's end.
-            self._clock.wait_until(min(begin, self._clock.now() + self._step))
+            # A machine that slept may wake after the block's end.
+            self._wait_until(begin)
             if until > (now := self._clock.now()):
                 hold_s = min((end - now).total_seconds(), self._step.total_seconds()) + beyond_s
                 block, later = self._as_may_be(block, now, (until - now).total_seconds())
@@ -360,8 +360,13 @@ class _Building:
             else:
                 self._record(Block.native(len(block.u), block.duration_s), begin)
             begin = until
-        self._clock.wait_until(min(end, self._clock.now() + self._step))
+        self._wait_until(end)
         return state
+
+    def _wait_until(self, at: pd.Timestamp) -> None:
+        """No longer than a step, where the clock was set back; not at all where a signal to end was dropped."""
+        raise_if_terminated()
+        self._clock.wait_until(min(at, self._clock.now() + self._step))
 
     def _with_holds(self, decided: Decided) -> Decided:
         """What will be set where a command may not change yet, as `_as_may_be` says, and a note on each of these."""

@@ -21,6 +21,7 @@ from thermoforce_mpc.commands.contacts import Enable, SGReady
 from thermoforce_mpc.commands.setpoint import Setpoint
 from thermoforce_mpc.connections.sole import Sets, sole_control
 from thermoforce_mpc.connections.watchdog import Watchdog
+from thermoforce_mpc.errors import raise_if_terminated
 from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.live.building import LiveBuilding
 from thermoforce_mpc.live.control import Clock, until_taken
@@ -319,6 +320,7 @@ class _Trial:
         points: Sequence[LivePoint] = ()
         while (now := self._clock.now()) < until:
             self._clock.wait_until(min(now + look, until))
+            raise_if_terminated()
             try:
                 points = self._read(self._clock.now())
             except Exception as error:  # a table being written, a broker away for a moment

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar, overload
 
 from thermoforce_mpc.data import DAY_S, SINGLE, Block, Boundary, Names, Observation, Plan, Record
-from thermoforce_mpc.errors import ControllerRaised, InputError, ThermoForceError
+from thermoforce_mpc.errors import ControllerRaised, InputError, ThermoForceError, raise_if_terminated
 from thermoforce_mpc.files import storage_errors
 from thermoforce_mpc.loop.inputs import OUTAGE_H, Forecasts, UnitDoubts
 from thermoforce_mpc.plants.shell import check_levels
@@ -229,6 +229,7 @@ class Loop:
         state = driver.begin()
         try:
             while driver.next_step():
+                raise_if_terminated()
                 if driver.begun_anew:
                     state, self._forecasts = None, self._new_forecasts()
                 try:
@@ -240,6 +241,7 @@ class Loop:
                     break
                 state = driver.act(decided)
                 index += 1
+                raise_if_terminated()
         finally:
             driver.end()
         return state

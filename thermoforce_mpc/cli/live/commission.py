@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange
-from thermoforce_mpc.errors import ConfigError, InputError, PlantError
+from thermoforce_mpc.errors import ConfigError, InputError, PlantError, terminated_by
 
 if TYPE_CHECKING:
     from thermoforce_mpc.connections.sole import Sets
@@ -86,7 +86,6 @@ def commission(
       tf-mpc commission connection.yaml
       tf-mpc commission connection.yaml --yes --json commission.json
     """
-    from thermoforce_mpc.cli import hangup_ends
     from thermoforce_mpc.connections.registry import build_connection, connection_settings
     from thermoforce_mpc.connections.sole import set_by
     from thermoforce_mpc.files import storage_errors, write_whole, written
@@ -108,7 +107,7 @@ def commission(
     rules = load_map(map_file)
     step_s = _step_s(rules)
     with ExitStack() as held:
-        held.enter_context(hangup_ends())
+        held.enter_context(terminated_by("SIGHUP"))
         say: Callable[[str], None] = RunDisplay().say
         if not dry_run:
             with storage_errors(out):

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange, billed_objective, map_option, own_prices_option, said_tank
-from thermoforce_mpc.errors import ConfigError, ThermoForceError
+from thermoforce_mpc.errors import ConfigError, ThermoForceError, terminated_by
 
 if TYPE_CHECKING:
     from controllers.mpc.config import MPCConfig
@@ -121,7 +121,6 @@ def control(
       tf-mpc control --map map.yaml --probe --set connection.measurements=logs/*.csv
     """
     from controllers.mpc.config import MPCConfig
-    from thermoforce_mpc.cli import hangup_ends
     from thermoforce_mpc.connections.registry import build_connection, connection_settings
     from thermoforce_mpc.connections.sole import set_by
     from thermoforce_mpc.connections.watchdog import Watchdog
@@ -159,7 +158,7 @@ def control(
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as held:
-        held.enter_context(hangup_ends())
+        held.enter_context(terminated_by("SIGHUP"))
         held.enter_context(sole_use(out))
         building = held.enter_context(closing(build_connection(connection, settings)))
         held.enter_context(logging_to(out, say))

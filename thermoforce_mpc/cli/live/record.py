@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option
-from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.errors import ConfigError, PlantError, terminated_by
 
 
 @click.command()
@@ -33,7 +33,6 @@ def record(
       tf-mpc record --map map.yaml --connection connection.yaml --days 365 --out house.csv
       tf-mpc identify --data house.csv --map map.yaml --out my_house
     """
-    from thermoforce_mpc.cli import hangup_ends
     from thermoforce_mpc.connections.registry import build_connection, connection_settings
     from thermoforce_mpc.files import written
     from thermoforce_mpc.measurements.map.mapping import load_map
@@ -44,7 +43,7 @@ def record(
         raise ConfigError(f"--set {unknown[0]}: write connection.KEY=VALUE")
     rules = load_map(map_file)
     name, options = connection_settings(connection, chosen.get("connection", {}))
-    with hangup_ends(), closing(build_connection(name, options)) as building:
+    with terminated_by("SIGHUP"), closing(build_connection(name, options)) as building:
         if (reads := getattr(building, "reads", None)) is not None:
             reads([column for _, signal in rules.signals() for column in signal.columns])
         if (history := getattr(building, "history", None)) is not None:

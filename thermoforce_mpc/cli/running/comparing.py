@@ -53,7 +53,7 @@ from thermoforce_mpc.comparison.files import (
 from thermoforce_mpc.comparison.outcome import group_title, grouped, verdicts
 from thermoforce_mpc.comparison.store import DONE, Ran, Store
 from thermoforce_mpc.comparison.tasks import EqualComfort, failure, tasks_of
-from thermoforce_mpc.errors import ConfigError, counted
+from thermoforce_mpc.errors import ConfigError, Terminated, counted
 from thermoforce_mpc.execution import Task, TaskOutcome, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.experiment.experiment import Experiment, check_window
@@ -96,8 +96,6 @@ def run_cells(
 
     An interrupt or a signal to end notes how many of all are kept.
     """
-    from thermoforce_mpc.cli import Terminated
-
     everyone = {*records, *(task.key for task in tasks if isinstance(task.inputs, Cell))}
     try:
         for outcome in outcomes_of(tasks, store, console, engine, quiet) if tasks else ():
