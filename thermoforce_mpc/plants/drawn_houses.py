@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from typing import Any, Literal
 
 import numpy as np
-from pvlib import iam
 
 from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
 from thermoforce_mpc.boundary.weather.year import Weather
@@ -91,6 +90,8 @@ def year() -> Array:
 
 def on_facades(weather: Weather, time_s: Array, turn_deg: float = 0.0) -> Iterator[tuple[Array, Array]]:
     """Yield what passes a vertical pane over its g-value, and the irradiance on its facade, W/m² (n,), by `FACADES`."""
+    from pvlib import iam  # not at the top: see `boundary.weather.solar`
+
     sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
     for azimuth_deg in AZIMUTH_DEG.values():
         light = on_plane(weather, sun, time_s, 90.0, (azimuth_deg + turn_deg) % 360.0)

@@ -119,7 +119,6 @@ def test_what_cannot_be_done_is_refused_and_the_process_ends_with_the_plant():
         plant.reset(0.0, 0.0, "free")
     with pytest.raises(InputError, match="peak_heat_day"):
         plant.period("peak_cool_day")
-    plant.reset(0.0, 0.0)
     (process,) = children() - before
     os.kill(process, signal.SIGKILL)
     with pytest.raises(PlantError, match="EnergyPlus' process was ended by signal SIGKILL at day 0"):

@@ -1,4 +1,8 @@
-"""Sun position, irradiance on planes (pvlib, except where the BOPTEST test case differs), and sun from humidity."""
+"""Sun position, irradiance on planes (pvlib, except where the BOPTEST test case differs), and sun from humidity.
+
+pvlib is loaded where the sun is first computed: it takes half a second of a core, and processes that only carry weather
+around, such as those of EnergyPlus, need none of it.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from pvlib import atmosphere, clearsky, irradiance, solarposition
 
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
@@ -38,6 +41,8 @@ class SunPosition:
     @property
     def azimuth(self) -> Array:
         """Azimuth clockwise from north, rad."""
+        from pvlib import solarposition
+
         hour_angle = np.mod(self.hour_angle + np.pi, 2.0 * np.pi) - np.pi  # pvlib takes east or west from its sign
         return np.asarray(
             solarposition.solar_azimuth_analytical(self.latitude, hour_angle, self.declination, self.zenith)
@@ -51,6 +56,8 @@ def sun_position(time_s: Array, latitude_deg: float, longitude_deg: float, timez
     agrees with the test case to the rounding of its records, 5e-6 rad. With pvlib's formulas its error is 0.013 rad or
     more, and the emulator's RMSE in April rises from 0.010 to 0.057 K or more.
     """
+    from pvlib import solarposition
+
     time_s = np.asarray(time_s, dtype=np.float64)
     day = time_s / DAY_S
     declination = np.arcsin(-np.sin(_OBLIQUITY_RAD) * np.cos((day + 10.0) * 2.0 * np.pi / 365.25))
@@ -74,6 +81,8 @@ class PlaneIrradiance:
 
 def on_plane(weather: Weather, sun: SunPosition, time_s: Array, tilt_deg: float, azimuth_deg: float) -> PlaneIrradiance:
     """Return the irradiance at `time_s` on a plane; `tilt_deg` 0 faces up, `azimuth_deg` is clockwise from north."""
+    from pvlib import irradiance
+
     normal, diffuse = weather.at("normal_W_m2", time_s), weather.at("diffuse_W_m2", time_s)
     global_horizontal = weather.at("global_W_m2", time_s)
     angles = (tilt_deg, azimuth_deg, np.rad2deg(sun.zenith), np.rad2deg(sun.azimuth))
@@ -99,6 +108,8 @@ def sky_diffuse(
     the limit a west wall receives up to 380 W/m² more at sunset). `diffuse_W_m2` and `beam_W_m2` are horizontal;
     azimuths are clockwise from north, `tilt_deg` 0 faces up, and the sun's zenith may exceed 90.
     """
+    from pvlib import atmosphere, irradiance
+
     diffuse = np.maximum(diffuse_W_m2, _LEAST_DIFFUSE_W_M2)
     air_mass = atmosphere.get_relative_airmass(np.minimum(zenith_deg, 90.0), model="kasten1966")
     air_mass = np.minimum(air_mass, _SOLAR_CONSTANT_W_M2 / diffuse)
@@ -110,6 +121,8 @@ def sky_diffuse(
 
 def clear_sky_W_m2(sun: SunPosition) -> Array:
     """Return clear-sky global horizontal irradiance, W/m², shape of `sun.zenith` (Haurwitz 1945)."""
+    from pvlib import clearsky
+
     zenith_deg = pd.Series(np.rad2deg(sun.zenith).ravel())
     return clearsky.haurwitz(zenith_deg)["ghi"].to_numpy().reshape(sun.zenith.shape)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thermoforce_mpc.boundary.weather.solar import clear_sky_W_m2, sun_position
 from thermoforce_mpc.boundary.weather.year import (
     STEFAN_BOLTZMANN_W_M2_K4,
     Weather,
@@ -178,9 +179,6 @@ def _radiation(hour: Array, cover: Array, climate: SyntheticClimate) -> tuple[Ar
     Duffie (1982); pvlib's version of the latter includes the sun's distance: 2.6 % less diffuse over the year than the
     figures in docs/how-it-works/plants.md.
     """
-    # Imported here: pvlib takes 0.3 s to import and a run with a weather file does not need it yet.
-    from thermoforce_mpc.boundary.weather.solar import clear_sky_W_m2, sun_position
-
     minutes = (np.arange(6) + 0.5) * 600.0 - HOUR_S
     time_s = hour[:, None] * HOUR_S + minutes[None, :]
     sun = sun_position(np.mod(time_s, YEAR_S), climate.latitude_deg, climate.longitude_deg, climate.timezone_h)
