@@ -86,6 +86,12 @@ class QPData:
         quadratic.data[diagonal] += weights[columns[diagonal]]
         return replace(self, quadratic=quadratic)
 
+    def reduced_costs(self, x: Array, multipliers: Array) -> Array:
+        """Slopes of the Lagrangian at `x`, which bounds hold up at an optimum, (n,); `multipliers` of A, then of G."""
+        y, z = np.split(multipliers, [self.b.size])
+        slopes: Array = self.quadratic @ x + self.linear + self.A.T @ y + self.G.T @ z
+        return slopes
+
     def above_least(self, x: Array, multipliers: Array) -> float:
         """What `x`, which keeps the constraints, costs at most above the optimum, currency; convex programmes.
 
@@ -94,9 +100,8 @@ class QPData:
         variable without a near bound on a side is compared up to `_REACH` times its size.
         """
         y, z = np.split(multipliers, [self.b.size])
-        gradient = self.quadratic @ x + self.linear
         z = np.where(z > 0.0, np.where(np.isfinite(self.high), z, 0.0), np.where(np.isfinite(self.low), z, 0.0))
-        reduced = gradient + self.A.T @ y + self.G.T @ z
+        reduced = self.reduced_costs(x, np.concatenate([y, z]))
         reach = _REACH * self._size(x)
         low = np.where(self.x_low > -FAR, self.x_low, x - reach)
         high = np.where(self.x_high < FAR, self.x_high, x + reach)

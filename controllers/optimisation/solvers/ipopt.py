@@ -13,20 +13,32 @@ from pydantic import Field
 from controllers.optimisation.problem import ProblemShape
 from controllers.optimisation.solution import SolverAnswer, StatementSolver
 from controllers.optimisation.solvers.highs import GAP, Highs, MilpConfig
+from controllers.optimisation.solvers.qp import Piqp, QPConfig
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Statuses with which Ipopt reports an optimum, to its tolerance or to a looser one; any other is a failed solve.
 _OPTIMAL, _ACCEPTED = "Solve_Succeeded", {"Solve_Succeeded", "Solved_To_Acceptable_Level"}
-# Of a second try.
+# Of the last try.
 _CAREFUL = {"mehrotra_algorithm": "no"}
+# From an optimum with its multipliers: nothing is pushed away from its bound.
+_PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+_FROM_OPTIMUM = {
+    **_CAREFUL,
+    "warm_start_init_point": "yes",
+    **{f"warm_start_{push}": 1e-12 for push in _PUSHES},
+    "mu_strategy": "monotone",
+}
+# One iteration from there is usual, and four were the most of three instances of each case of
+# `tests/support/problems/structures.py` (2026-11-29); who needs more begins better elsewhere.
+_FEW = 5
 
 
 class IpoptConfig(StrictModel):
     """Options of Ipopt."""
 
-    # Twelve are usual (`tf-mpc bench controller`).
+    # From a guess twelve are usual.
     max_iterations: int = Field(200, ge=1, description="iterations before a solve counts as failed")
     # Ipopt's own default tolerance.
     tolerance: float = Field(1e-8, gt=0, description="Ipopt's overall tolerance")
@@ -35,7 +47,9 @@ class IpoptConfig(StrictModel):
 
 
 class IpoptSolver(StatementSolver):
-    """By Ipopt. Where it fails from the guess, it starts cold, with a line search.
+    """By Ipopt. Where the problem is convex, it starts from the optimum and multipliers that PIQP finds.
+
+    Otherwise, or where that fails, from the guess; where that fails too, cold, with a line search.
 
     Choices between off and on are relaxed, rounded, and solved again as they are then: good, but not the best of all.
     Beside a weight of comfort that is extreme, Ipopt, which scales its objective down, ends above the optimum of convex
@@ -63,16 +77,22 @@ class IpoptSolver(StatementSolver):
             # For its scaling MUMPS orders by pairs of pivots: a factorisation of five rooms takes 2.4 times as long, at
             # the same iterations (`python -m benchmarks.speed`, row five, 2026-11-28). Rows of a user may need it.
             self._options["mumps_scaling"] = 0
-        self.model.ipopt(self._options)  # built once
+        few = {"mu_init": self._options["mu_min"], "max_iter": min(config.max_iterations, _FEW)}
+        self._near = {**self._options, **_FROM_OPTIMUM, **few}
+        self._piqp = Piqp(QPConfig()) if self.model.convex and not self.model.choices.size else None
+        self.programme  # noqa: B018 - built once
 
     @property
     def programme(self) -> ca.Function:
         """What Ipopt is given: CasADi's solver with its functions `nlp_f`, `nlp_g` and their derivatives."""
-        return self.model.ipopt(self._options).function
+        return self.model.ipopt(self._options if self._piqp is None else self._near).function
 
     def _answers(self, p: Array, guess: Array | None) -> Iterator[SolverAnswer]:
         cold, choices = self.model.cold(), self.model.choices
         answers = []
+        if (answer := self._from_optimum(p)) is not None:
+            answers.append(answer)
+            yield answer
         for start, options in ((cold if guess is None else guess, self._options), (cold, self._options | _CAREFUL)):
             answers.append(self._answer(p, start, options))
             yield answers[-1]
@@ -84,6 +104,21 @@ class IpoptSolver(StatementSolver):
             yield SolverAnswer(
                 found.x, claimed, f"highs:{found.status}", found.iterations, why, multipliers=multipliers
             )
+
+    def _from_optimum(self, p: Array) -> SolverAnswer | None:
+        """Its answer from the optimum that PIQP finds; None where there is none."""
+        if self._piqp is None:
+            return None
+        programme, (low, high) = self.model.local(p), self.model.bounds(p)
+        try:
+            found = self._piqp(programme)
+        except Exception:  # whatever it raises, there are other beginnings
+            return None
+        if not found.solved:
+            return None
+        of_rows, of_bounds = found.multipliers, -programme.reduced_costs(found.x, found.multipliers)
+        begin = {"lam_g0": programme.unit * of_rows, "lam_x0": programme.unit * of_bounds}
+        return self._ipopt(p, np.clip(found.x, low, high), low, high, self._near, begin)
 
     def _answer(self, p: Array, start: Array, options: Mapping[str, Any]) -> SolverAnswer:
         """Its answer from levels (A, N)."""
@@ -102,13 +137,16 @@ class IpoptSolver(StatementSolver):
         why = f"its choices are rounded, {gap:.1%} above what they cost where they need not be whole"
         return replace(found, why=why, gap=gap)
 
-    def _ipopt(self, p: Array, x: Array, low: Array, high: Array, options: Mapping[str, Any]) -> SolverAnswer:
+    def _ipopt(
+        self, p: Array, x: Array, low: Array, high: Array, options: Mapping[str, Any], begin: Mapping[str, Array] = {}
+    ) -> SolverAnswer:
+        """From `x`, and multipliers to `begin` with by CasADi's names."""
         n_rows, n_equal = self.model.functions.rows.size1_out(1), self.model.functions.n_equal
         upper = np.full(n_rows, np.inf)
         upper[:n_equal] = 0.0
         solver, p = self.model.ipopt(options), self.model.ipopt_parameters(p)
         with self.model.functions.busy:  # one call at a time
-            found = solver.named(x0=x, p=p, lbx=low, ubx=high, ubg=upper)
+            found = solver.named(x0=x, p=p, lbx=low, ubx=high, ubg=upper, **begin)
             stats, x, multipliers = solver.stats, found["x"].copy(), found["lam_g"].copy()
             objective = float(found["f"][0])
         status = str(stats["return_status"])

@@ -215,7 +215,7 @@ LIMITS = {
 
 @pytest.mark.parametrize("name", LIMITS)
 def test_a_solver_that_is_stopped_gives_no_optimum(name):
-    case = "exclusive" if name.startswith("milp") else "feedback" if name.startswith("sqp") else "several"
+    case = "exclusive" if name.startswith("milp") else "several" if name.startswith("qp") else "feedback"
     operator, problem, shape = instance(CASES[case], np.random.default_rng(1))
     found = LIMITS[name](operator, shape).solve(problem)
     assert not (found.ok and found.optimal)

@@ -70,7 +70,7 @@ def test_a_priced_peak_is_lower():
     assert numpy_problem.power_W(problem, dear.u).max() < numpy_problem.power_W(problem, free.u).max() - 100.0
 
 
-def test_ipopt_acts_where_it_fails():
+def test_ipopt_acts_where_it_fails(monkeypatch):
     rng = np.random.default_rng(9)
     operator, shape = single(random_operator(rng, 2)), SHAPES["every step"]
     problem = random_problem(rng, 2, curvature=1e-6)
@@ -82,6 +82,7 @@ def test_ipopt_acts_where_it_fails():
     failed = QPSolver(operator, shape, QPConfig(), None, fails).solve(problem)
     assert (failed.ok, failed.u.size) == (False, 0)
     assert "ended with a word of its own" in failed.problem
+    monkeypatch.setattr(Piqp, "__call__", lambda _, programme: fails(programme))  # where Ipopt begins, too
     stopped = partial(IpoptSolver, operator, shape, IpoptConfig(max_iterations=1))
     failed = QPSolver(operator, shape, QPConfig(), stopped, fails).solve(problem)
     assert not failed.ok

@@ -13,6 +13,7 @@ from structures import CASES, instance
 
 from controllers.optimisation.problem import MPCProblem, ProblemShape, every_step
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
+from controllers.optimisation.solvers.qp import Piqp, SolverResult
 from thermoforce_mpc.model.operator.building import single
 
 
@@ -69,7 +70,36 @@ def test_numbers_that_are_not_finite_are_a_failed_solve_not_an_action():
     assert solver.solve(problem).ok, "a failed solve must not spoil the next"
 
 
-def test_too_few_iterations_are_a_failed_solve():
+def unsolved(_, programme):
+    return SolverResult(False, np.zeros(programme.linear.size), "ended early", 1)
+
+
+def crash(*_):
+    raise MemoryError("out of memory")
+
+
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.convex and "xclu" not in name])
+def test_a_convex_problem_begins_at_the_optimum_of_piqp(name):
+    operator, problem, shape = instance(CASES[name], np.random.default_rng(4))
+    solution = IpoptSolver(operator, shape, IpoptConfig()).solve(problem)
+    assert solution.status == "ipopt:Solve_Succeeded"
+    assert solution.iterations <= 4
+
+
+@pytest.mark.parametrize("piqp", [unsolved, crash])
+def test_where_piqp_finds_no_optimum_ipopt_finds_the_same_from_a_guess(monkeypatch, piqp):
+    operator, problem, shape = instance(CASES["everything convex"], np.random.default_rng(4))
+    near = IpoptSolver(operator, shape, IpoptConfig()).solve(problem)
+    monkeypatch.setattr(Piqp, "__call__", piqp)
+    far = IpoptSolver(operator, shape, IpoptConfig()).solve(problem)
+    assert far.status == "ipopt:Solve_Succeeded"
+    assert far.iterations > 5
+    assert near.cost == pytest.approx(far.cost, rel=1e-6)
+    np.testing.assert_allclose(near.u, far.u, atol=1e-3)
+
+
+def test_too_few_iterations_are_a_failed_solve(monkeypatch):
+    monkeypatch.setattr(Piqp, "__call__", unsolved)  # from its optimum, one is enough
     rng = np.random.default_rng(2)
     operator = single(random_operator(rng, 1))
     solution = IpoptSolver(operator, ProblemShape(every_step(N)), IpoptConfig(max_iterations=1)).solve(
