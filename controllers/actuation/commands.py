@@ -45,7 +45,7 @@ class CommandedLoop:
 
     `low`, `high`, `usual` (N,): limits of the command and what it is when left alone; `T_out_C` (N,): mean of the step;
     `age_s`: how long ago `learned.last` was read, s; `off`: commands with which the machine is off, so that no heat
-    comes, whatever the water still is.
+    comes, however open its valve is; none where levels are made of the water, which tells what it still gives.
     """
 
     learned: LearnedCommand

@@ -74,6 +74,10 @@ _PER_CHANGE = 0.002
 # What the scatter of a level costs, as a share of that level's cost: a search takes what is judged too well (see
 # `bench commands`, seed 100, 2026-11-28: without it power was 5 % more than the first steps of plans said).
 _SCATTER = 0.15
+# How often K·h outside the bounds count that the building left alone would not have: a saving is one at equal comfort.
+# By judgement: in houses 9580 and 9583 of `bench commands` by SG-Ready, two days, colder by 0.58 and 0.38 K·h a week at
+# 1, by 0.25 and 0 at 4, with 3.0 and 16.1, 3.6 and 18.3 % saved (2026-11-29).
+_WORSE = 4.0
 # How many standard errors of what commands do on meters count as cost: a search takes what is judged too well.
 _CAUTION = 1.0
 
@@ -148,7 +152,7 @@ class BuildingCommands:
                 *learned.command.limits(boundary.lower_C[z, 1:], boundary.upper_C[z, 1:], usual)
             )
             meter = self._meters.get(learned.machine)
-            off = () if meter is None else meter.off_states
+            off = () if meter is None or learned.loop.of_water else meter.off_states
             loops[a] = CommandedLoop(learned, low, high, usual, T_out_C, boundary.step_s, age_s, off)
         groups: dict[str | int, list[int]] = {}
         for a, learned in self._learned.items():
@@ -293,8 +297,8 @@ class CommandedPlan:
                 more_K = found.forced_K - self._alone.forced_K
                 worth = np.minimum(_worth(self.operator, self.problem, more_K, dearest), 0.0)
                 unsure = _SCATTER * dearest.per_used * found.scatter
-                held_out = self._held_cost(found.T_C)
-                return np.asarray(each - worth + unsure + held_out + _PER_CHANGE * dearest.of_levels * changes)
+                worse = self._held_cost(found.T_C) + self._worse_cost(found.T_C)
+                return np.asarray(each - worth + unsure + worse + _PER_CHANGE * dearest.of_levels * changes)
 
             rows, _ = better_commands([knob for _, knob in knobs], self._starts(u, knobs), cost)
             values = {a: rows[i] for i, (members, _) in enumerate(knobs) for a in members}
@@ -464,7 +468,7 @@ class CommandedPlan:
             energy_alone_kWh=float(energy_alone[0]),
             outside_Kh=float(outside[0].sum()),
             outside_alone_Kh=float(outside[1].sum()),
-            gain=expected + comfort - float(self._held_cost(with_plan.T_C)[0]),
+            gain=expected + comfort - float((self._held_cost(with_plan.T_C) + self._worse_cost(with_plan.T_C))[0]),
         )
 
     def _chance_sd(self, moved: Collection[int], scatter_W: Sequence[Array]) -> float | None:
@@ -477,6 +481,17 @@ class CommandedPlan:
         machines = {int(self.problem.machinery.machine_of[a]) for a in moved}
         each = [chance_sd(known[m], price[m], self.hour, step_s) for m in machines if m in known]
         return float(np.sqrt(sum(one**2 for one in each))) if moved else None
+
+    def _worse_cost(self, T_C: Array) -> Array:
+        """What K·h outside the bounds beyond those of the building left alone count more than others, (S,), in houses
+        with zones at (S, Z, N + 1), °C.
+        """
+        problem = self.problem
+        both_C = np.concatenate([T_C[..., 1:], self._alone.T_bounds_C[None, :, 1:]])
+        lower_C, upper_C = problem.lower_C[None], problem.upper_C[None]
+        out_K = np.maximum(np.nan_to_num(lower_C - both_C), 0.0) + np.maximum(np.nan_to_num(both_C - upper_C), 0.0)
+        worse_K = np.maximum(out_K[:-1] - out_K[-1], 0.0)
+        return np.asarray((_WORSE - 1.0) * np.einsum("z,szn->s", problem.comfort_price, worse_K))
 
     def _held_cost(self, T_C: Array) -> Array:
         """What rooms that are not known are expected to cost beyond what is said of them, (S,), in houses with zones

@@ -70,7 +70,8 @@ class LoopMap:
     `carry` is c; `values`, `effects` (k,): e of the command, straight between; `zone`, `outdoor`: the weights; `knots`,
     `levels`, `spread`, `uncertain` (m,): s, g(s), scatter of a step's level and standard error of g, straight between
     and constant beyond what was seen. Of levels followed from the commands alone over `days`: `rmse` of a step's,
-    `r2` of an hour's. `shuts_C`, `opens` (j,): the room's temperature and o(T), likewise.
+    `r2` of an hour's. `shuts_C`, `opens` (j,): the room's temperature and o(T), likewise. `of_water`: levels are made
+    of what the water is above the room, so that they tell heat while its machine is off too.
     """
 
     carry: float
@@ -87,6 +88,7 @@ class LoopMap:
     days: float
     shuts_C: Array = field(default_factory=lambda: np.zeros(1))
     opens: Array = field(default_factory=lambda: np.ones(1))
+    of_water: bool = False
 
     def index(self, value: float | Array, T_zone_C: float | Array, T_out_C: float | Array) -> Array:
         """s of commands at temperatures, °C; of one shape."""
@@ -303,6 +305,7 @@ def _learn_loop(command: Command, seen: _Signals, step_s: float, time_s: Array, 
     untold = _untold(command, loop, drawn, value[rows], seen.T_zone_C[rows], seen.T_out_C[rows], r2, where)
     spread = _by_bins(s, error**2, loop.knots) ** 0.5
     loop = replace(loop, spread=spread, uncertain=uncertain, rmse=rmse[chosen], r2=r2, days=hours * HOUR_S / DAY_S)
+    loop = replace(loop, of_water=seen.over_K is not None)
     return loop, untold
 
 

@@ -14,6 +14,7 @@ from controllers.actuation.actuator import ActuationState
 from controllers.mpc.commanding import BuildingCommands
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
+from thermoforce_mpc.commands.meter import MeterEffect
 from thermoforce_mpc.data import HOUR_S, Observation
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import learned_commands, read_measurements
@@ -100,6 +101,25 @@ def test_levels_of_the_usual_commands_are_what_loops_answer_to_the_rooms_that_th
             assert u[a, k] == pytest.approx(float(np.mean(answer)), abs=2e-3)
 
 
+@pytest.mark.parametrize("of_water", [True, False])
+def test_while_a_machine_is_off_rooms_draw_on_its_water_where_levels_are_made_of_it(home, parts, of_water):
+    """A valve alone says nothing of the water behind it: then no heat is said to come."""
+    _, boundary, problem, mpc = parts
+    measured = read_measurements(home.measurements(), RULES, step_s=HOUR_S).served()
+    learned = {}
+    for a, one in enumerate(learned_commands(measured).values()):
+        assert one.loop.of_water, "its map has a flow"
+        learned[a] = replace(one, usual=np.full_like(one.usual, -3.0), loop=replace(one.loop, of_water=of_water))
+    off = MeterEffect(
+        np.array([-3.0]), 0.0, 1.0, np.array([12.0]), np.zeros(4), np.zeros((4, 4)), 0.0, np.zeros(24),
+        np.empty((0, 24)),
+    )  # fmt: skip
+    commands = BuildingCommands(measured.layout, learned, curve_model(home).cards, {"heat_pump": off})
+    plan = commands.begin(mpc.planning_operator, problem, boundary, [], None).without
+    u = plan.realise(np.zeros((2, problem.n_steps)), STATES, mpc.evaluator).u
+    assert (u > 0.05).all() if of_water else (u == 0.0).all()
+
+
 def test_of_actuators_that_exclude_each_other_none_must_act(parts):
     free = begun(parts).within_reach(None)
     assert (free.least_u > 0.01).any(axis=1).all(), "water comes at the lowest offset too"
@@ -165,6 +185,19 @@ def test_energy_lies_between_the_law_of_power_and_what_the_rooms_ask_for(parts):
         found = plan.saving(commanded, mpc.evaluator, spread)
         assert found.energy_kWh == pytest.approx(expected_kWh, rel=1e-5)
         assert found.energy_alone_kWh == pytest.approx(by_law.energy_alone_kWh)
+
+
+def test_rooms_are_next_to_never_colder_than_left_alone_for_what_that_saves(parts):
+    """Where an hour's heat is dear and discomfort counts little: counted once, 0.25 K·h were worth what they saved."""
+    problem, evaluator = parts[2], parts[3].evaluator
+    dear = {"price_per_kWh": np.where(np.arange(problem.n_steps) % 8 < 4, 0.1, 2.0)[None]}
+    usual_u = begun(parts, **dear).without.realise(np.zeros((2, problem.n_steps)), STATES, evaluator).u
+    alone_C = brought(parts, usual_u)
+    weights = replace(problem.weights, comfort=0.4)
+    plan = begun(parts, **dear, lower_C=alone_C, upper_C=alone_C + 3.0, weights=weights)
+    commanded = plan.realise(np.zeros((2, problem.n_steps)), STATES, evaluator)
+    assert np.maximum(alone_C - brought(parts, commanded.u), 0.0).sum() < 0.05
+    assert plan.saving(commanded, evaluator, 0.0).gain > 0.0
 
 
 def test_the_less_is_known_the_less_is_promised(parts):
