@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import difflib
 import signal
+import sys
+import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import NoReturn
+from importlib.machinery import ExtensionFileLoader
+from types import FrameType
 
 
 class ThermoForceError(Exception):
@@ -84,13 +87,18 @@ class Terminated(BaseException):
 # The signals that asked this process to end.
 _asked: list[int] = []
 
+# What runs while a compiled module is being loaded.
+_LOADING = (ExtensionFileLoader.create_module.__code__, ExtensionFileLoader.exec_module.__code__)
+_LOADED_S = 0.05
+
 
 @contextmanager
 def terminated_by(name: str) -> Iterator[None]:
     """Within it the first signal of this `name`, such as "SIGTERM", raises `Terminated` where the program is.
 
-    A second one must not cut the plant's release short. One that is ignored, as under nohup, or that this system has
-    not changes nothing.
+    A second one must not cut the plant's release short; "SIGINT" raises `KeyboardInterrupt`, each time. One that is
+    ignored, as under nohup, or that this system has not changes nothing. Compiled modules are loaded to their end
+    before: some crash, or are no more importable, where their loading is cut short.
     """
     number = getattr(signal, name, None)
     if number is None or (before := signal.getsignal(number)) is signal.SIG_IGN:
@@ -104,20 +112,36 @@ def terminated_by(name: str) -> Iterator[None]:
         _asked[:] = [asked for asked in _asked if asked != number]
 
 
-def _terminate(number: int, _: object) -> NoReturn:
-    signal.signal(number, signal.SIG_IGN)
+def _terminate(number: int, frame: FrameType | None) -> None:
+    place = frame
+    while place is not None:
+        if place.f_code in _LOADING:
+            again = threading.Timer(_LOADED_S, _raise_in_main_thread, (number,))
+            again.daemon = True
+            again.start()
+            return
+        place = place.f_back
     _asked.append(number)
-    raise Terminated(number)
+    if number != signal.SIGINT:
+        signal.signal(number, signal.SIG_IGN)
+    raise_if_terminated()
+
+
+def _raise_in_main_thread(number: int) -> None:
+    if sys.platform == "win32":
+        signal.raise_signal(number)
+    else:  # also out of a wait, which a signal to another thread does not end
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
 
 
 def raise_if_terminated() -> None:
-    """Raise `Terminated` where a signal asked this process to end, whatever became of what was raised then.
+    """Raise what a signal raised that asked this process to end, whatever became of that.
 
     It may have come within a library that turns every exception into one of its own, or drops it, as Python does in a
     finalizer: who acts on a building for long asks for it once a step.
     """
     if _asked:
-        raise Terminated(_asked[-1])
+        raise KeyboardInterrupt if _asked[-1] == signal.SIGINT else Terminated(_asked[-1])
 
 
 def interruption(error: BaseException) -> BaseException | None:

@@ -13,8 +13,10 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import replace
+from importlib.machinery import ExtensionFileLoader
 from itertools import groupby, pairwise
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pandas as pd
@@ -315,30 +317,51 @@ def test_an_interrupted_run_gives_the_building_back():
     assert house.written[-1][1:] == ({"actuator": None}, 0.0)
 
 
-def test_a_signal_that_a_library_keeps_to_itself_ends_the_run_before_the_next_wait():
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGINT"])
+def test_a_signal_that_a_library_keeps_to_itself_ends_the_run_before_the_next_wait(name):
     """A library that closes its files raises an error of its own in place of what the signal raised."""
     house, controller, sent = SimulatedBuilding(), mpc(), []
-    plan = controller.plan
+    plan, number = controller.plan, signal.Signals[name]
+    before = signal.getsignal(number)
 
     def interrupted(observation, state=None):
         if house.at >= START + 2 * HOUR and not sent:
             sent.append(house.at)
             try:
-                signal.raise_signal(signal.SIGTERM)
+                signal.raise_signal(number)
             except BaseException as error:
                 raise ValueError("cannot close the file") from error
         return plan(observation, state)
 
     controller.plan = interrupted
     building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0)
-    with terminated_by("SIGTERM"):
-        with pytest.raises(Terminated):
+    with terminated_by(name):
+        with pytest.raises(KeyboardInterrupt if name == "SIGINT" else Terminated):
             control(building, controller, clock=house, steps=24)
-        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+        assert (signal.getsignal(number) is signal.SIG_IGN) == (name == "SIGTERM")
+    assert signal.getsignal(number) is before
     assert sent == [house.at]
     assert house.level is None
     assert house.written[-1][1:] == ({"actuator": None}, 0.0)
+
+
+@pytest.mark.parametrize(("name", "raised"), [("SIGTERM", Terminated), ("SIGINT", KeyboardInterrupt)])
+def test_a_signal_waits_until_a_compiled_module_is_loaded(monkeypatch, name, raised):
+    """pybind11's modules are cut short else: some crash, others are no more importable."""
+    loaded = []
+
+    def load(module):
+        signal.raise_signal(signal.Signals[name])
+        loaded.append(module)
+
+    def imports():
+        ExtensionFileLoader("compiled", "compiled.so").exec_module(ModuleType("compiled"))
+        time.sleep(LONG_S)
+
+    monkeypatch.setattr("_imp.exec_dynamic", load)
+    with terminated_by(name), pytest.raises(raised):
+        imports()
+    assert loaded
 
 
 @pytest.mark.parametrize("steps", [2, 24])

@@ -14,6 +14,7 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -161,15 +162,18 @@ def test_whoever_ends_a_run_is_told_where_it_is_and_what_goes_on(tmp_path, monke
     assert said.rstrip().endswith(f"`tf-mpc resume {folder}` goes on from there")
 
 
-@pytest.mark.parametrize(("end", "code"), [(KeyboardInterrupt(), 130), (Terminated(15), 143)])
-def test_an_error_of_a_library_that_was_interrupted_is_an_interruption(monkeypatch, capsys, end, code):
-    """As of a ZIP file that is closed while it is written to."""
+@pytest.mark.parametrize(("end", "code"), [(KeyboardInterrupt, 130), (partial(Terminated, 15), 143)])
+@pytest.mark.parametrize(
+    "error", [ValueError("cannot close the file"), ImportError("cannot load"), ConfigError("torn")]
+)
+def test_an_error_that_came_of_an_interruption_is_one(monkeypatch, capsys, error, end, code):
+    """As of a ZIP file that is closed while it is written to, and what we make of such an error."""
 
     def ends(**_: object) -> None:
         try:
-            raise end
+            raise end()
         finally:
-            raise ValueError("cannot close the file")
+            raise error
 
     monkeypatch.setattr("thermoforce_mpc.cli.cli.main", ends)
     with warnings.catch_warnings(), pytest.raises(SystemExit) as ended:

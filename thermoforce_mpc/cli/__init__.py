@@ -83,19 +83,18 @@ def _say_end(words: str, error: BaseException) -> None:
 def _run() -> Any:
     """Run the command; what cannot be imported since something of the user's hides it says so."""
     try:
-        with terminated_by("SIGTERM"):
+        with terminated_by("SIGTERM"), terminated_by("SIGINT"):
             return cli.main(standalone_mode=False)
-    except (click.ClickException, ThermoForceError):
-        raise
-    except ImportError:
-        from thermoforce_mpc.registry import check_nothing_hides_us
-
-        check_nothing_hides_us()
-        raise
     except Exception as error:
-        if (end := interruption(error)) is None:
-            raise
-        raise end from error
+        # A building that was not given back, or a record that could not be kept, is to be told all the same.
+        tells = isinstance(error, ThermoForceError) and not isinstance(error, InputError)
+        if not tells and (end := interruption(error)) is not None:
+            raise end from error
+        if isinstance(error, ImportError):
+            from thermoforce_mpc.registry import check_nothing_hides_us
+
+            check_nothing_hides_us()
+        raise
 
 
 def main() -> None:
