@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import re
@@ -112,3 +113,19 @@ def test_a_loop_at_a_building_plans_without_numba_and_http():
     load = json.loads(done.stdout)
     assert load["planned"] == 5
     assert load["MB"] < 340.0
+
+
+def test_what_is_compiled_returns_numbers():
+    """A signal that comes while numba makes a named tuple crashes the process; of an array it makes a SystemError."""
+    returned = {
+        f"{file.stem}.{function.name}": ast.unparse(function.returns)
+        for package in (PACKAGE, PACKAGE.parent / "controllers")
+        for file in package.rglob("*.py")
+        for function in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(function, ast.FunctionDef) and function.returns is not None
+        if any(ast.unparse(decorator).startswith("njit(") for decorator in function.decorator_list)
+    }
+    assert len(returned) > 30
+    number = r"(?:float|int|bool)"
+    for name, of_type in returned.items():
+        assert re.fullmatch(rf"None|{number}|tuple\[{number}(?:, {number})*\]", of_type), f"{name} returns {of_type}"

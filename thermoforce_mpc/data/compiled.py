@@ -37,6 +37,9 @@ _KEPT_DAYS = 30.0
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit` with these options, applied when the function is first called.
 
+    They return numbers, and write arrays into those that they are given: numba makes anything else by calling Python,
+    where a signal may raise, and the process crashes over that.
+
     With `cache=True` it is kept by `sources_of` its file, in `NUMBA_CACHE_DIR` where that is set, else in the user's
     cache folder. Where that cannot be written nothing is kept.
     """

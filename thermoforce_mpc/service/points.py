@@ -171,16 +171,16 @@ def _sun(weather: Weather, time_s: Array) -> SunPosition:
 def _wet_bulb_K(weather: Weather, time_s: Array) -> Array:
     """Wet bulb temperature, K, from dry bulb, relative humidity and pressure (ASHRAE Fundamentals 2017, ch. 1)."""
     dry_C, humidity = weather.at("T_dry_C", time_s), weather.at("relative_humidity", time_s)
-    return np.asarray(_wet_bulb_C(np.ravel(dry_C), np.ravel(humidity))).reshape(np.shape(dry_C)) + ZERO_C_K
+    wet_C = np.empty(np.size(dry_C))
+    _write_wet_bulb_C(np.ravel(dry_C), np.ravel(humidity), wet_C)
+    return wet_C.reshape(np.shape(dry_C)) + ZERO_C_K
 
 
 @njit(cache=True)
-def _wet_bulb_C(dry_C: Array, humidity: Array) -> Array:
+def _write_wet_bulb_C(dry_C: Array, humidity: Array, wet_C: Array) -> None:
     """One by one, so that it is compiled once and kept: psychrolib compiles in every process, for over two seconds."""
-    wet_C = np.empty_like(dry_C)
     for i in range(dry_C.size):
         wet_C[i] = psychrolib.GetTWetBulbFromRelHum(dry_C[i], humidity[i], PRESSURE_PA)
-    return wet_C
 
 
 # Keys: forecast names.

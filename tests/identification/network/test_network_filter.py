@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
+from places import ROOT
 
 from thermoforce_mpc.identification.network.filtering import likelihood
 
@@ -69,3 +73,26 @@ def test_a_run_without_readings_says_nothing():
     assert value == 0.0
     assert not np.any(slopes.A)
     assert slopes.R == 0.0
+
+
+def test_a_signal_that_comes_while_it_is_computed_is_raised_after():
+    """numba makes named tuples by calling their class, where a signal is raised, and crashes over that."""
+    program = """
+import signal, sys
+import numpy as np
+from thermoforce_mpc.errors import Terminated, terminated_by
+from thermoforce_mpc.identification.network.filtering import likelihood
+
+signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGTERM))
+parts = 0.9 * np.eye(4), np.ones((4, 3)), np.ones(4), 0.3, np.zeros(4), np.ones(4)
+run = np.ones((300_000, 3)), np.ones(300_000)
+likelihood(*parts, *run)
+with terminated_by("SIGTERM"):
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.001)
+        likelihood(*parts, *run)
+    except Terminated as error:
+        sys.exit(128 + error.number)
+"""
+    ended = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ended.returncode == 143, ended.stderr

@@ -29,7 +29,6 @@ class Slopes(NamedTuple):
     readings: Array
 
 
-@njit(cache=True)
 def likelihood(
     A: Array, B: Array, Q: Array, R: float, x0: Array, P0: Array, inputs: Array, readings: Array
 ) -> tuple[float, Slopes]:
@@ -43,16 +42,26 @@ def likelihood(
         inputs: of each step (N, m); that of the last reading is not used.
         readings: of state 0 (N,), K; NaN is a gap.
     """
+    n = A.shape[0]
+    arrays = np.zeros((n, n)), np.zeros((n, B.shape[1])), np.zeros(n), np.zeros(n), np.zeros(readings.size)
+    by_A, by_B, by_Q, by_P0, by_readings = arrays
+    total, by_R = _likelihood(A, B, Q, R, x0, P0, inputs, readings, *arrays)
+    return total, Slopes(by_A, by_B, by_Q, by_R, by_P0, by_readings)
+
+
+@njit(cache=True)
+def _likelihood(  # type: ignore[no-untyped-def]
+    A, B, Q, R, x0, P0, inputs, readings, by_A, by_B, by_Q, by_P0, by_readings
+) -> tuple[float, float]:
+    """The likelihood and its derivative by the variance of a reading; writes the others, of `Slopes`."""
     N, n = readings.size, A.shape[0]
     means, covariances = np.zeros((N, n)), np.zeros((N, n, n))
     columns, variances, errors = np.zeros((N, n)), np.ones(N), np.zeros(N)
     total = _filtered(A, B, Q, R, x0, P0, inputs, readings, means, covariances, columns, variances, errors)
-    by_A, by_B, by_Q = np.zeros((n, n)), np.zeros((n, B.shape[1])), np.zeros(n)
-    by_P0, by_readings = np.zeros(n), np.zeros(N)
     by_R = _adjoint(
         A, inputs, readings, means, covariances, columns, variances, errors, by_A, by_B, by_Q, by_P0, by_readings
     )
-    return total, Slopes(by_A, by_B, by_Q, by_R, by_P0, by_readings)
+    return total, by_R
 
 
 # Loops over numbers: NumPy's operations take many times as long to compile, and on arrays this small longer to run.

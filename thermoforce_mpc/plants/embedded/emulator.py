@@ -308,7 +308,7 @@ class EmbeddedPlant(Emulator):
 
     def _kpis_between(self, start_s: float, final_s: float, open_end: bool) -> dict[str, float]:
         time_s, rows = self._samples.between(start_s, final_s)
-        Wh, cost, discomfort_Kh, excess_ppm_h = integrals(time_s, rows, self._tariffs[self._price](time_s)).tolist()
+        Wh, cost, discomfort_Kh, excess_ppm_h = integrals(time_s, rows, self._tariffs[self._price](time_s))
         heat_pump_W, fan_W, pump_W = (rows[:, self._column[name]] for name in _POWERS)
         peak_W = peak_power(time_s, heat_pump_W + fan_W + pump_W, open_end=open_end)
         area_m2 = self.case.house.area_m2

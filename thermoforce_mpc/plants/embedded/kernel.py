@@ -231,12 +231,12 @@ def advance(
 
 
 @njit(cache=True)
-def integrals(time_s: Array, rows: Array, price_per_kWh: Array) -> Array:
+def integrals(time_s: Array, rows: Array, price_per_kWh: Array) -> tuple[float, float, float, float]:
     """Integrate samples (n, 17) at times (n,), s, by the trapezoidal rule, in one pass: a reward asks after every step.
 
     Returns energy, Wh; cost, currency · 1000; thermal discomfort, K·h; CO2 above its limit, ppm·h.
     """
-    out = np.zeros(4)
+    Wh = cost = discomfort_Kh = excess_ppm_h = 0.0
     for i in range(time_s.size):
         weight_h = 0.0
         if i > 0:
@@ -244,12 +244,12 @@ def integrals(time_s: Array, rows: Array, price_per_kWh: Array) -> Array:
         if i < time_s.size - 1:
             weight_h += (time_s[i + 1] - time_s[i]) / (2.0 * HOUR_S)
         power_W = rows[i, 1] + rows[i, 2] + rows[i, 3]  # columns of `RECORD`, as in `_note`
-        out[0] += weight_h * power_W
-        out[1] += weight_h * power_W * price_per_kWh[i]
+        Wh += weight_h * power_W
+        cost += weight_h * power_W * price_per_kWh[i]
         at_home = s.is_occupied_sample(time_s[i])
         lower_C = s.LOWER_OCCUPIED_C if at_home else s.LOWER_EMPTY_C
         upper_C = s.UPPER_OCCUPIED_C if at_home else s.UPPER_EMPTY_C
         T_C = rows[i, 0] - ZERO_C_K
-        out[2] += weight_h * max(lower_C - T_C, T_C - upper_C, 0.0)
-        out[3] += weight_h * max(rows[i, 11] - s.CO2_LIMIT_PPM, 0.0)
-    return out
+        discomfort_Kh += weight_h * max(lower_C - T_C, T_C - upper_C, 0.0)
+        excess_ppm_h += weight_h * max(rows[i, 11] - s.CO2_LIMIT_PPM, 0.0)
+    return Wh, cost, discomfort_Kh, excess_ppm_h
