@@ -869,3 +869,30 @@ def test_a_heat_meter_tells_what_is_paid_for_where_no_power_is_metered(tmp_path)
     rows["WP Leistung [kW]"] = HOUSE["power"] / 1000.0
     rows.to_csv(file, sep=";", decimal=",", index_label="Zeitstempel")
     assert "power: {column: 'WP Leistung [kW]'" in starting_map([file])
+
+
+@pytest.mark.parametrize(
+    "codes",
+    [
+        {"living": -127.0, "out": 85.0, "power": 65535.0},
+        {"living": 3276.7, "out": -999.0, "power": -9999.0},
+        {"living": 3.4e38, "out": -99.9, "power": 32767.0},
+    ],
+)
+def test_codes_for_no_reading_hide_no_signal(tmp_path, codes):
+    df = HOUSE[["living", "out", "v_living", "power"]].rename(columns={"v_living": "valve"})
+    table = tmp_path / "house.csv"
+    df.to_csv(table, index_label="time")
+    plain = starting_map(table)
+    for name, code in codes.items():
+        df.loc[df.index[[7, 8, 200]], name] = code
+    df.to_csv(table, index_label="time")
+    assert starting_map(table) == plain
+
+
+def test_a_counter_that_began_anew_is_one(tmp_path):
+    df = HOUSE[["living", "out", "v_living"]].rename(columns={"v_living": "valve"})
+    counted = 4.0 * HOUSE["power"].cumsum().round()
+    df["energy Wh"] = counted.where(np.arange(N) < 150, counted - counted.iloc[149])
+    df.to_csv(tmp_path / "house.csv", index_label="time")
+    assert "power: {column: energy Wh, unit: 'Wh counter'}" in starting_map(tmp_path / "house.csv")

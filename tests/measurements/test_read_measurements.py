@@ -313,6 +313,7 @@ CASES = {
     ),
     "same column": (lambda d: d, {"outdoor": "T"}, r"zones\.room\.temperature and outdoor are the same column"),
     "lost stamp": (lambda d: broken(d, time=(0, "1970-01-01 00:00:00")), {}, "55 years .* mend the time stamp"),
+    "a code": (lambda d: d.assign(T=d["T"].where(d.index % 4 > 0, -127.0)), {}, r"missing: \['-127'\]"),
     "never ran": (lambda d: d.assign(P=0.0), {"actuators": {"h": {}}}, "never above 0 W"),
 }
 

@@ -118,6 +118,11 @@ def screened(
     if refuse and outside.mean() > _MOST_REFUSED:
         unit = likelier(raw, declared, rules.kind, rules.usual)
         hint = f"they look like {unit}: set unit: '{unit}'" if unit else "check column, unit and factor"
+        if not unit and np.ptp(raw[outside]) == 0.0 and not outside.all():
+            code = f"{raw[outside][0]:.10g}"
+            hint = (
+                f"all of them are {code}: if that stands for no reading, set csv: {{missing: ['{code}']}}; else {hint}"
+            )
         if rules.kind == "level" and looks_like_setpoints(raw):
             hint = (
                 "these look like set-points in °C or °F, and a set-point is no level: name what the machine did "

@@ -20,6 +20,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap, converted
@@ -376,6 +377,12 @@ def place_in_order(name: str) -> tuple[str, ...]:
     return tuple(re.sub(r"(temperat\w*|temp|ventil\w*|soll\w*|ist\w*|feucht\w*)$", "", word) or word for word in kept)
 
 
+# What stands for "no reading": 85 and -127 of a DS18B20, nines, the limits of 16 bits, also in tenths and hundredths.
+_CODES = np.array(
+    [85.0, -127.0, -99.0, -99.9, -999.0, -999.9, -9999.0, 999.0, 9999.0, 99999.0]
+    + [limit * part for limit in (-32768.0, 32767.0, 65535.0) for part in (1.0, 0.1, 0.01)]
+)
+_LARGEST = 1e30
 # Temperatures, °C: of rooms that are lived in (medians), of weather, of water in pipes.
 _ROOM_C, _WEATHER_C = (12.0, 31.0), (-40.0, 48.0)
 _SETPOINTS_C = (4.0, 32.0)
@@ -464,6 +471,7 @@ class _Look:
         self.name, self.tags = column.name, tags(column.name)
         self.unit = unit_of(column.name) or column.unit
         known = np.isfinite(column.values)
+        known[known] = ~_codes(column.values[known])
         self.time_s, self.values = column.time_s[known], column.values[known]
         self.words = column.words
         v = self.values
@@ -512,8 +520,21 @@ class _Look:
         return unit, converted(self.values, unit)
 
 
+def _codes(values: Array) -> NDArray[np.bool_]:
+    """Which values (n,) are what a sensor or logger writes where it has none: few, far from all others."""
+    coded = np.isin(np.round(values, 2), np.round(_CODES, 2)) | (np.abs(values) > _LARGEST)
+    others = np.unique(values[~coded])
+    if not coded.any() or coded.mean() > 0.5 or others.size < 3:  # a valve that is shut, or open by 85 %
+        return np.zeros(values.size, dtype=bool)
+    low, high = others[0], others[-1]
+    far = 0.5 * (high - low)
+    return coded & ((values < low - far) | (values > high + far))
+
+
 def _rises_on(values: Array) -> bool:
-    """Whether values rise in all parts, as a counter does, and not once, as a morning does."""
+    """Whether values rise in all parts, as a counter does that may begin anew, and not once, as a morning does."""
+    before, after = values[:-1], values[1:]
+    values = values + np.append(0.0, np.cumsum(np.where((after >= 0.0) & (after < 0.1 * before), before, 0.0)))
     parts = np.array_split(values, 4)
     return all(part.size and part[-1] >= part[0] for part in parts) and sum(part[-1] > part[0] for part in parts) >= 2
 
