@@ -361,7 +361,7 @@ class BoptestClient:
         while (status := self.status()) != "Running":
             if time.monotonic() > until:
                 raise ServiceTimeout(f"GET {self.url}/status/{self.testid}", f"still '{status}' after {timeout_s:g} s")
-            time.sleep(min(_POLL_S, timeout_s))
+            self._transport.config.sleep(min(_POLL_S, timeout_s))
 
     def _simulated(self) -> dict[str, float]:
         """The state where the test stands, if it was advanced since the last answer; else an empty one.

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 from pathlib import Path
 
 import pandas as pd
+import simple_house
 import yaml
 from simple_house import SimpleHouse, outdoor_C, power_W, simple_model
 
@@ -34,25 +37,47 @@ def mpc(**options) -> ThermoForceMPC:
 
 def files_of_now(folder: Path) -> None:
     """The files of the connection `files` in `folder`, up to this hour, with `map.yaml` and `model`."""
-    house = SimulatedBuilding()
-    shift = pd.Timestamp.now("UTC").floor("1h") - START
-    house.measurements().assign(time=lambda table: table["time"] + shift).to_csv(folder / "house.csv", index=False)
-    house.forecast().shift(freq=shift).to_csv(folder / "tomorrow.csv")
+    for name, text in _tables_of(pd.Timestamp.now("UTC").floor("1h")).items():
+        (folder / name).write_text(text)
     (folder / "map.yaml").write_text(yaml.safe_dump(RULES))
     simple_model().save(folder / "model")
+
+
+@functools.cache
+def _tables_of(hour: pd.Timestamp) -> dict[str, str]:
+    house, shift = SimulatedBuilding(), hour - START
+    measured = house.measurements().assign(time=lambda table: table["time"] + shift)
+    return {"house.csv": measured.to_csv(index=False), "tomorrow.csv": house.forecast().shift(freq=shift).to_csv()}
+
+
+def _present(house: SimpleHouse, at: pd.Timestamp) -> dict:
+    return {"time": at, "T": house.T, "out": float(outdoor_C(house.now_s)), "sun": 0.0}
+
+
+def _lived(house: SimpleHouse, at: pd.Timestamp, level: float | None, part_s: float) -> dict:
+    row, level = _present(house, at), house.live(level, part_s)
+    return row | {"u": level, "P": power_W(level), "low": 20.0, "high": 24.0}
+
+
+@functools.cache
+def _three_days(native_level) -> tuple[SimpleHouse, list[dict], pd.DataFrame]:
+    """The house at `START` after three days under `native_level`, which stands in `simple_house`; its rows, a table."""
+    house, at, rows = SimpleHouse(), START - pd.Timedelta(days=3), []
+    house.reset(0.0, 0.0)
+    house.now_s = (at - pd.Timestamp("2025-01-01", tz="UTC")).total_seconds()
+    while at < START:
+        rows.append(_lived(house, at, None, 60.0))
+        at += pd.Timedelta(seconds=60.0)
+    return house, rows, pd.DataFrame(rows)
 
 
 class SimulatedBuilding:
     """`Connection` and `Clock`. `failing` is asked before every answer and raises what it likes."""
 
     def __init__(self, failing=lambda what, now: None) -> None:
-        self.house, self.failing = SimpleHouse(), failing
-        self.house.reset(0.0, 0.0)
-        self.at, self.level, self.rows, self.written, self.closed = START, None, [], [], False
-        self.at -= pd.Timedelta(days=3)
-        self.house.now_s = (self.at - pd.Timestamp("2025-01-01", tz="UTC")).total_seconds()
-        self.wait_until(START)
-        self.begun = len(self.rows)
+        house, rows, self._before = _three_days(simple_house.native_level)
+        self.house, self.rows, self.failing = copy.copy(house), list(rows), failing
+        self.at, self.level, self.begun, self.written, self.closed = START, None, len(rows), [], False
 
     def now(self) -> pd.Timestamp:
         return self.at
@@ -60,17 +85,13 @@ class SimulatedBuilding:
     def wait_until(self, at: pd.Timestamp) -> None:
         while (left_s := (at - self.at).total_seconds()) > 1e-6:
             part_s = min(60.0, left_s)
-            row = self._present()
-            level = self.house.live(self.level, part_s)
-            self.rows.append(row | {"u": level, "P": power_W(level), "low": 20.0, "high": 24.0})
+            self.rows.append(_lived(self.house, self.at, self.level, part_s))
             self.at += pd.Timedelta(seconds=part_s)
 
     def measurements(self) -> pd.DataFrame:
         self.failing("measurements", self.at)
-        return pd.DataFrame([*self.rows[-4 * 1440 :], self._present()])
-
-    def _present(self):
-        return {"time": self.at, "T": self.house.T, "out": float(outdoor_C(self.house.now_s)), "sun": 0.0}
+        since = pd.DataFrame([*self.rows[self.begun :], _present(self.house, self.at)])
+        return pd.concat([self._before, since], ignore_index=True).iloc[-4 * 1440 - 1 :].reset_index(drop=True)
 
     def forecast(self) -> pd.DataFrame:
         self.failing("forecast", self.at)
