@@ -516,7 +516,8 @@ def _stamp_format(text: pd.Series) -> tuple[str | None, str]:
             for clock in (*_CLOCKS, ""):
                 for end in ends:
                     form = f"{day}{between}{clock}{end}" if clock else day
-                    if form not in fitting and _fits(first, form) and _fits_all(sample_of, form):
+                    fits = form not in fitting and _may_fit(first, form) and _fits(first, form)
+                    if fits and _fits_all(sample_of, form):
                         fitting.append(form)
     if not fitting:
         return "FILL IN", f"? stamps such as {text.iloc[0]}: %d day, %m month, %Y year, %H:%M"
@@ -526,6 +527,20 @@ def _stamp_format(text: pd.Series) -> tuple[str | None, str]:
     day = best.split(" %H")[0].split(" %I")[0]
     others = [form for form in fitting if not form.startswith(day) and lasts[form] <= _SURELY_LONGER * lasts[best]]
     return best, f"or '{others[0]}': both fit" if others else ""
+
+
+def _marks(text: str) -> str:
+    return "".join(c for c in text if not c.isalnum() and not c.isspace())
+
+
+def _may_fit(text: str, form: str) -> bool:
+    """Whether a stamp of this format can have the marks of `text`: `strptime` compiles each format to refuse it."""
+    named, literal = "%b" in form or "%p" in form, re.sub("%[A-Za-z]", "", form)
+    if (named or re.search("[A-Za-z]", literal)) and not re.search(r"[^\W\d_]", text):
+        return False
+    if named or "%z" in form:  # names have marks of their own in some languages, and offsets do
+        return not Counter(_marks(literal)) - Counter(_marks(text))
+    return _marks(literal) == _marks(text)
 
 
 def _fits(text: str, form: str) -> bool:
