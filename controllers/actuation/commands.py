@@ -69,13 +69,16 @@ class CommandedLoop:
         return CommandState(float(self.usual[0]), self.step_s)
 
     def reach(self, T_mean_C: Array, before: float) -> tuple[Array, Array]:
-        """Least and largest level of each step (N,) that commands within the limits bring, room at `T_mean_C` (N,)."""
-        out = []
+        """Least and largest level of each step (N,) that commands within the limits bring, room at `T_mean_C` (N,).
+
+        `before`: x of the last step, see `LoopMap`.
+        """
+        out, loop = [], self.learned.loop
         for commands in (self.low, self.high):
-            levels, last = np.empty(commands.size), before
+            x, last = np.empty(commands.size), before
             for k, value in enumerate(commands):
-                last = levels[k] = float(self.learned.loop.level(value, T_mean_C[k], self.T_out_C[k], last))
-            out.append(levels)
+                last = x[k] = float(loop.behind(value, T_mean_C[k], self.T_out_C[k], last))
+            out.append(loop.opened(T_mean_C) * x)
         return out[0], np.maximum(out[0], out[1])
 
     @cached_property
@@ -89,7 +92,7 @@ class CommandedLoop:
         """Commands of step `k` as (value, s), and what is set after it.
 
         `wanted` (n,): levels of this step and the next ones; `T_start_C`: room now; `T_end_C` (n,): at the end of each
-        of these steps, °C; `before`: level of the last step.
+        of these steps, °C; `before`: x of the last step, see `LoopMap`.
         """
         command, n, part_s = self.learned.command, self.parts, self.step_s / self.parts
         grid = command.values(float(self.low[k]), float(self.high[k]))

@@ -57,6 +57,8 @@ NOT_BETTER = "commands that were found are not better than leaving the building 
 """What a plan says that is not carried out."""
 # Rounds in which level and temperature of a step are made to agree, and levels of a table of their heat.
 _ROUNDS, _CLOSE, _TABLE = 20, 5e-4, 65
+# A level below it, or a share of the usual one, is that of a valve that is shut.
+_SHUT = 0.05
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
 # Lead time whose error counts of rooms that are not known, h: the longest that is judged.
 _ERROR_H = JUDGED_H[-1]
@@ -244,9 +246,8 @@ class CommandedPlan:
         """
         problem, m = self.problem, self.problem.machinery
         least, most = (np.repeat(u[:, None], problem.n_steps, axis=1) for u in (m.u_min, m.u_max))
-        last = np.zeros(len(m.actuators)) if problem.last_u is None else problem.last_u
         T_C = self._alone.T_bounds_C if guess is None else _zone_C(problem, self.operator, guess)
-        for a, (low, high) in self._reach(T_C, last).items():
+        for a, (low, high) in self._reach(T_C).items():
             low, high = (self._alone.levels[0, a],) * 2 if a in self.left_alone else (low, high)
             most[a] = np.clip(high, 0.0, m.u_max[a])
             least[a] = np.minimum(low, most[a])
@@ -265,14 +266,13 @@ class CommandedPlan:
 
     def beyond(self, u: Array) -> bool:
         """Whether levels (A, N) ask for more than commands bring at the temperatures that they lead to."""
-        T_C, last = _zone_C(self.problem, self.operator, u), self.problem.last_u
-        reach = self._reach(T_C, np.zeros(len(u)) if last is None else last)
+        reach = self._reach(_zone_C(self.problem, self.operator, u))
         return any((u[a] > high + _BEYOND).any() for a, (_, high) in reach.items())
 
-    def _reach(self, T_C: Array, last: Array) -> dict[int, tuple[Array, Array]]:
+    def _reach(self, T_C: Array) -> dict[int, tuple[Array, Array]]:
         """Least and largest levels that commands bring at temperatures of the zones (Z, N + 1), by actuator."""
         return {
-            a: loop.reach(0.5 * (T_C[z, :-1] + T_C[z, 1:]), float(last[a]))
+            a: loop.reach(0.5 * (T_C[z, :-1] + T_C[z, 1:]), float(self._tables.before[a]))
             for a, loop in self.loops.items()
             for z in [self.operator.home[a]]
         }
@@ -486,12 +486,9 @@ class CommandedPlan:
         """What K·h outside the bounds beyond those of the building left alone count more than others, (S,), in houses
         with zones at (S, Z, N + 1), °C.
         """
-        problem = self.problem
-        both_C = np.concatenate([T_C[..., 1:], self._alone.T_bounds_C[None, :, 1:]])
-        lower_C, upper_C = problem.lower_C[None], problem.upper_C[None]
-        out_K = np.maximum(np.nan_to_num(lower_C - both_C), 0.0) + np.maximum(np.nan_to_num(both_C - upper_C), 0.0)
-        worse_K = np.maximum(out_K[:-1] - out_K[-1], 0.0)
-        return np.asarray((_WORSE - 1.0) * np.einsum("z,szn->s", problem.comfort_price, worse_K))
+        alone_K = self.boundary.outside_K(self._alone.T_bounds_C[:, 1:])
+        worse_K = np.maximum(self.boundary.outside_K(T_C[..., 1:]) - alone_K, 0.0)
+        return np.asarray((_WORSE - 1.0) * np.einsum("z,szn->s", self.problem.comfort_price, worse_K))
 
     def _held_cost(self, T_C: Array) -> Array:
         """What rooms that are not known are expected to cost beyond what is said of them, (S,), in houses with zones
@@ -664,9 +661,9 @@ def _followed(
 ) -> _Followed:
     """Follow a building under the commands of `tables`, step by step; an actuator without one has levels `u` (A, N).
 
-    `values_of`: of an actuator in a step, for rooms now (S, Z), °C, and the last levels (S, A), its commands in the
-    parts of the step (S or 1, n). `gain` (S, A): effect of what the actuators do from now on, as a multiple; `z` (S,):
-    see `LoopMap.level`; `away_K` (S, Z, n): by how much free parts are higher than predicted.
+    `values_of`: of an actuator in a step, for rooms now (S, Z), °C, and x of the last step (S, A), see `LoopMap`, its
+    commands in the parts of the step (S or 1, n). `gain` (S, A): effect of what the actuators do from now on, as a
+    multiple; `z` (S,): see `LoopMap.level`; `away_K` (S, Z, n): by how much free parts are higher than predicted.
     """
     A, n = u.shape
     gain = np.ones((1, A)) if gain is None else gain
@@ -674,8 +671,7 @@ def _followed(
     S, T_free = len(gain), problem.T_free_C + away_K
     old, new = problem.forced_state_K, np.zeros((S, *problem.forced_state_K.shape))
     T = np.repeat((problem.features[:, 0, ZONE] + old.sum(axis=(1, 2)))[None], S, axis=0)
-    last = np.zeros(A) if problem.last_u is None else problem.last_u
-    before, levels, course = np.repeat(last[None], S, axis=0), np.empty((S, A, n)), [T]
+    before, levels, course = np.repeat(tables.before[None], S, axis=0), np.empty((S, A, n)), [T]
     nothing, scatter = np.zeros(A), np.zeros(S)
     for k in range(n):
         values = {a: values_of(a, k, T, before) for a in tables.loops}
@@ -688,7 +684,7 @@ def _followed(
         drive = modulation * _heat(operator, problem, level, k) * gain
         old, new = faded, operator.poles * new + operator.gains * drive[:, None, :, None]
         T = T_free[..., k] + old.sum(axis=(1, 2)) + new.sum(axis=(2, 3))
-        levels[:, :, k], before = level, level
+        levels[:, :, k] = level
         course.append(T)
     return _Followed(levels, np.stack(course, axis=2), old + new, scatter)
 
@@ -717,6 +713,12 @@ class _LoopTables:
             *(filled([getattr(one, of) for one in maps]) for of in ("shuts_C", "opens")),
         )
         self._per_u, self._per_drive = _per_u(problem), np.ascontiguousarray(operator.gains.sum(axis=2))
+        T_now_C = problem.features[:, 0, ZONE] + problem.forced_state_K.sum(axis=(1, 2))
+        self.before = _behind_now(
+            np.zeros(len(operator.home)) if problem.last_u is None else problem.last_u,
+            loops,
+            {a: float(T_now_C[operator.home[a]]) for a in loops},
+        )
 
     def settle(
         self,
@@ -732,9 +734,9 @@ class _LoopTables:
     ) -> None:
         """Set what loops answer in step `k` in `level` (S, A), and add to `scatter` (S,), see `_Followed`.
 
-        `values`: commands of the parts of the step (S or 1, n) by actuator; `before` (S, A): the last levels; `z` (S,):
-        see `LoopMap.level`; `T_C`, `at_rest_C` (S, Z): zones now, and at the end without heat in this step; `factor`
-        (S, A): drive per unit of heat.
+        `values`: commands of the parts of the step (S or 1, n) by actuator; `before` (S, A): x of the last step, see
+        `LoopMap`, which becomes that of this one; `z` (S,): see `LoopMap.level`; `T_C`, `at_rest_C` (S, Z): zones now,
+        and at the end without heat in this step; `factor` (S, A): drive per unit of heat.
         """
         S = len(level)
         asked = np.stack(
@@ -743,12 +745,31 @@ class _LoopTables:
                 for a, loop in self.loops.items()
             ]
         )
-        arrays = (before, z, T_C, at_rest_C, np.broadcast_to(factor, level.shape))
+        arrays = (z, T_C, at_rest_C, np.broadcast_to(factor, level.shape))
         numbers = [np.ascontiguousarray(one, dtype=np.float64) for one in (asked, *arrays)]
-        _settle(level, scatter, *numbers, self._heat[k], self._per_drive, self._per_u, *self._of_loop)
+        _settle(level, scatter, before, *numbers, self._heat[k], self._per_drive, self._per_u, *self._of_loop)
         for a, loop in self.loops.items():
             if loop.off:
                 level[:, a] *= loop.is_on(values[a])
+
+
+def _behind_now(last_u: Array, loops: Mapping[int, CommandedLoop], T_C: Mapping[int, float]) -> Array:
+    """x of the last step (A,), see `LoopMap`, by its levels `last_u` (A,) and rooms at `T_C`, °C, by actuator.
+
+    Of levels that are made of water, the most open valve of a command shows what the water is of what the usual command
+    brings; where none is open, it is that.
+    """
+    out = last_u.copy()
+    shown: dict[str | int, float] = {}
+    of_water = {a: one for a, one in loops.items() if one.learned.loop.of_water}
+    usual = {a: one.learned.loop.at_rest(one.usual[0], T_C[a], one.T_out_C[0]) for a, one in of_water.items()}
+    for a, one in of_water.items():
+        share = float(last_u[a]) / max(float(usual[a]), _SHUT)
+        shown[one.learned.machine or a] = max(share, shown.get(one.learned.machine or a, 0.0))
+    for a, one in of_water.items():
+        share = shown[one.learned.machine or a]
+        out[a] = np.clip(usual[a] * (share if share > _SHUT else 1.0), 0.0, 1.0)
+    return out
 
 
 @njit(cache=True)
@@ -770,7 +791,7 @@ def _between(x: float, count: int, knots: np.ndarray, values: np.ndarray) -> flo
 
 @njit(cache=True)
 def _settle(
-    level: np.ndarray, scatter: np.ndarray, asked: np.ndarray, before: np.ndarray, z: np.ndarray, T_C: np.ndarray,
+    level: np.ndarray, scatter: np.ndarray, before: np.ndarray, asked: np.ndarray, z: np.ndarray, T_C: np.ndarray,
     at_rest_C: np.ndarray, factor: np.ndarray, heat: np.ndarray, per_drive: np.ndarray, per_u: np.ndarray,
     acts: np.ndarray, homes: np.ndarray, zone: np.ndarray, carry: np.ndarray, count: np.ndarray, knots: np.ndarray,
     levels: np.ndarray, uncertain: np.ndarray, spread: np.ndarray, shut_count: np.ndarray, shuts_C: np.ndarray,
@@ -779,11 +800,11 @@ def _settle(
     """Levels and temperatures of a step that agree, house by house: half way to what the loops answer, again and again.
 
     `asked` (L, S, n): s of the commands but for the room; `heat` (V, A): of levels from 0 to 1; the others as in
-    `_LoopTables`. Writes `level` (S, A) and adds to `scatter` (S,).
+    `_LoopTables`. Writes `level` and `before` (S, A) and adds to `scatter` (S,).
     """
     S, A = level.shape
     Z, n, last = T_C.shape[1], asked.shape[2], heat.shape[0] - 1
-    T_end, moved = np.empty(Z), np.empty(A)
+    T_end, moved, x_mean = np.empty(Z), np.empty(A), np.empty(A)
     for s in range(S):
         for i in range(acts.size):
             level[s, acts[i]] = before[s, acts[i]]
@@ -799,15 +820,16 @@ def _settle(
             worst = 0.0
             for i in range(acts.size):
                 a, home = acts[i], homes[i]
-                mean = 0.0
+                mean = x_mean[i] = 0.0
                 for part in range(n):
                     room = T_C[s, home] + (part + 0.5) / n * (T_end[home] - T_C[s, home])
                     x = asked[i, s, part] - zone[i] * room
                     up = _between(x, count[i], knots[i], levels[i])
                     if z[s] != 0.0:
                         up += z[s] * _between(x, count[i], knots[i], uncertain[i])
-                    up *= _between(room, shut_count[i], shuts_C[i], opens[i])
-                    mean += min(max(carry[i] * before[s, a] + up, 0.0), 1.0) / n
+                    behind = min(max(carry[i] * before[s, a] + up, 0.0), 1.0)
+                    x_mean[i] += behind / n
+                    mean += _between(room, shut_count[i], shuts_C[i], opens[i]) * behind / n
                 moved[i] = 0.5 * (level[s, a] + mean)
                 worst = max(worst, abs(moved[i] - level[s, a]))
             if worst < _CLOSE:
@@ -815,7 +837,7 @@ def _settle(
             for i in range(acts.size):
                 level[s, acts[i]] = moved[i]
         for i in range(acts.size):
-            home = homes[i]
+            home, before[s, acts[i]] = homes[i], x_mean[i]
             for part in range(n):
                 room = T_C[s, home] + (part + 0.5) / n * (T_end[home] - T_C[s, home])
                 x = asked[i, s, part] - zone[i] * room

@@ -194,6 +194,27 @@ def test_states_of_a_contact_have_an_effect_of_their_own_each():
     assert [float(loop.level(s, 21.0, 3.0, 0.4)) for s in (1.0, 2.0, 3.0)] == pytest.approx([0.0, 0.4, 0.5], abs=0.03)
 
 
+def test_water_of_a_blocked_machine_goes_on_to_heat_though_thermostats_scatter_the_level():
+    """Of ordinary days' levels any memory is as good as another; of trial days' water it is told."""
+    rng = np.random.default_rng(7)
+    state = np.full(N + 1, 2.0)
+    state[-72:] = np.repeat(rng.choice([1.0, 2.0], 36), 2)
+    T, out = 21.0 + 0.3 * rng.standard_normal(N + 1), 3.0 + 2.0 * rng.standard_normal(N + 1)
+    over_K = np.full(N, 16.0)
+    for k in range(1, N):
+        over_K[k] = 0.5 * over_K[k - 1] + (0.0 if state[k] == 1.0 else 8.0)
+    over_K += 0.3 * rng.standard_normal(N)
+    u = np.clip(rng.choice([0.0, 0.5, 1.0], N) * over_K / 20.0, 0.0, 1.0)
+    command = SGReady(kind="sg_ready", column="x")
+    was = CommandRecord(state, state[:-1], over_K=over_K)
+    loop = learn_command(command, was, T, out, u, HOURS, "SG-Ready", may_be_untold=True).loop
+    before, room = 0.8, (21.0, 3.0)
+    for left in (0.4, 0.2):
+        level = float(loop.level(1.0, *room, before))
+        assert level / float(loop.opened(21.0)) == pytest.approx(left, abs=0.08)
+        before = level / float(loop.opened(21.0))
+
+
 def test_the_usual_command_is_that_of_the_same_time_of_the_week():
     found = learned(p_band)
     later = (30 * 24 + np.arange(24)) * HOUR_S

@@ -1,17 +1,18 @@
 """What a building's own loop makes of a command: the level that it answers with, learned from a record.
 
-    u_k = clip(c u_{k−1} + o(T_zone,k) g(s_k), 0, 1),   s_k = e(command_k) − w_zone T_zone,k − w_out T_out,k
+    u_k = o(T_zone,k) x_k,   x_k = clip(c x_{k−1} + g(s_k), 0, 1)
+    s_k = e(command_k) − w_zone T_zone,k − w_out T_out,k
 
 g and e do not fall, o is not negative, c lies in [0, 1] and the weights are not negative: more of a command is never
 less heat, in the same step and in all later ones, whatever was learned. A valve with a P band and a thermostat have
 c = 0 (g is the valve's line, or the share of a step that the thermostat is on); the integral part of a PI controller is
 c near 1. What the loop does within a step, and what else moves it, is `spread`.
 
-Where what the water is above the room is logged, a level is an open valve times that: g is then what the water gives
-with the valve open, and o how far the room's own thermostat opens it, which falls with the room's temperature.
-Elsewhere o is 1. As one sum, a thermostat that shuts some hours was taken for water that gives 0.4 of a level less per
-kelvin of the room (true 0.1), so that what an offset brings was soon undone (`bench commands`, houses 9503 and 9508,
-2026-11-28).
+Where what the water is above the room is logged, a level is an open valve times that: x is then what the water gives
+with the valve open, which it goes on to while its machine is off, and o how far the room's own thermostat opens it,
+which falls with the room's temperature. Elsewhere o is 1, and x the level. As one sum, a thermostat that shuts some
+hours was taken for water that gives 0.4 of a level less per kelvin of the room (true 0.1), so that what an offset
+brings was soon undone (`bench commands`, houses 9503 and 9508, 2026-11-28).
 """
 
 from __future__ import annotations
@@ -103,13 +104,30 @@ class LoopMap:
         before: float | Array,
         z: float | Array = 0.0,
     ) -> Array:
-        """Mean level of a step with the command `value`, mean temperatures, °C, and the level `before`; of one shape.
+        """Mean level of a step with the command `value`, mean temperatures, °C, and x `before`; of one shape.
 
         `z`: how many standard errors the loop lies above what was learned.
         """
+        return np.asarray(self.opened(T_zone_C) * self.behind(value, T_zone_C, T_out_C, before, z))
+
+    def behind(
+        self,
+        value: float | Array,
+        T_zone_C: float | Array,
+        T_out_C: float | Array,
+        before: float | Array,
+        z: float | Array = 0.0,
+    ) -> Array:
+        """x of a step, as `level`."""
         s = self.index(value, T_zone_C, T_out_C)
         moved = np.interp(s, self.knots, self.levels) + z * np.interp(s, self.knots, self.uncertain)
-        return np.clip(self.carry * np.asarray(before) + self.opened(T_zone_C) * moved, 0.0, 1.0)
+        return np.clip(self.carry * np.asarray(before) + moved, 0.0, 1.0)
+
+    def at_rest(self, value: float | Array, T_zone_C: float | Array, T_out_C: float | Array) -> Array:
+        """x that a command comes to where it is held, as `level`."""
+        return np.asarray(self.behind(value, T_zone_C, T_out_C, 0.0) / max(1.0 - self.carry, _LEAST_LEFT)).clip(
+            0.0, 1.0
+        )
 
     def opened(self, T_zone_C: float | Array) -> Array:
         """o of rooms at these temperatures, °C."""
@@ -289,12 +307,19 @@ def _learn_loop(command: Command, seen: _Signals, step_s: float, time_s: Array, 
     day = np.floor(time_s[:-1] / DAY_S).astype(np.intp)
     rows = np.flatnonzero(follows)
     candidates = [_fit(command, rows, seen, carry) for carry in _CARRIES]
-    errors = [u[rows] - _followed(loop, rows, seen, measured)[rows] for loop in candidates]
-    rmse = [float(np.sqrt(np.mean(error**2))) for error in errors]
+    groups = _alike_days(value[rows], day[rows])
+    water = None if command.of_zone == -1.0 else _by_water(seen, rows)
+    behind, told = (u, rows) if water is None else (water.level, np.intersect1d(water.rows, rows))
+    if water is not None:  # what of it stays, the days tell in which the command moves it
+        others = told[np.isin(day[told], groups[-1])]
+        told = others if others.size >= _LEAST_OPEN else told
+    courses = [_followed(loop, rows, seen, measured, behind) for loop in candidates]
+    rmse = [float(np.sqrt(np.mean((behind - course)[told] ** 2))) for course in courses]
     chosen = next(i for i, one in enumerate(rmse) if one <= _AS_GOOD * min(rmse))
-    loop, error = candidates[chosen], errors[chosen]
+    loop = candidates[chosen]
+    error = u[rows] - (loop.opened(seen.T_zone_C) * courses[chosen])[rows]
     r2 = _explained(u[rows], error, np.floor(time_s[rows] / _COMPARED_S + 1e-6))
-    rng, groups = np.random.default_rng(_SEED), _alike_days(value[rows], day[rows])
+    rng = np.random.default_rng(_SEED)
     again = []
     for _ in range(_DRAWS):
         some = np.concatenate([rng.choice(days, days.size) for days in groups])
@@ -304,8 +329,8 @@ def _learn_loop(command: Command, seen: _Signals, step_s: float, time_s: Array, 
     uncertain = np.std([_at(one, loop) for one in drawn], axis=0)
     untold = _untold(command, loop, drawn, value[rows], seen.T_zone_C[rows], seen.T_out_C[rows], r2, where)
     spread = _by_bins(s, error**2, loop.knots) ** 0.5
-    loop = replace(loop, spread=spread, uncertain=uncertain, rmse=rmse[chosen], r2=r2, days=hours * HOUR_S / DAY_S)
-    loop = replace(loop, of_water=seen.over_K is not None)
+    seen_for = {"rmse": float(np.sqrt(np.mean(error**2))), "days": hours * HOUR_S / DAY_S}
+    loop = replace(loop, spread=spread, uncertain=uncertain, r2=r2, of_water=seen.over_K is not None, **seen_for)
     return loop, untold
 
 
@@ -440,16 +465,18 @@ def _bins(s: Array) -> list[NDArray[np.intp]]:
     return parts
 
 
-def _followed(loop: LoopMap, rows: NDArray[np.intp], seen: _Signals, measured: NDArray[np.bool_]) -> Array:
-    """Levels (n,) that follow from the commands alone, from each gap and each beginning on."""
-    s, u = loop.index(seen.value, seen.T_zone_C, seen.T_out_C), seen.u
-    moved = loop.opened(seen.T_zone_C) * np.interp(s, loop.knots, loop.levels)
-    out = np.where(measured, u, np.nan)
+def _followed(
+    loop: LoopMap, rows: NDArray[np.intp], seen: _Signals, measured: NDArray[np.bool_], behind: Array
+) -> Array:
+    """x (n,) that follows from the commands alone, from each gap and each beginning on, where it is `behind` (n,)."""
+    moved = np.interp(loop.index(seen.value, seen.T_zone_C, seen.T_out_C), loop.knots, loop.levels)
+    out = np.where(measured, behind, np.nan)
     if loop.carry == 0.0:
         out[rows] = np.clip(moved[rows], 0.0, 1.0)
         return out
     for k in rows:
-        out[k] = min(max(loop.carry * out[k - 1] + moved[k], 0.0), 1.0)
+        before = 0.0 if np.isnan(out[k - 1]) else out[k - 1]
+        out[k] = min(max(loop.carry * before + moved[k], 0.0), 1.0)
     return out
 
 

@@ -120,6 +120,26 @@ def test_while_a_machine_is_off_rooms_draw_on_its_water_where_levels_are_made_of
     assert (u > 0.05).all() if of_water else (u == 0.0).all()
 
 
+def test_the_water_of_a_room_that_is_shut_is_that_of_the_others(home, parts):
+    """A level of nought is its valve; water that stays warm for hours is there when it opens."""
+    _, boundary, problem, mpc = parts
+    measured = read_measurements(home.measurements(), RULES, step_s=HOUR_S).served()
+    learned = {}
+    for a, one in enumerate(learned_commands(measured).values()):
+        slow = replace(one.loop, carry=0.6, levels=0.4 * one.loop.levels)
+        learned[a] = replace(one, loop=slow)
+    commands = BuildingCommands(measured.layout, learned, curve_model(home).cards, {})
+
+    def first_u(last_u):
+        begun = replace(problem, last_u=np.array(last_u))
+        plan = commands.begin(mpc.planning_operator, begun, boundary, [], None).without
+        return plan.realise(np.zeros((2, problem.n_steps)), STATES, mpc.evaluator).u[:, 0]
+
+    usual = first_u((0.0, 0.0))
+    np.testing.assert_allclose(first_u((usual[LIVING], 0.0)), usual, rtol=0.15)
+    assert (first_u((0.3 * usual[LIVING], 0.0)) < 0.75 * usual).all(), "after a block"
+
+
 def test_of_actuators_that_exclude_each_other_none_must_act(parts):
     free = begun(parts).within_reach(None)
     assert (free.least_u > 0.01).any(axis=1).all(), "water comes at the lowest offset too"
@@ -189,15 +209,17 @@ def test_energy_lies_between_the_law_of_power_and_what_the_rooms_ask_for(parts):
 
 def test_rooms_are_next_to_never_colder_than_left_alone_for_what_that_saves(parts):
     """Where an hour's heat is dear and discomfort counts little: counted once, 0.25 K·h were worth what they saved."""
-    problem, evaluator = parts[2], parts[3].evaluator
+    commands, boundary, problem, mpc = parts
     dear = {"price_per_kWh": np.where(np.arange(problem.n_steps) % 8 < 4, 0.1, 2.0)[None]}
-    usual_u = begun(parts, **dear).without.realise(np.zeros((2, problem.n_steps)), STATES, evaluator).u
+    usual_u = begun(parts, **dear).without.realise(np.zeros((2, problem.n_steps)), STATES, mpc.evaluator).u
     alone_C = brought(parts, usual_u)
-    weights = replace(problem.weights, comfort=0.4)
-    plan = begun(parts, **dear, lower_C=alone_C, upper_C=alone_C + 3.0, weights=weights)
-    commanded = plan.realise(np.zeros((2, problem.n_steps)), STATES, evaluator)
+    dear |= {"lower_C": alone_C, "upper_C": alone_C + 3.0, "weights": replace(problem.weights, comfort=0.4)}
+    at_ends_C = np.column_stack([alone_C[:, :1], alone_C])
+    asked = replace(boundary, lower_C=at_ends_C, upper_C=at_ends_C + 3.0)
+    plan = commands.begin(mpc.planning_operator, replace(problem, **dear), asked, [], None)
+    commanded = plan.realise(np.zeros((2, problem.n_steps)), STATES, mpc.evaluator)
     assert np.maximum(alone_C - brought(parts, commanded.u), 0.0).sum() < 0.05
-    assert plan.saving(commanded, evaluator, 0.0).gain > 0.0
+    assert plan.saving(commanded, mpc.evaluator, 0.0).gain > 0.0
 
 
 def test_the_less_is_known_the_less_is_promised(parts):
