@@ -113,6 +113,7 @@ def test_blas_computes_on_one_thread_unless_told_otherwise(given, taken):
     assert done.stdout.splitlines()[-1] == taken
 
 
+@pytest.mark.slow
 def test_a_folder_in_which_nobody_may_look_is_one_message_with_its_path(tmp_path):
     """Path.exists raises there, in any command that looks for a file (root, as in CI, may look anywhere)."""
     code = (
@@ -127,6 +128,7 @@ def test_a_folder_in_which_nobody_may_look_is_one_message_with_its_path(tmp_path
     assert done.stderr == "Error: closed.csv: Permission denied: ask its owner for the right to it, or name another\n"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here, which is a full disk")
 @pytest.mark.parametrize("words", [["schema", "map"], ["testcases"], ["--help"]])
 def test_what_is_printed_to_a_full_disk_is_one_message_and_exit_code_6(words):

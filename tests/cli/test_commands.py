@@ -88,6 +88,7 @@ def test_levels_are_not_written_over_what_is_read(tmp_path, monkeypatch, levels)
         build_connection("files", {"measurements": "h*.csv", "levels": levels})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [

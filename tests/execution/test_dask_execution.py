@@ -65,6 +65,7 @@ def stored(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_costs_no_result(engine, tmp_path):
     """The same bytes as local processes give undisturbed, each task done once."""
     local, dask = JsonResults(tmp_path / "local"), JsonResults(tmp_path / "dask")
@@ -85,6 +86,7 @@ def test_a_worker_that_is_killed_costs_no_result(engine, tmp_path):
     assert all(o.attempts == 0 for o in execute(tasks(tmp_path, functions.die), engine, dask))
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_lost_is_mentioned_while_others_work(dask_cluster, engine, tmp_path):
     said: list[str] = []
     with DaskEngine(dask_cluster, patience=Patience(look_s=0.2), say=said.append) as telling:

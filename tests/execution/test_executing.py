@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping
 
 import executed_tasks as functions
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -57,6 +58,7 @@ def graphs(draw):
     return [draw(st.sets(st.integers(0, i - 1), max_size=3)) if i else set() for i in range(n)]
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(graphs(), st.integers(1, 4), st.integers(0, 99), st.data())
 def test_every_task_ends_once_after_its_needs(needs, width, seed, data):

@@ -111,6 +111,7 @@ def test_results_are_kept_as_they_come_and_nothing_is_run_twice(engine, log, tmp
     assert sorted(functions.begun(log)) == ["0", "1", "2", "3", "3"]
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_costs_no_result(engine, log, tmp_path):
     """A task whose process is killed by SIGKILL half-way is begun again; the results are the same bytes."""
     calm, rough = JsonResults(tmp_path / "calm"), JsonResults(tmp_path / "rough")
@@ -129,6 +130,7 @@ def test_a_process_killed_while_idle_costs_nothing(log):
     assert other != pid
 
 
+@pytest.mark.slow
 def test_a_poisoned_task_is_left_out_and_the_others_are_done(engine, log):
     bad = task(1, log, functions.die)
     tasks = [bad, *(task(n, log) for n in (2, 3, 4)), task(5, log, needs=(bad,))]
@@ -175,6 +177,7 @@ def functions_payload(log: Path) -> bytes:
     return payload_of(functions.hold, {"n": 0, "log": str(log)}, ())
 
 
+@pytest.mark.slow
 def test_an_interrupt_while_a_task_is_handed_over_ends_its_worker(tmp_path, log, monkeypatch):
     def interrupted(key):
         wait_for("the task begins", lambda: "1" in functions.begun(log))

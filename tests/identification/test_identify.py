@@ -31,6 +31,7 @@ def test_three_days_of_one_run_tell_what_an_action_does():
     np.testing.assert_allclose(model.only.power(np.array([0.0, 1.0]), 5.0), [0, 3600], rtol=0.02)
 
 
+@pytest.mark.slow
 def test_blas_computes_on_one_thread_and_then_as_before():
     def threads(_=""):
         counts.append({one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"})
@@ -54,6 +55,7 @@ def test_without_priors_of_the_building_thirty_days_are_enough():
     assert rmse < 0.05 * effect
 
 
+@pytest.mark.slow
 def test_pairs_find_time_constants_and_gains():
     pairs = [make_pair(HOUSE, seed) for seed in range(6)]
     model = identify(pairs=pairs, config=LINEAR, floor_area_m2=190.0)
@@ -80,6 +82,7 @@ def test_by_itself_an_operator_has_three_modes():
     assert rmse < 0.05 * effect
 
 
+@pytest.mark.slow
 def test_feedback_does_not_turn_the_effect_around():
     """A thermostat heats when it is cold: the naive regression of eq:arx on all data sees little or nothing."""
     step_s, days = 900.0, 4.0
@@ -98,6 +101,7 @@ def test_feedback_does_not_turn_the_effect_around():
     assert rmse < 0.2 * effect
 
 
+@pytest.mark.slow
 def test_cooling_has_a_negative_effect():
     house = replace(HOUSE, sign=-1)
     model = identify([record(house, 3.0)], config=LINEAR, mode="cooling", floor_area_m2=190.0)
@@ -112,6 +116,7 @@ def test_the_wrong_sign_is_noticed():
         identify([record(HOUSE, 3.0, heat_measured=False)], config=LINEAR, mode="cooling")
 
 
+@pytest.mark.slow
 def test_u_itself_drives_where_heat_is_not_measured():
     model = identify([record(HOUSE, 3.0, heat_measured=False)], config=LINEAR)
     assert model.only.operator.heat_input.heat is None
@@ -133,6 +138,7 @@ def test_the_network_learns_what_the_linear_gain_cannot():
     assert certificate(results["auto"].only.operator).certified
 
 
+@pytest.mark.slow
 def test_order_one_on_u_is_the_papers_operator():
     model = identify([record(HOUSE, 3.0)], config=IdentificationConfig(order=1, heat_input="identity", epochs=20))
     assert model.only.operator.n_trained == 195
@@ -140,6 +146,7 @@ def test_order_one_on_u_is_the_papers_operator():
     assert model.only.operator.gamma == 0.75
 
 
+@pytest.mark.slow
 def test_step_of_the_model_is_the_one_asked_for():
     model = identify([record(HOUSE, 2.0)], config=LINEAR, step_s=3600.0)
     assert model.only.operator.step_s == 3600.0
@@ -147,6 +154,7 @@ def test_step_of_the_model_is_the_one_asked_for():
     assert model.only.free.step_s == 3600.0
 
 
+@pytest.mark.slow
 def test_silent_sensor_in_between_is_left_out():
     history = record(HOUSE, 3.0, noise_K=0.01)
     T = np.array(history.T_zone_C[0])
@@ -165,6 +173,7 @@ def test_same_data_same_bytes(tmp_path):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
 
+@pytest.mark.slow
 def test_runs_and_pairs_go_together():
     model = identify([record(HOUSE, 2.0, 3600.0)], [make_pair(HOUSE, 4)], config=LINEAR, floor_area_m2=190.0)
     assert len(model.only.card.data) == 3
@@ -243,6 +252,7 @@ def test_gaps_of_a_record_are_bridged_or_left_out_and_the_card_says_so(gaps, sai
     assert any(re.match(said, note) for note in model.only.card.notes), model.only.card.notes
 
 
+@pytest.mark.slow
 def test_the_weather_of_pairs_is_bridged_and_their_unknown_levels_are_refused():
     pairs = [make_pair(HOUSE, seed) for seed in range(3)]
     holed = [Pair(*(_holed(h, "T_out_C") for h in (p.a, p.b)), label=p.label) for p in pairs]
@@ -256,6 +266,7 @@ def _holed(history: Record, signal: str) -> Record:
     return replace(history, **{signal: _at(9, np.nan)(np.array(getattr(history, signal)))})
 
 
+@pytest.mark.slow
 def test_one_absurd_reading_of_each_signal_is_not_believed():
     history, absurd = record(HOUSE, 4.0, noise_K=0.01), {"heat_W": 1e7, "power_W": 1e9, "T_zone_C": 85.0, "u": 1.4}
     for place, (signal, value) in zip((80, 160, 240, 320), absurd.items(), strict=True):
@@ -315,6 +326,7 @@ def test_options_are_checked(options, words):
         validate(IdentificationConfig, options, "options")
 
 
+@pytest.mark.slow
 def test_the_operator_has_the_modes_that_were_asked_for():
     assert [IdentificationConfig(order=order).modes for order in ("auto", 1, 2, 3)] == [3, 1, 2, 3]
     assert IdentificationConfig(method="two_stage").modes == 1
@@ -322,6 +334,7 @@ def test_the_operator_has_the_modes_that_were_asked_for():
     assert model.only.operator.order == 2
 
 
+@pytest.mark.slow
 def test_features_of_the_total_temperature_are_certified_or_refused():
     house = replace(HOUSE, slope_per_K=0.06, machine_W=(0.0, 10000.0))
     pairs = [make_pair(house, seed) for seed in range(4)]
@@ -342,6 +355,7 @@ def replace_config(config: IdentificationConfig, **changes) -> IdentificationCon
     return config.model_copy(update=changes)
 
 
+@pytest.mark.slow
 def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
     """Training does not usually end there, so the network is swapped for one that does."""
     from thermoforce_mpc.identification import modulation

@@ -25,7 +25,7 @@ def test_pairs_of_other_days_are_predicted(pairs):
     testing = [p for p in pairs if days.index(p.start_day) % 2 == 1]
     config = IdentificationConfig(modulation="linear", sun_on_sensor=False)
     selected = identify(pairs=training, config=config, floor_area_m2=AREA_M2)
-    first = identify(pairs=training, config=IdentificationConfig(modulation="linear", order=1), floor_area_m2=AREA_M2)
+    first = identify(pairs=training, config=config.model_copy(update={"order": 1}), floor_area_m2=AREA_M2)
     scores = score_pairs(selected.only.operator, testing)
     assert selected.only.operator.order == 3
     assert scores.rmse_K <= 0.035

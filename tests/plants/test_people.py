@@ -79,6 +79,7 @@ def test_blinds_close_in_bright_sun_only():
     assert (dark.sun == 1.0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLANTS)
 def test_people_change_the_building_and_nobody_announces_them(name):
     usual, lively = PLANTS[name](None), PLANTS[name](7)

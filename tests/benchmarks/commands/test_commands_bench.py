@@ -17,6 +17,7 @@ def test_heat_that_is_missing_or_left_counts_as_what_it_costs_later():
     assert own.saved_by(colder) == pytest.approx(0.05)
 
 
+@pytest.mark.slow
 def test_what_a_plan_saves_is_lived_through_without_moving_the_house():
     home = Home(17, "set-points")
     home.plant.reset(36 * DAY_S, DAY_S)

@@ -169,6 +169,7 @@ def test_weeks_that_got_worse_than_in_an_earlier_result_are_told(tmp_path, monke
     assert "revision" in result["environment"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("asleep_until_h", "seed", "hours"), [(0.0, 1, set()), (5.0, 2, {0, 1, 2, 3, 4})], ids=["awake", "asleep"]
 )

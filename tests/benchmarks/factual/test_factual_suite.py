@@ -94,6 +94,7 @@ def test_without_an_effect_thermoforce_is_the_raw_forecast(run: tuple[list[Score
     assert "fan_C" not in idle.window
 
 
+@pytest.mark.slow
 def test_scores_are_kept_and_computed_anew_for_other_data(
     homes: list[Home], run: tuple[list[Scores], Path], engine: Here
 ) -> None:
@@ -131,6 +132,7 @@ def _nothing(task: tuple) -> Scores:
     return Scores(task[0].home.name, "made", {RAW: zero, BEST: zero})
 
 
+@pytest.mark.slow
 def test_nothing_is_chosen_on_the_test_part(
     homes: list[Home], run: tuple[list[Scores], Path], engine: Here, tmp_path: Path
 ) -> None:

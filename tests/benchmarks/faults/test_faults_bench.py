@@ -43,6 +43,7 @@ def test_an_unnoticed_fault_misses_its_target_only_where_it_has_consequences():
     assert not holds, "a false alarm before the fault"
 
 
+@pytest.mark.slow
 def test_errors_of_predictions_six_hours_ahead_are_recorded():
     def warmer(house: FaultyHouse, hours: float) -> float:
         """0.05 K per hour more from the second day on."""

@@ -57,6 +57,7 @@ def test_short_records_are_left_out_and_weather_errors_where_steps_are_no_hours(
     assert {row["weather"] for row in share_rows([source(16, HOUR_S / 2)], methods, 3)} == {"perfect"}
 
 
+@pytest.mark.slow
 def test_houses_with_people_are_the_same_houses_in_the_same_weather():
     usual, lively = house_sources(houses=1), house_sources(people=7, houses=1)
     assert [one.group for one in (*usual, *lively)] == ["houses"] * 2 + ["houses, people"] * 2

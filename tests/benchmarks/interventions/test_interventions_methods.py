@@ -85,6 +85,7 @@ def test_ours_find_the_effect_with_its_sign_and_without_violations(climate, trai
         assert sum(c.violations for c in cells) == 0
 
 
+@pytest.mark.slow
 def test_two_states_find_the_time_constants_and_gains_of_the_zone(training):
     found = build_thermoforce(training, FREE, orders=(2,), modulation="linear").model.only.operator
     assert found.time_constants_h == pytest.approx([1.2, 20.0], rel=0.15)
@@ -132,6 +133,7 @@ def test_a_curve_is_found_where_there_is_one(training):
     assert predictor.model.only.operator.steady_gains_K == pytest.approx(GAINS_K, rel=0.1)
 
 
+@pytest.mark.slow
 def test_choosing_by_effects_alone_is_choosing_by_the_whole_prediction(climate, training):
     model = build_thermoforce(training, FREE, orders=(2,), modulation="linear").model
     alone, whole = LinearEffect(model, "", 0.8), SuperpositionPredictor(model, FREE, "", 0.8)

@@ -199,6 +199,7 @@ def test_a_plan_is_a_table_a_file_and_a_picture(folder, model):
     assert [found["rows"][k]["time"] for k in (0, -1)] == ["2025-01-24T00:00:00+01:00", "2025-01-24T05:30:00+01:00"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "message"),
     [

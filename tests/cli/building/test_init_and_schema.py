@@ -31,6 +31,7 @@ def wrong(kind: str, text: str) -> list[str]:
     return [".".join(map(str, error.absolute_path)) for error in SCHEMAS[kind].iter_errors(parse_value(text, kind))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_schemas_that_ship_are_those_of_the_models(kind):
     path = configs_folder() / "schema" / f"{kind}.json"
@@ -80,6 +81,7 @@ def test_schema_command(tmp_path):
     assert "did you mean 'scenario'" in str(tf_mpc("schema", "scenarios").exception)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "testcase", [*named_configs("testcases"), "energyplus:heating_chicago", "house:3rooms", "office:3rooms"]
 )

@@ -22,6 +22,7 @@ def told(*words, env=None):
     return CliRunner().invoke(cli, list(map(str, words)), env=env)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", HOMES)
 def test_its_files_are_valid_and_never_overwritten(kind, tmp_path):
     folder = tmp_path / kind
@@ -37,6 +38,7 @@ def test_its_files_are_valid_and_never_overwritten(kind, tmp_path):
         assert max(map(len, path.read_text().splitlines())) <= 120
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [kind for kind in HOMES if kind != "boptest"])
 @pytest.mark.parametrize("proposed", [False, True])
 def test_the_schema_that_a_map_names_is_there(kind, proposed, tmp_path, monkeypatch):

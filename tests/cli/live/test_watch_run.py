@@ -89,6 +89,7 @@ def test_cost_energy_and_discomfort_so_far_are_those_of_the_plant(single):
     assert len(view.past) == 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lacking", [("price_per_kWh", "heating_price_per_kWh"), ("lower_C",)])
 def test_what_a_forecast_does_not_say_counts_as_in_the_run(tmp_path, lacking):
     def says(house, boundary):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+import pytest
 from faults import FaultyHouse
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
@@ -77,6 +78,7 @@ def missing_K(steps, day: int) -> float:
     return 21.0 - T_C
 
 
+@pytest.mark.slow
 def test_an_evening_in_which_a_schedule_blows_cold_is_planned_around_from_the_third_on():
     steps = cold_at_seven()
     assert missing_K(steps, 11) > 0.5, "nobody knew"
@@ -88,6 +90,7 @@ def test_an_evening_in_which_a_schedule_blows_cold_is_planned_around_from_the_th
     assert missing_K(cold_at_seven(watch={"blocked_hours": False}), 12) > 0.5
 
 
+@pytest.mark.slow
 def test_what_a_record_told_of_an_evening_keeps_the_first_one():
     told = [(day * DAY_S + 20 * HOUR_S, -2.0, 0.4, 0.2) for day in (3.0, 4.0)]
     steps = cold_at_seven(hours=tuple(told))

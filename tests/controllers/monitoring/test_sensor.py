@@ -147,6 +147,7 @@ def test_a_sensor_that_was_moved_for_good_is_believed_again_after_a_day():
     assert set(found[FROM_H + 27 :]) == {PlanStatus.SOLVED}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("silent", [True, False])
 def test_a_sensor_is_the_business_of_its_own_zone_and_its_options_are_its_own(silent):
     fault = (lambda T, last: np.nan) if silent else (lambda T, last: 40.0)

@@ -101,6 +101,7 @@ def test_it_is_found_in_the_night_after_it_shone_and_taken_off(sunlit, found_at_
     assert below > 1.0
 
 
+@pytest.mark.slow
 def test_what_later_days_contradict_is_taken_off_no_longer(shaded, found_at_night):
     controller, found = _controller(), found_at_night()[-1].state.sun
     state = _planned(controller, shaded.slice(0, shaded.n_steps - DAY), None).state

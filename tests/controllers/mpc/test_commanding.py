@@ -56,6 +56,7 @@ def brought(parts, u):
     return problem.T_free_C + mpc.evaluator.brings(problem, u).forced_K
 
 
+@pytest.mark.slow
 def test_what_is_left_alone_has_its_usual_levels_and_its_zone_is_asked_no_more(parts):
     """The other one, which follows the plan, is asked for its comfort though left alone it would miss it."""
     problem, left = parts[2], begun(parts, [LIVING])

@@ -67,6 +67,7 @@ def test_plans_go_on_with_what_was_known_before(changed, says):
     assert result.kpis["cost_tot"] == pytest.approx(healthy.kpis["cost_tot"], rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["price_per_kWh", "lower_C", "T_out_C"])
 def test_what_was_never_known_is_not_invented(name):
     names = (name, "upper_C") if name == "lower_C" else (name, "heating_price_per_kWh")[: 1 + name.startswith("price")]

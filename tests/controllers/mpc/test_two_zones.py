@@ -73,6 +73,7 @@ def test_each_zone_follows_its_own_bound_as_if_it_were_alone():
         np.testing.assert_allclose(both.T_zone_C[z], alone.T_zone_C[0], atol=2e-3)
 
 
+@pytest.mark.slow
 def test_in_closed_loop_both_zones_are_warm_and_names_say_which_binds():
     result = run_closed_loop(TwoHouses(lower_K=1.0), mpc(), SimpleHouse().period("x"))
     assert {step.plan.acting for step in result.steps[24:]} == {(PlanStatus.SOLVED,) * 2}
@@ -241,6 +242,7 @@ def test_a_zone_without_a_reading_goes_to_native_control_and_the_other_follows_t
     assert plan.state.watch[other].tracks[0].pending
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_silent_for_a_whole_run_and_one_that_comes_back():
     def silent_until(until_s):
         return lambda house, seen: replace(seen, T_zone_C=np.nan) if house.now_s < until_s else seen

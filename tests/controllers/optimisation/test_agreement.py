@@ -114,6 +114,7 @@ def test_milp_refuses_a_quadratic_term_that_it_would_leave_out():
         MilpSolver(operator, replace(shape, terms=(smooth,)), EXACT)
 
 
+@pytest.mark.slow
 def test_from_any_start_sqp_ends_in_ipopts_optimum_or_near_it_where_the_gain_sees_much():
     """There may be several local optima: of 300 random starts three ended above, by up to 1.4 %."""
     above, shown = [], []
@@ -132,6 +133,7 @@ def test_from_any_start_sqp_ends_in_ipopts_optimum_or_near_it_where_the_gain_see
     assert np.mean(np.array(above) < 1e-6) > 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CHOICES.values(), ids=CHOICES)
 def test_ipopts_choices_are_never_better_than_those_of_milp_and_seldom_much_worse(case):
     """Rounded and solved again: as cheap in nine of ten instances (of 540), else 1 % dearer, at worst 5 %."""
@@ -306,6 +308,7 @@ def rebuilt(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["everything", "feedback"])
 def test_the_next_process_loads_what_was_built_and_answers_the_same(name, first_process, monkeypatch):
     built = rebuilt(monkeypatch)
@@ -317,6 +320,7 @@ def test_the_next_process_loads_what_was_built_and_answers_the_same(name, first_
     assert len(built) == count, "it was loaded"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["check", "programme"])
 @pytest.mark.parametrize("damage", ["cut", "other", "edited"])
 def test_a_damaged_file_is_built_again(suffix, damage, first_process, monkeypatch):

@@ -91,6 +91,7 @@ def plan(found: Machine, rng: np.random.Generator, solver: str) -> tuple[Solutio
     return solution, problem.T_free_C[0] + brought.forced_K[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["ipopt", "qp"])
 @pytest.mark.parametrize("metered", [False, True], ids=["levels", "measured heat"])
 @pytest.mark.parametrize("actuation", ["duty", "modulating", "any level"])

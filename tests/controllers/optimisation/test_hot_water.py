@@ -62,6 +62,7 @@ def test_the_record_tells_what_the_tank_is(measured):
     assert tank.draws_K.sum(axis=1).mean() == pytest.approx(sum(DRAWN_K.values()), rel=0.15)
 
 
+@pytest.mark.slow
 def test_it_is_charged_outside_dear_hours_and_never_colder_than_is_wanted(home, measured):
     plan = planned(home, measured).hot_water
     dear = np.array([price(START + pd.Timedelta(hours=k)) for k in range(24)]) > 0.3
@@ -72,6 +73,7 @@ def test_it_is_charged_outside_dear_hours_and_never_colder_than_is_wanted(home, 
     assert (plan.low_C >= plan.lower_C - 0.1).all()
 
 
+@pytest.mark.slow
 def test_commands_are_of_the_map_and_keep_their_hold(home, measured):
     told = np.array(planned(home, measured).hot_water.command)
     assert ((told >= 35.0) & (told <= 56.0)).all()
@@ -164,6 +166,7 @@ def test_it_is_charged_with_what_would_be_fed_in_for_little(home, measured):
     assert plan.cost < 0.8 * plan.cost_alone
 
 
+@pytest.mark.slow
 def test_plan_says_prints_and_writes_what_to_set_at_the_tank(home, rows, tmp_path):
     simple_model().save(tmp_path / "model")
     rows.to_csv(tmp_path / "recent.csv", index=False)

@@ -45,6 +45,7 @@ def test_metered_power_is_below_the_cap_and_the_house_stays_warm():
     assert result.kpis["tdis_tot"] < 0.1
 
 
+@pytest.mark.slow
 def test_blocks_keep_to_the_peak_that_was_planned():
     house = SimpleHouse()
     result = run_closed_loop(house, mpc(peak_price_per_kW=1.0), house.period("x"))

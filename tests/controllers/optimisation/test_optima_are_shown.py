@@ -50,6 +50,7 @@ def but_discomfort(solution: Solution) -> float:
     return sum(map(abs, solution.evaluation.parts.values())) - solution.evaluation.parts["discomfort"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["one zone", "several", "peak", "signed", "stepped", "everything convex"])
 @pytest.mark.parametrize("weight", [1e-4, 1.0, 1e4, 1e6, 1e8])
 def test_an_optimum_is_one_whatever_comfort_weighs(name, weight):

@@ -205,6 +205,7 @@ def test_cooling_over_any_horizon_has_ipopts_optimum(n):
     piqp_alone_finds_ipopts_optimum(operator, problem)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("peak", [False, True])
 def test_wild_instances_are_solved_as_by_ipopt(peak):
     """Zones far outside the band, negative and free power, heat of yesterday, discomfort that costs nothing or all."""

@@ -54,6 +54,7 @@ def test_levels_cost_and_bring_what_numpy_says(case):
             is_numpys(found, problem, operator, u)
 
 
+@pytest.mark.slow
 @EACH
 def test_a_longer_step_is_its_control_steps_where_they_are_alike(case):
     """Energy, and temperatures at its end; what varies within it is taken as its mean."""
@@ -79,6 +80,7 @@ def test_a_longer_step_is_its_control_steps_where_they_are_alike(case):
             np.testing.assert_allclose(found.forced_K, fine.forced_K[:, ends], atol=1e-9)
 
 
+@pytest.mark.slow
 @EACH
 def test_levels_start_a_solver_with_all_variables_and_the_cost_of_the_check(case):
     """Every equation holds, every inequality and bound is kept, and the levels come back."""

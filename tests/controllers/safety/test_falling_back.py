@@ -129,6 +129,7 @@ def test_a_forecaster_may_raise_anything(error):
     assert np.isfinite(plan.T_zone_C).all()
 
 
+@pytest.mark.slow
 def test_a_forecast_that_is_absurd_for_good_costs_no_comfort():
     def absurd(n: int, found: FreeForecast) -> FreeForecast:
         return replace(found, quantiles_C=found.quantiles_C * 0.0 - 50.0 + found.levels[:, None])
@@ -173,6 +174,7 @@ def test_levels_of_a_solver_that_stopped_early_act_where_they_cost_no_more_than_
     assert plan.status is PlanStatus.THERMOSTAT
 
 
+@pytest.mark.slow
 def test_the_ladder_is_climbed_down_and_up_again_and_each_level_is_named():
     controller = mpc(changed=lambda n, found: raising(RuntimeError("broken")) if 10 <= n < 20 else found)
     house = SimpleHouse()

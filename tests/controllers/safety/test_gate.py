@@ -48,6 +48,7 @@ def test_the_rule_acts_where_the_user_names_it():
     assert {u for u, _ in house.applied} == {0.0, 1.0}
 
 
+@pytest.mark.slow
 def test_the_gate_costs_nothing_where_the_model_passes():
     runs = []
     for competence in (None, Competence(True, effect_K=9.0, effect_sd_K=0.0)):  # nothing is kept for an unsure effect
@@ -57,6 +58,7 @@ def test_the_gate_costs_nothing_where_the_model_passes():
     np.testing.assert_array_equal([s.u_applied for s in runs[0].samples], [s.u_applied for s in runs[1].samples])
 
 
+@pytest.mark.slow
 def test_a_model_that_was_identified_but_not_judged_does_not_act_unless_the_user_says_so():
     """Of an older file, say; a model that was given by hand is its author's affair."""
     model = judged(None)
@@ -69,6 +71,7 @@ def test_a_model_that_was_identified_but_not_judged_does_not_act_unless_the_user
         assert ("identify it again" in ours.steps[0].plan.why) == (held > 0)
 
 
+@pytest.mark.slow
 def test_the_gate_can_be_turned_off_and_is_in_the_papers_configuration():
     house = SimpleHouse()
     ours = run_closed_loop(house, mpc(CONDEMNED, gate={"enabled": False}), house.period("x"))

@@ -133,6 +133,7 @@ def test_power_that_is_flat_from_a_quarter_on_is_no_fixed_part_unless_temperatur
     assert not choose_actuation(ActuationConfig(), law, IDENTITY, pump).actuation.modulates
 
 
+@pytest.mark.slow
 def test_an_electric_heater_is_not_switched_for_an_estimate_below_what_it_can_be():
     # Errors of the record that look like 0.75 of the heat per level at part load.
     given = recorded(lambda u: np.where((u > 0) & (u < 1), 0.75 * u, u), levels((0.5, 0.25)), lambda u: 3000.0 * u)

@@ -67,6 +67,7 @@ def test_the_effect_of_a_heat_pump_is_found_from_operation():
     assert share[0] > share[1], "what is not known of the heat counts in the effect"
 
 
+@pytest.mark.slow
 def test_where_heat_is_known_nothing_is_estimated():
     house, run = operated(0.03)
     metered = replace(run, heat_W=house.heat_W(run.u[0], run.T_out_C[:-1])[None])
@@ -78,6 +79,7 @@ def test_where_heat_is_known_nothing_is_estimated():
     assert laws_of([], Layout.single(), 0, IDENTITY, CONFIG) == []
 
 
+@pytest.mark.slow
 def test_every_form_of_the_operator_has_the_same_heat(tmp_path):
     model = identify(operated(0.03)[1], config=CONFIG)
     model.save(tmp_path / "model")

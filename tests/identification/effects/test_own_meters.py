@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from houses import House, record
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout
@@ -23,6 +24,7 @@ def with_coil(run):
     return replace(run, power_W=run.power_W + coil_W, heat_W=run.heat_W + 2.0 * coil_W), coil_W
 
 
+@pytest.mark.slow
 def test_laws_are_those_of_the_machine_alone(tmp_path):
     linear = IdentificationConfig(modulation="linear", sun_on_sensor=False)
     alone = record(House())

@@ -158,6 +158,7 @@ def test_pairs_are_those_of_all_zones(row):
         Pair(history, history.part(0, [0], [0]))
 
 
+@pytest.mark.slow
 def test_pairs_in_which_one_actuator_acts_leave_the_other_unknown():
     pair = Pair(two_rooms(seeds=(3, 4)), two_rooms(seeds=(3, 9)))
     first, second = identify(pairs=[pair], config=LINEAR, layout=LAYOUT).cards

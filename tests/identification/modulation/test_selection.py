@@ -32,6 +32,7 @@ def counts(model):
     return model.operator.n_trained, model.operator.n_used, model.operator.n_effective
 
 
+@pytest.mark.slow
 def test_three_days_of_probing_give_the_level_and_the_network():
     """17 held-out hours and no clear gain from the network: it is kept all the same."""
     model = found(record(HOUSE, 3.0, u=SWITCHED, noise_K=0.01))
@@ -42,6 +43,7 @@ def test_three_days_of_probing_give_the_level_and_the_network():
     assert certificate(model.operator).certified
 
 
+@pytest.mark.slow
 def test_the_network_is_the_measured_heat_of_full_level_where_temperatures_say_nothing():
     """Also in weather that the record has not seen, and in the meter's units: a control step reads meters by it."""
     run = record(HOUSE, 3.0, u=SWITCHED, noise_K=0.01)
@@ -54,6 +56,7 @@ def test_the_network_is_the_measured_heat_of_full_level_where_temperatures_say_n
     np.testing.assert_allclose(heat_input.of_meter(0.5 * HOUSE.heat_W(1.0, T_out), T_out), 0.5, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_linear_trains_no_network():
     model = found(record(HOUSE, 3.0, u=SWITCHED), modulation="linear")
     assert counts(model) == (6, 6, 6)
@@ -61,6 +64,7 @@ def test_linear_trains_no_network():
     assert model.operator.constant_modulation == 1.0
 
 
+@pytest.mark.slow
 def test_runs_do_not_say_the_size_of_the_effect(monkeypatch):
     """Training that takes half of it away keeps its shape: over the record the gain is 1 in the mean."""
     trained = module.train
@@ -109,6 +113,7 @@ def test_a_network_that_is_significantly_worse_is_dropped_unless_it_is_always_ke
         assert model.operator.parameters_in_words == "199 trained parameters, 6 used: the network was not kept"
 
 
+@pytest.mark.slow
 def test_levels_that_are_held_keep_the_heat_map_under_the_network():
     """A plan that holds levels needs the heat at each, which v = u does not have."""
     model = found(record(HOUSE, 3.0, noise_K=0.01))
@@ -125,6 +130,7 @@ def test_without_a_meter_the_network_starts_at_one():
     assert start.constant_modulation == 1.0
 
 
+@pytest.mark.slow
 def test_a_circuit_on_a_heating_curve_has_the_heat_that_was_measured_in_any_weather():
     """A network that saw mild days knows little of the heat in the cold, and would ask neighbours for it."""
     house = House(slope_per_K=-0.04)

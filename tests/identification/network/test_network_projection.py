@@ -135,6 +135,7 @@ def through_layers(tau_h):
     return sum(share * -np.expm1(-RESPONSE_H / own) for share, own in zip(shares, tau_h, strict=True))
 
 
+@pytest.mark.slow
 def test_rounding_of_a_response_does_not_choose_its_modes():
     """What comes through layers suits several sets of modes about as well; the best is found, whatever the rounding."""
     rng = np.random.default_rng(290)

@@ -51,6 +51,7 @@ def test_a_room_in_steady_state_is_a_mean_of_its_surroundings(room, seed):
     assert sum(weights) == pytest.approx(1.0, rel=1e-9)
 
 
+@pytest.mark.slow
 @given(
     st.sampled_from(ROOMS), st.lists(st.floats(-4.0, 4.0), min_size=50, max_size=50), st.sampled_from([0.1, 1.0, 24.0])
 )

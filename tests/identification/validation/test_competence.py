@@ -54,6 +54,7 @@ def test_a_good_record_passes_with_margin(seed):
     assert six.model_K < 0.5 * min(six.persistence_K, six.weather_K)
 
 
+@pytest.mark.slow
 def test_the_verdict_is_saved_and_said(tmp_path):
     model = identify([record(HOUSE, 3.0)], config=LINEAR, floor_area_m2=190.0)
     assert load_model(model.save(tmp_path / "m")).only.card.competence == model.only.card.competence
@@ -63,6 +64,7 @@ def test_the_verdict_is_saved_and_said(tmp_path):
     assert "not judged" in unjudged.summary()
 
 
+@pytest.mark.slow
 def test_held_out_errors_are_those_of_the_predictor():
     """The shortcut over one Cholesky factor gives what predicting from every start would: checked on persistence."""
     run = record(HOUSE, 3.0, noise_K=0.01)
@@ -91,6 +93,7 @@ def test_rows_of_a_thinned_record_are_an_hour_or_little_more_before_others():
     assert ((ahead_h >= 1.0) & (ahead_h <= 1.5)).any()
 
 
+@pytest.mark.slow
 def test_a_lead_time_without_data_is_said_plainly():
     coarse = record(HOUSE, 12.0, 7200.0, noise_K=0.01)
     verdict = identify(coarse, config=LINEAR.model_copy(update={"order": 2})).only.card.competence
@@ -100,6 +103,7 @@ def test_a_lead_time_without_data_is_said_plainly():
     assert "measure the zone temperature without long gaps, in steps that divide an hour" in verdict.advice
 
 
+@pytest.mark.slow
 def test_tests_count_an_earlier_part_that_its_fit_has_not_seen():
     run = record(HOUSE, 3.0, noise_K=0.01)
     verdict = _verdict(run)
@@ -264,11 +268,13 @@ def test_the_two_stages_are_judged_without_their_held_out_rows(modulation):
     assert "it cannot be judged" in short.only.card.competence.reasons[0]
 
 
+@pytest.mark.slow
 def test_a_given_model_is_not_judged():
     operator = identify(record(HOUSE, 2.0), config=LINEAR, floor_area_m2=190.0).only.operator
     assert ThermalModel.single(operator).only.card.competence is None
 
 
+@pytest.mark.slow
 def test_more_than_the_heat_can_do_is_not_competent():
     """Of a house of 190 m² as one of 2,000 m²: its heat per area cannot do what the record shows."""
     model = identify(record(HOUSE, 3.0, noise_K=0.01), config=LINEAR, floor_area_m2=190.0).only

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from houses import House, record
 
 from thermoforce_mpc.identification import IdentificationConfig, identify
@@ -13,6 +14,7 @@ from thermoforce_mpc.identification.zones.model import uncertain
 LINEAR = IdentificationConfig(modulation="linear", order=1, sun_on_sensor=False)
 
 
+@pytest.mark.slow
 def test_power_that_does_not_follow_the_level_is_a_warning_and_no_reason():
     run = record(House(), 3.0, noise_K=0.01)
     hot_water = np.where(np.random.default_rng(0).random(run.n_steps) < 0.1, 6000.0, 0.0)

@@ -71,6 +71,7 @@ def test_held_out_pairs_are_not_seen():
     assert data.last_steps("earlier") == [0] * 4
 
 
+@pytest.mark.slow
 def test_the_last_part_of_the_only_pair_is_not_seen():
     pair = make_pair(House(), 0, 2.0)
     data = ZoneData(CONFIG, [], [pair], IDENTITY, 1)

@@ -57,6 +57,7 @@ def test_every_horizon_has_ordered_finite_quantiles(forecaster: ChronosFreeRespo
     assert forecast.note.endswith(forecaster.label)
 
 
+@pytest.mark.slow
 def test_many_at_once_are_what_each_is_alone(forecaster: ChronosFreeResponse) -> None:
     """Buildings of different history, gaps and horizon in one pass; one of them has too little and is told so."""
     rng = np.random.default_rng(1)

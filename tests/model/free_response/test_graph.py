@@ -50,6 +50,7 @@ def _by_library(folder: Path, to: Path, contexts: list[Context]) -> list[Array]:
     return backbone.quantiles_C(contexts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_a_graph_gives_what_the_library_gives(folder: Path, tmp_path: Path) -> None:
     """For any number, length and gaps of series, also longer ones than the model reads and horizons it unrolls."""

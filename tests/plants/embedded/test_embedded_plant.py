@@ -125,6 +125,7 @@ def test_branches_of_a_snapshot_share_the_past_to_the_bit(plant):
     assert b[-1] > a[-1]
 
 
+@pytest.mark.slow
 def test_plants_stepped_together_are_plants_stepped_alone(weather):
     levels = [0.0, 0.3, None, 1.0]
 
@@ -263,6 +264,7 @@ def test_the_forecast_carries_bounds_as_the_test_case_samples_them(plant):
     assert boundary.T_out_C[0] == pytest.approx(plant.advance(0.0, 30).T_out_C, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["low", "medium", "high"])
 def test_forecast_errors_are_seeded_and_leave_the_plant_alone(weather, level):
     def forecast(seed):

@@ -135,6 +135,7 @@ def test_gas_and_electricity_cost_what_each_of_them_costs(office):
     assert kpis["pgas_tot"] > 0.0
 
 
+@pytest.mark.slow
 def test_people_who_do_not_keep_to_the_schedule_are_felt(office):
     office.reset(20 * DAY_S, DAY_S)
     office.advance(None, DAY_S)

@@ -410,6 +410,7 @@ def test_schedules():
     assert weak[0] == weak[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["generated:7:0", "house:2rooms:7"])
 def test_a_forecast_beyond_new_year_has_the_presence_that_the_house_then_has(name):
     """Gains and native set-points repeat with the year; a year is no whole number of weeks."""

@@ -241,6 +241,7 @@ def test_more_level_of_one_valve_never_cools_any_room(emitters):
         assert (effect[:, -1] > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("emitters", [{"floor"}, {"radiator"}])
 @pytest.mark.parametrize("storeys", [1, 2])
 def test_a_valve_warms_its_own_room_most_and_first(emitters, storeys):

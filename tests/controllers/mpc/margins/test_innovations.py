@@ -34,6 +34,7 @@ def controller() -> ThermoForceMPC:
     return ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
 
 
+@pytest.mark.slow
 def test_levels_do_not_swing_where_a_first_step_gives_more_than_the_model_says():
     house = QuickHouse()
     result = run_closed_loop(house, controller(), house.period("x"))

@@ -31,6 +31,7 @@ def settled_K(*, corrections: bool) -> float:
     return float(np.mean([s.T_zone_C[0] - s.lower_C[0] for s in nights[-6:]]))
 
 
+@pytest.mark.slow
 def test_a_machine_weaker_than_its_law_still_reaches_the_bound(monkeypatch):
     monkeypatch.setattr(MPCConfig, "offset_h", 3.0)
     assert abs(settled_K(corrections=True)) < 0.6 * abs(settled_K(corrections=False))
