@@ -64,6 +64,7 @@ def run(words: list[str], where: Path, cwd: Path) -> subprocess.CompletedProcess
     return subprocess.run(words, env=environment, cwd=cwd, capture_output=True, text=True, timeout=300)
 
 
+@pytest.mark.slow
 def test_the_wheel_holds_every_file_of_the_packages_and_the_configurations(wheel):
     found = set(zipfile.ZipFile(wheel).namelist())
     expected = {

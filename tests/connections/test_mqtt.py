@@ -401,6 +401,7 @@ def test_a_broker_that_is_not_there_is_said(tmp_path):
     home.close()
 
 
+@pytest.mark.slow
 def test_recording_says_that_the_broker_is_away_and_that_nothing_came(tmp_path, monkeypatch):
     """Weeks of recording nothing must not look like recording."""
     monkeypatch.chdir(tmp_path)

@@ -90,6 +90,7 @@ def test_only_one_module_knows_numba():
     assert [name for name in found if "doctor" not in name] == ["data/compiled.py"]
 
 
+@pytest.mark.slow
 def test_nothing_is_compiled_and_numba_is_not_loaded_before_a_function_is_called():
     ask = (
         "import sys, numpy as np; from thermoforce_mpc.model.operator.building import driven_rollout; "

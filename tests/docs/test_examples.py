@@ -13,6 +13,7 @@ from places import ROOT
 from remembered import remember_probing
 
 from thermoforce_mpc.data import HOUR_S, Period
+from thermoforce_mpc.experiment import identifying
 from thermoforce_mpc.loop import closed_loop
 
 # Arguments with which an example that trains for long is quick.
@@ -35,7 +36,7 @@ def test_there_are_examples():
 
 @pytest.fixture(scope="module", autouse=True)
 def hurried():
-    """The same house is probed once, and controlled for hours."""
+    """The same house is probed once, for three days, and controlled for hours."""
     run = closed_loop.run_closed_loop
 
     def for_hours(plant, controller, period: Period, *args, **options):
@@ -45,6 +46,11 @@ def hurried():
 
     with pytest.MonkeyPatch.context() as patch:
         remember_probing(patch)
+        patch.setattr(
+            identifying,
+            "model_for",
+            lambda source, plant: identifying.identify_on(plant, before=plant.period(source.period), days=3),
+        )
         patch.setattr(closed_loop, "run_closed_loop", for_hours)
         yield
 

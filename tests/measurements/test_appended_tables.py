@@ -50,6 +50,7 @@ def parts(request, monkeypatch):
     return request.param
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("behind", ["", "\x00" * 64], ids=["torn", "nul"])
 def test_a_last_line_torn_at_any_byte_tells_nothing_that_was_not_measured(path, behind):
     """Of a room in the last column too, of which the first digits are another number."""
@@ -79,6 +80,7 @@ def test_a_torn_number_that_looks_whole_is_not_believed(path, last, believed):
     assert np.isfinite(found.record.T_zone_C[0, -1])  # the rest of the line is
 
 
+@pytest.mark.slow
 def test_a_torn_line_with_the_next_one_behind_it_is_no_row(path):
     """Its last cells are empty: as many as there are names, but for one that ends the line."""
     last = "2025-01-12 00:00:00,21.2,2.2,,\n"
@@ -95,6 +97,7 @@ def test_rows_that_end_with_a_separator_are_rows(path):
     assert not live(path, [*rows[:-1], rows[-1].rstrip("\n")]).left_out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "note"),
     [

@@ -56,6 +56,7 @@ WRONG = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", WRONG)
 @pytest.mark.parametrize("units", [True, False])
 def test_a_log_that_grows_is_read_as_if_at_once(path, monkeypatch, wrong, units):

@@ -16,6 +16,7 @@ from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.report.html import free_forecast_scores
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("error_K", "coverage"), [(0.1, 1.0), (0.3, 0.0)])
 def test_errors_and_coverage_are_those_of_the_free_forecast_alone(error_K, coverage):
     house = SimpleHouse()
