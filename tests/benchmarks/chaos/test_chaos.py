@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from emulator_service import running_emulator_service
+from here import Here
 from simple_house import simple_model
 
 from benchmarks.chaos import troubles as kinds
@@ -21,6 +22,7 @@ from benchmarks.chaos.judging import jumps, wrong_inputs, wrong_steps
 from benchmarks.chaos.troubles import Trouble, drawn
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.records.journal import JournalEntry, read_journal, read_run
@@ -141,7 +143,8 @@ def one_kind_of_trial(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("one_kind_of_trial")
-def test_the_command_prints_its_table_whatever_the_number_of_processes(tmp_path):
+def test_the_command_prints_its_table_in_one_process_and_in_two_others(tmp_path, monkeypatch):
+    monkeypatch.setattr("benchmarks.chaos.episodes.LocalEngine", lambda n: Here() if n == 1 else LocalEngine(n))
     simple_model().save(tmp_path / "model")
     words = ["--episodes", "2", "--days", "0.125", "--controller", "thermoforce_paper", "--seed", "3"]
     words += ["--model", str(tmp_path / "model")]
@@ -157,7 +160,9 @@ def test_the_command_prints_its_table_whatever_the_number_of_processes(tmp_path)
 
 
 @pytest.mark.slow
-def test_an_interrupt_leaves_the_table_of_the_episodes_until_then():
+def test_an_interrupt_leaves_the_table_of_the_episodes_until_then(monkeypatch):
+    # Where episodes are computed is tested beside.
+    monkeypatch.setattr("benchmarks.chaos.episodes.LocalEngine", lambda processes: Here())
     told = []
 
     def progress(line: str) -> None:
