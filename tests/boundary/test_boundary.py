@@ -35,6 +35,7 @@ def test_a_tariff_of_ones_own_is_held_forward(tmp_path):
     np.testing.assert_allclose(tariff(np.array([0, 3599, 3600, 7200, 9000])), [0.1, 0.1, -0.2, 0.3, 0.3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "message"),
     [

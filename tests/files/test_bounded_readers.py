@@ -126,6 +126,7 @@ def test_a_first_line_without_end_is_no_header(tmp_path):
     tracemalloc.stop()
 
 
+@pytest.mark.slow
 def test_an_archive_of_a_state_that_unpacks_to_more_than_a_state_is_refused(tmp_path):
     array = io.BytesIO()
     np.save(array, np.zeros(30_000_000))

@@ -102,6 +102,7 @@ def test_bytes_that_were_changed_are_refused(folder, tmp_path, name):
     check()
 
 
+@pytest.mark.slow
 def test_a_document_made_to_deceive_is_refused_or_a_model(folder, tmp_path):
     content, arrays = read_model_file(folder)
     kept = {key: content[key] for key in ("zones", "actuators", "machines", "exclusive", "n_trained", "pairs")}

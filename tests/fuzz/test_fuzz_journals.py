@@ -87,6 +87,7 @@ def test_changed_bytes_are_refused_or_drop_the_end(folder, tmp_path_factory, dat
         assert entry.content == true.content
 
 
+@pytest.mark.slow
 @fuzz(60)
 @given(data=st.data())
 @pytest.mark.parametrize("act", [explained, resumed])

@@ -59,6 +59,7 @@ def read_year(path) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", YEARS)
 def test_bytes_of_a_year_that_were_changed(years, tmp_path, name):
     @fuzz(15)

@@ -139,6 +139,7 @@ def test_branch_leaves_the_episode_alone_and_restore_repeats_it() -> None:
         assert rewards(env, np.zeros((10, n), np.float32)) == off
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["sync", "async"])
 def test_vectors_give_what_single_environments_give(mode: str) -> None:
     together = gymnasium.make_vec(ID, num_envs=2, vectorization_mode=mode, **{**_DAY, "random_start_time": True})
@@ -182,6 +183,7 @@ def test_after_a_start_that_was_refused_no_episode_runs(start: object, error: ty
         assert env.start_time == 16 * DAY_S
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -98,6 +98,7 @@ def test_native_windows_cost_what_the_folders_own_prices_say(tmp_path, own_weath
     assert holds["native pele_tot: median off by"] is True
 
 
+@pytest.mark.slow
 def test_a_native_record_is_run_by_the_plants_own_control(tmp_path, own_weather):
     (tmp_path / "w.mos").write_text("")
     record(tmp_path / "native_not.csv.gz", 0.0)  # driven by a schedule, so native control must not reproduce it

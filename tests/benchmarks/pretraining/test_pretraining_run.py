@@ -141,6 +141,7 @@ def test_a_second_stage_may_have_more_layers_that_start_without_effect(trained, 
         pretrain(tmp_path / "narrow", narrow, lambda _: None, start=first)
 
 
+@pytest.mark.slow
 def test_series_drawn_by_other_processes_are_the_same(trained, tmp_path):
     pretrain(tmp_path, TINY, lambda _: None, workers=2)
     whole, beside = weights(trained[0]), weights(tmp_path)
@@ -175,6 +176,7 @@ def test_rows_of_a_group_attend_to_each_other_as_in_the_library():
     torch.testing.assert_close(quantiles(), library, rtol=0.0, atol=0.0)
 
 
+@pytest.mark.slow
 def test_a_run_with_weather_leaves_a_chronos2_that_reads_it(tmp_path):
     from chronos import BaseChronosPipeline
 

@@ -40,6 +40,7 @@ def test_a_fault_is_rightly_named_where_its_name_alone_is_said() -> None:
     assert not any(target.holds for target in targets(answers))
 
 
+@pytest.mark.slow
 def test_the_same_seed_draws_the_same_record_and_every_fault_changes_it() -> None:
     clean, again, other = drawn("thermostat", 3, 0), drawn("thermostat", 3, 0), drawn("thermostat", 3, 1)
     np.testing.assert_array_equal(clean.record.T_zone_C, again.record.T_zone_C)

@@ -22,6 +22,7 @@ def other(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_ours_is_a_share_of_theirs(other, tmp_path, monkeypatch):
     code = "import importlib.util\nif importlib.util.find_spec('spends'): import spends"
     row = speed.Row("spends: nothing here", ("-c", code), {speed.PROCESSOR: 0.5, speed.PEAK: 0.5}, {speed.WALL: 0.0})

@@ -28,6 +28,7 @@ def test_zones_that_do_not_touch_are_planned_alike_together_and_apart():
         assert mean[0] == pytest.approx(mean[1], abs=1.0)
 
 
+@pytest.mark.slow
 def test_a_closed_loop_takes_its_blocks():
     result = run_closed_loop(TwoHouses(lower_K=1.0), OnePerZone(two_model(), CONFIG), SimpleHouse().period("x"))
     assert not any(step.refused for step in result.steps)
