@@ -75,6 +75,7 @@ def test_a_run_without_readings_says_nothing():
     assert slopes.R == 0.0
 
 
+@pytest.mark.slow
 def test_a_signal_that_comes_while_it_is_computed_is_raised_after():
     """numba makes named tuples by calling their class, where a signal is raised, and crashes over that."""
     program = """

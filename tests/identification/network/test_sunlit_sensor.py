@@ -78,6 +78,7 @@ def test_a_search_ends_where_the_slopes_vanish():
     assert sun.full_K == pytest.approx(1.7, abs=0.5)
 
 
+@pytest.mark.slow
 def test_levels_of_room_set_points_do_not_tell(sunlit):
     levels = HeatInput(u_min=-1.0)
     assert sun_on_sensor([sunlit[0]], 0, Layout.single(), [levels], IdentificationConfig()) is None

@@ -21,9 +21,10 @@ from thermoforce_mpc.plants.energyplus.office import (
 )
 from thermoforce_mpc.plants.testcases import load_testcase
 
-pytestmark = pytest.mark.slow
-
-pytestmark = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed"),
+]
 
 AREAS_M2 = np.array([149.66, 113.45, 67.30, 113.45, 67.30])
 NAMES = ("core", "south", "east", "north", "west")
@@ -69,7 +70,6 @@ def watch(first_day, days, sensors, means=None):
 
 
 # Martin Luther King Day on a Monday; daylight saving time begins; it ends, and Veterans Day; Christmas and New Year.
-@pytest.mark.slow
 @pytest.mark.parametrize(("first_day", "days"), [(13, 3), (68, 3), (306, 10), (356, 12)])
 def test_forecast_schedules_are_those_that_the_engine_follows(first_day, days):
     seen = watch(
@@ -89,7 +89,6 @@ def test_forecast_schedules_are_those_that_the_engine_follows(first_day, days):
     assert seen["people"] == pytest.approx(67.30 / 18.58 * office_schedules().occupancy(time_s), rel=1e-3)
 
 
-@pytest.mark.slow
 def test_means_are_taken_over_the_system_steps_of_a_step():
     air, of_zone = ("Zone Air Temperature", "Core_ZN"), ("Zone Mean Air Temperature", "Core_ZN")
     seen = watch(28, 1, {"mean": of_zone, "last": air}, {"ours": air})
@@ -108,7 +107,6 @@ def cold():
         yield plant, first, nothing, boundary, last, plant.past(300.0)
 
 
-@pytest.mark.slow
 def test_native_control_keeps_the_schedules_and_the_record_has_the_shapes_of_its_names(cold):
     plant, first, nothing, boundary, last, record = cold
     assert record.names.zones == NAMES
@@ -173,7 +171,6 @@ def test_a_steps_record_is_the_mean_of_its_parts(cold):
         plant.past(400.0)
 
 
-@pytest.mark.slow
 def test_a_told_set_point_acts_in_its_zone_and_gives_back_control_when_it_is_silent():
     with office() as plant:
         plant.reset(28 * DAY_S + 4 * HOUR_S, 4 * HOUR_S)
@@ -188,7 +185,6 @@ def test_a_told_set_point_acts_in_its_zone_and_gives_back_control_when_it_is_sil
         assert plant.past(300.0).heat_W[south, -3:].max() < 0.1 * ZONES[south].heating_W
 
 
-@pytest.mark.slow
 def test_cooling_has_its_sign_and_its_price():
     with office() as plant:
         plant.reset(196 * DAY_S + 14 * HOUR_S, 8 * HOUR_S, "dynamic")
@@ -201,7 +197,6 @@ def test_cooling_has_its_sign_and_its_price():
         assert plant.kpis()["cost_tot"] == pytest.approx(0.2666 * plant.kpis()["ener_tot"])
 
 
-@pytest.mark.slow
 def test_the_same_actions_give_the_same_bits_and_an_uncertain_forecast_keeps_bounds_and_prices():
     def run(plant):
         plant.reset(98 * DAY_S, 6 * HOUR_S)
@@ -218,7 +213,6 @@ def test_the_same_actions_give_the_same_bits_and_an_uncertain_forecast_keeps_bou
     assert uncertain.lower_C.tolist() == exact.lower_C.tolist()
 
 
-@pytest.mark.slow
 def test_what_cannot_be_done_is_refused_by_name_and_the_process_ends_with_the_plant():
     others = children()  # of the shared fixture
     plant = office()
