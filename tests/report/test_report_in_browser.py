@@ -115,6 +115,13 @@ def test_every_chart_of_the_page_has_something_in_it(seen):
     assert seen.page.locator("#answers svg path.answer-line").count() == 1
 
 
+@pytest.mark.parametrize("value", [-3.8, 0.0, 0.3])
+def test_what_does_not_change_has_an_axis_with_different_labels(seen, value):
+    low, high = seen.ask(f"Chart.all.find((chart) => chart.spec.unit === 'outdoor, °C').height({value}, {value})")
+    assert low < value < high
+    assert high - low > 0.1 * (abs(value) or 1.0)
+
+
 def test_every_axis_has_two_labels_and_every_dash_its_own_in_the_legend(seen):
     labels = seen.ask("""Chart.all.filter((chart) => chart.spec.unit).map((chart) =>
       chart.plot.axes.filter((axis) => axis.show).map((axis) => axis._values.filter(Boolean).length))""")

@@ -118,7 +118,9 @@ const Chart = (() => {
       if (least === null || most === null || least === undefined) return [0, 1];
       [least, most] = this.withLimits(least, most);
       const wanted = this.spec.least || 0, lack = Math.max(0, wanted - (most - least)) / 2;
-      const room = 0.06 * Math.max(most - least, wanted, 1e-6);
+      const shown = Math.max(most - least, wanted);
+      // What does not change has its own size beside it, so that its axis has different labels.
+      const room = 0.06 * (shown > 1e-6 ? shown : Math.abs(most) || 1);
       const low = least - lack - room, high = most + lack + room;
       return [this.spec.fromZero && least >= 0 ? 0 : low, high];
     }
