@@ -150,25 +150,3 @@ class CommandedLoop:
             off += np.where((values < self.low[k + j] - SAME) | (values > self.high[k + j] + SAME), 1.0, 0.0)
             out += 0.3 * _FADES ** (j - 1) * off
         return out
-
-    def answer(
-        self, values: Array, k: int, T_start_C: Array, T_end_C: Array, before: Array, z: Array | float = 0.0
-    ) -> Array:
-        """Mean level of step `k` with commands `values` (S or 1, n) in its parts, rooms from `T_start_C` to `T_end_C`.
-
-        Rooms and the level `before`: (S,) each; `z` (S,): see `LoopMap.level`.
-        """
-        T = _at_parts(values, T_start_C, T_end_C)
-        z = np.broadcast_to(z, T_start_C.shape)[:, None]
-        return np.asarray(self.learned.loop.level(values, T, self.T_out_C[k], before[:, None], z).mean(axis=1))
-
-    def scatter(self, values: Array, k: int, T_start_C: Array, T_end_C: Array) -> Array:
-        """Mean scatter (S,) of the level over the parts of step `k`, see `answer`."""
-        T = _at_parts(values, T_start_C, T_end_C)
-        return np.asarray(self.learned.loop.scatter(values, T, self.T_out_C[k]).mean(axis=1))
-
-
-def _at_parts(values: Array, T_start_C: Array, T_end_C: Array) -> Array:
-    """Rooms in the middle of the parts of a step (S, n), on the line from its start to its end (S,) each."""
-    middle = (np.arange(values.shape[1]) + 0.5) / values.shape[1]
-    return np.asarray(T_start_C[:, None] + middle * (T_end_C - T_start_C)[:, None])

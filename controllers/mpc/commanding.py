@@ -76,9 +76,9 @@ _PER_CHANGE = 0.002
 # What the scatter of a level costs, as a share of that level's cost: a search takes what is judged too well (see
 # `bench commands`, seed 100, 2026-11-28: without it power was 5 % more than the first steps of plans said).
 _SCATTER = 0.15
-# How often K·h outside the bounds count that the building left alone would not have: a saving is one at equal comfort.
-# By judgement: in houses 9580 and 9583 of `bench commands` by SG-Ready, two days, colder by 0.58 and 0.38 K·h a week at
-# 1, by 0.25 and 0 at 4, with 3.0 and 16.1, 3.6 and 18.3 % saved (2026-11-29).
+# How often K·h outside the bounds, with their margins, count that the building left alone would not have: a saving is one
+# at equal comfort. By judgement: house 9583 of `bench commands` by SG-Ready, two days, is 1.6 K·h a week colder where
+# they count by the bounds alone, not colder with margins, and saves 14.5 and 19.0 % (2026-11-29).
 _WORSE = 4.0
 # How many standard errors of what commands do on meters count as cost: a search takes what is judged too well.
 _CAUTION = 1.0
@@ -483,12 +483,14 @@ class CommandedPlan:
         return float(np.sqrt(sum(one**2 for one in each))) if moved else None
 
     def _worse_cost(self, T_C: Array) -> Array:
-        """What K·h outside the bounds beyond those of the building left alone count more than others, (S,), in houses
-        with zones at (S, Z, N + 1), °C.
+        """What K·h outside the bounds, with their margins, beyond those of the building left alone count more than
+        others, (S,), in houses with zones at (S, Z, N + 1), °C.
         """
-        alone_K = self.boundary.outside_K(self._alone.T_bounds_C[:, 1:])
-        worse_K = np.maximum(self.boundary.outside_K(T_C[..., 1:]) - alone_K, 0.0)
-        return np.asarray((_WORSE - 1.0) * np.einsum("z,szn->s", self.problem.comfort_price, worse_K))
+        problem, alone_C = self.problem, self._alone.T_bounds_C[:, 1:]
+        both_C = np.concatenate([T_C[..., 1:], alone_C[None]])
+        out_K = np.maximum(np.maximum(problem.lower_C - both_C, both_C - problem.upper_C), 0.0)
+        worse_K = np.maximum(out_K[:-1] - out_K[-1], 0.0)
+        return np.asarray((_WORSE - 1.0) * np.einsum("z,szn->s", problem.comfort_price, np.nan_to_num(worse_K)))
 
     def _held_cost(self, T_C: Array) -> Array:
         """What rooms that are not known are expected to cost beyond what is said of them, (S,), in houses with zones
