@@ -76,7 +76,7 @@ _PER_CHANGE = 0.002
 # What the scatter of a level costs, as a share of that level's cost: a search takes what is judged too well (see
 # `bench commands`, seed 100, 2026-11-28: without it power was 5 % more than the first steps of plans said).
 _SCATTER = 0.15
-# How often K·h outside the bounds, with their margins, count that the building left alone would not have: a saving is one
+# How often K·h outside the bounds, with their margins, count that a building left alone has not: a saving is one
 # at equal comfort. By judgement: house 9583 of `bench commands` by SG-Ready, two days, is 1.6 K·h a week colder where
 # they count by the bounds alone, not colder with margins, and saves 14.5 and 19.0 % (2026-11-29).
 _WORSE = 4.0
