@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import executed_tasks as functions
@@ -271,3 +272,25 @@ def test_a_program_that_starts_processes_as_it_is_imported_is_told_so_once(tmp_p
     )
     assert ended.stderr.count("EngineError: a process that is being started would start processes in turn") == 1
     assert (tmp_path / "begun").read_text(encoding="utf-8") == ".."
+
+
+class EndsWhoeverReadsIt:
+    """By a signal, as it is unpickled."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+    def __reduce__(self):
+        return signal.raise_signal, (self.number,)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("number", "told"), [(signal.SIGTERM, "its process ended as it started"), (signal.SIGKILL, "")]
+)
+def test_what_is_left_of_a_process_that_ends_as_it_starts_is_ended_by_its_pool(number, told):
+    """By SIGTERM, which is no reason to start another one; SIGKILL is that of a machine short of memory."""
+    process = local.OneProcess(print, EndsWhoeverReadsIt(number))
+    with pytest.raises(BrokenProcessPool):
+        process.submit(abs, -1).result(LONG_S)
+    assert process.never_began()[:31] == told

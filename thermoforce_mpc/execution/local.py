@@ -144,11 +144,14 @@ class OneProcess:
         return ", ".join(_how_ended(process.exitcode or 0) for process in self._context.started)
 
     def never_began(self) -> str:
-        """Why every other process would end as this one did: by an error while it started. "" where it did not."""
-        for process in self._context.started:
-            process.join(1.0)  # its end is known by its pipe, its code a moment later
+        """Why every other process would end as this one, which has ended, did: by an error while it started, or ""."""
+        # A pool asks for the code of a process that has ended in a thread of its own; asked for by two, one has none.
+        self._pool.shutdown()
         codes = [process.exitcode for process in self._context.started if process.exitcode]
-        if self._began.is_set() or not codes or codes[-1] < 0:  # killed: there may be room for another one
+        if self._began.is_set() or not codes:
+            return ""
+        # Killed: there may be room for another one. What is left of a process that ended, the pool ends by SIGTERM.
+        if codes[-1] < 0 and codes[-1] != -signal.SIGTERM:
             return ""
         return f"its process ended as it started ({_how_ended(codes[-1])}; what it said is above). {_GUARD}"
 
