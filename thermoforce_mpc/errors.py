@@ -1,4 +1,4 @@
-"""Exceptions of the package: one base class, one branch per exit code of `tf-mpc`.
+"""Exceptions of the package: one base class, one branch per exit code of `tf-mpc`; and signals to end.
 
 A message says what was wrong, where (file, key, endpoint), and what to do.
 A failed solve is not an exception: it is reported by the status of the `Plan`.

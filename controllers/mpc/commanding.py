@@ -47,7 +47,7 @@ from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.card import JUDGED_H, MOST_ERROR_K, ModelCard
 from thermoforce_mpc.model.machine.change import COMPARED_H, weight_of_demand
 from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.operator.parameters import OUTDOOR, ZONE
+from thermoforce_mpc.model.operator.parameters import OUTDOOR
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # A plan that asks for more than this beyond what commands bring is made anew, at most so often in all. By judgement:
@@ -672,7 +672,7 @@ def _followed(
     z = np.zeros(len(gain)) if z is None else z
     S, T_free = len(gain), problem.T_free_C + away_K
     old, new = problem.forced_state_K, np.zeros((S, *problem.forced_state_K.shape))
-    T = np.repeat((problem.features[:, 0, ZONE] + old.sum(axis=(1, 2)))[None], S, axis=0)
+    T = np.repeat(problem.T_now_C[None], S, axis=0)
     before, levels, course = np.repeat(tables.before[None], S, axis=0), np.empty((S, A, n)), [T]
     nothing, scatter = np.zeros(A), np.zeros(S)
     for k in range(n):
@@ -715,11 +715,10 @@ class _LoopTables:
             *(filled([getattr(one, of) for one in maps]) for of in ("shuts_C", "opens")),
         )
         self._per_u, self._per_drive = _per_u(problem), np.ascontiguousarray(operator.gains.sum(axis=2))
-        T_now_C = problem.features[:, 0, ZONE] + problem.forced_state_K.sum(axis=(1, 2))
         self.before = _behind_now(
             np.zeros(len(operator.home)) if problem.last_u is None else problem.last_u,
             loops,
-            {a: float(T_now_C[operator.home[a]]) for a in loops},
+            {a: float(problem.T_now_C[operator.home[a]]) for a in loops},
         )
 
     def settle(
@@ -859,11 +858,9 @@ def _heat(operator: BuildingOperator, problem: MPCProblem, level: Array, k: int)
 
 def _zone_C(problem: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
     """Zone temperatures at the boundaries under levels (A, N), (Z, N + 1), °C."""
-    forced_K = problem.forced_state_K.sum(axis=(1, 2))
-    now = problem.features[:, 0, ZONE] + forced_K
     comes = u if problem.available is None else u * problem.available
     brought = operator.rollout(problem.forced_state_K, comes, problem.features).sum(axis=(1, 3))
-    return np.concatenate([now[:, None], compose(problem.T_free_C, brought)], axis=1)
+    return np.concatenate([problem.T_now_C[:, None], compose(problem.T_free_C, brought)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

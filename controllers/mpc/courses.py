@@ -16,7 +16,6 @@ from controllers.safety.fallback_policy import FallbackPolicy
 from thermoforce_mpc.data import Array, Boundary, Layout
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.operator.parameters import ZONE
 
 # Levels that a loop at the comfort bound is tried with: every 5 %, between which meters do not tell.
 _LEVELS = 21
@@ -42,8 +41,7 @@ class Courses:
         self._rules, self._boundary = tuple(rules), boundary
         self._sees_plan = operator.of_actuator(0).feedback_active
         self._forced_K, self._features, self._T_free_C = problem.forced_state_K, problem.features, problem.T_free_C
-        known_C = problem.features[:, 0, ZONE] + problem.forced_state_K.sum(axis=(1, 2))
-        self._T_now_C = np.where(np.isfinite(T_zone_C), T_zone_C, known_C)
+        self._T_now_C = np.where(np.isfinite(T_zone_C), T_zone_C, problem.T_now_C)
         self._u_min, self._u_max = problem.level_bounds
         self._capacity = problem.capacity
         comes = np.ones((1, problem.n_steps)) if problem.available is None else problem.available

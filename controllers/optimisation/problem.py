@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from controllers.checks import ControllerConfigError
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.operator.parameters import N_FEATURES
+from thermoforce_mpc.model.operator.parameters import N_FEATURES, ZONE
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,6 +325,11 @@ class MPCProblem:
     def n_steps(self) -> int:
         """Number of steps N."""
         return int(self.T_free_C.shape[-1])
+
+    @cached_property
+    def T_now_C(self) -> Array:
+        """Zone temperatures now by the model, °C, shape (Z,)."""
+        return np.asarray(self.features[:, 0, ZONE] + self.forced_state_K.sum(axis=(1, 2)), dtype=np.float64)
 
     @cached_property
     def price_per_W(self) -> Array:
