@@ -45,7 +45,7 @@ def _mpc_entry(summary: str, **defaults: Any) -> Entry:
 
 
 def _dpc_config() -> type[StrictModel]:
-    from controllers.policy.dpc import DPCConfig
+    from controllers.policy.config import DPCConfig
 
     return DPCConfig
 

@@ -6,7 +6,7 @@ import gc
 import os
 import signal
 import sys
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 # Bytecode is kept also where the environment says not to: without it every process of the run compiles all sources, and
@@ -46,6 +46,26 @@ settings.load_profile("same")
 def pytest_xdist_auto_num_workers() -> int | None:
     """One more than cores, unless the environment says how many: many tests wait, for deadlines and for services."""
     return None if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ else len(os.sched_getaffinity(0)) + 1
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Files that load torch (`later`) go to one process, as one file: each that runs any of them waits for it."""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class ByWhatIsLoaded(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = super()._split_scope(nodeid)
+            return "torch" if needs_torch(config.rootpath / file) else file
+
+    return ByWhatIsLoaded(config, log)
+
+
+@cache
+def needs_torch(file: Path) -> bool:
+    return "\nfrom later import " in file.read_text()
 
 
 def pytest_collection_finish() -> None:

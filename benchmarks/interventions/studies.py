@@ -17,7 +17,6 @@ from benchmarks.interventions.methods.curve import EXPONENTS
 from benchmarks.interventions.methods.grey_box import candidates_of
 from benchmarks.interventions.methods.registry import BEST, METHODS, MONOTONE
 from benchmarks.interventions.methods.remembering import tsfm
-from benchmarks.interventions.methods.surrogate import surrogates
 from benchmarks.interventions.methods.thermoforce import Modulation, build_thermoforce
 from benchmarks.interventions.office import PROBE_DAYS as PROBE_DAYS_OFFICE
 from benchmarks.interventions.office import office_data
@@ -189,6 +188,8 @@ def _baselines(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> 
     RC: each order and error, fitted to plain operation of the probe days, and of the days before as well. The network:
     each weight of the teacher, `TEACHER_SEEDS` seeds from `seed` on; the row has the means, and the worst of seeds.
     """
+    from benchmarks.interventions.methods.surrogate import surrogates  # loads torch
+
     rows: list[Row] = []
     for climate in data.climates.values():
         training = training_of(climate, days, seed)

@@ -15,12 +15,6 @@ from typing import Any, Literal
 from benchmarks.operator.data import FLOOR_AREA_M2, ReferencePair, read_hourly_pairs, read_run
 from benchmarks.operator.runs import INPUT_NAMES, NEURAL_PENALTY, few_shot, under_feedback
 from benchmarks.operator.score import PairScores, score_pairs
-from benchmarks.operator.speed import compare_module_call, compare_rollout
-from benchmarks.operator.training_speed import (
-    compare_many_buildings,
-    compare_training,
-    compare_training_to_loss,
-)
 from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
@@ -132,6 +126,9 @@ def _variants() -> Iterator[tuple[Literal["identity", "auto"], Literal["auto", 1
 
 
 def _speed(epochs: int, buildings: int, say: Callable[[str], None]) -> tuple[list[Row], list[Target]]:
+    from benchmarks.operator.speed import compare_module_call, compare_rollout  # loads torch, for this part only
+    from benchmarks.operator.training_speed import compare_many_buildings, compare_training, compare_training_to_loss
+
     # Three days at 15 minutes are one run of 288 steps; the pairs of this bench are 120 runs of 40 hours.
     comparisons, targets = [], []
     for n_steps, rollouts in ((288, 1), (40, 120)):

@@ -13,62 +13,33 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
 from torch import Tensor, nn
 
 from controllers.checks import ControllerConfigError
-from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, SolverAnswer, checked, failed
+from controllers.policy.config import DPCConfig, PolicyConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.model.free_response.backbones.base import one_thread
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR, feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.scenario.settings import StrictModel
 
 # Hours ahead at which the network sees what is needed and what it costs, and where these are cut off. By judgement:
-# twice as far each. The policy of `hidden` below was trained with these and the numbers that follow (2026-11-28).
+# twice as far each. The policy of `PolicyConfig` was trained with these and the numbers that follow (2026-11-28).
 _LEADS_H = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 24.0)
 _LEAST, _MOST = -2.0, 3.0
 # How much the levels of the network reach beyond their bounds, where they are cut off: it can say off and full.
 _BEYOND = 0.03
 _BATCH, _RATE = 64, 5e-3
-
-
-class PolicyConfig(StrictModel):
-    """The network of a policy and its training."""
-
-    # With these and the defaults below a policy of a heat pump is trained in 16 s and answers in 8 ms, most unseen
-    # instances within 1 to 5 of costs of 5 to 40 (2026-11-28).
-    hidden: int = Field(32, ge=1, le=512, description="units of each of two hidden layers")
-    # See `hidden`.
-    instances: int = Field(1024, ge=64, le=100_000, description="drawn instances that it is trained on")
-    # See `hidden`.
-    epochs: int = Field(20, ge=1, le=10_000, description="how often each is seen")
-    seed: int = Field(1, ge=0, description="seed of instances and initial weights")
-
-
-class DPCConfig(MPCConfig):
-    """Options of differentiable predictive control: those of the MPC but for its solver, and the policy's."""
-
-    policy: PolicyConfig = PolicyConfig()
-    solver: Literal["auto"] = Field("auto", description="none but the policy: leave it out")
-
-    @field_validator("solver", mode="before")
-    @classmethod
-    def _no_solver(cls, solver: str) -> str:
-        if solver != "auto":
-            raise ValueError("dpc plans by its policy, with no solver: leave it out, or use thermoforce_mpc")
-        return solver
 
 
 class DPC(ThermoForceMPC):

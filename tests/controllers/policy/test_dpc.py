@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-import torch
+from later import Later, torch
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.solvers.qp import QPConfig, QPSolver
-from controllers.policy.dpc import DPC, DPCConfig
+from controllers.policy.config import DPCConfig
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
@@ -23,21 +24,24 @@ from thermoforce_mpc.scenario.settings import validate
 pytestmark = pytest.mark.slow
 
 
-def built(model: ThermalModel | None = None, **policy: int) -> DPC:
+dpc = Later("controllers.policy.dpc")
+
+
+def built(model: ThermalModel | None = None, **policy: int) -> Any:
     config = DPCConfig(step_s=None, horizon_h=24.0, policy={"instances": 128, "epochs": 50} | policy)
-    return DPC(model or simple_model(), config, free_response=OutdoorResponse())
+    return dpc.DPC(model or simple_model(), config, free_response=OutdoorResponse())
 
 
 @pytest.fixture(scope="module")
-def trained() -> DPC:
+def trained() -> Any:
     return built()
 
 
-def excess(dpc: DPC) -> np.ndarray:
+def excess(policy: Any) -> np.ndarray:
     """What its answers to unseen instances cost above the optimum, as shares of full level's cost."""
-    solver, found = dpc.solver, []
+    solver, found = policy.solver, []
     best = QPSolver(solver.model.operator, solver.model.shape, QPConfig())
-    for problem in dpc.drawn(20, np.random.default_rng(7)):
+    for problem in policy.drawn(20, np.random.default_rng(7)):
         optimum, answer = best.solve(problem), solver.solve(problem)
         p = best.model.numbers(problem)
         off, full = (best.model.evaluate(p, np.full((1, problem.n_steps), level)) for level in (0.0, 1.0))
@@ -66,18 +70,18 @@ def test_whatever_its_weights_levels_keep_their_bounds_and_what_is_not_finite_fa
     house = SimpleHouse()
     house.reset(10 * 86400.0, 2 * 86400.0)
     seen = Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S))
-    dpc = built(instances=64, epochs=1)
+    policy = built(instances=64, epochs=1)
     for scale in (1e-3, 30.0, 1e6):
         with torch.no_grad():
-            for weights in dpc.policy.parameters():
+            for weights in policy.policy.parameters():
                 weights.copy_(scale * torch.randn(weights.shape, generator=torch.Generator().manual_seed(1)))
-        for problem in dpc.drawn(5, np.random.default_rng(1)):
-            answer = dpc.solver.solve(problem)
+        for problem in policy.drawn(5, np.random.default_rng(1)):
+            answer = policy.solver.solve(problem)
             assert not answer.ok or not problem.unfit(answer.u)
     with torch.no_grad():
-        for weights in dpc.policy.parameters():
+        for weights in policy.policy.parameters():
             weights.fill_(np.nan)
-    plan = dpc.plan(seen)
+    plan = policy.plan(seen)
     assert plan.status not in (PlanStatus.SOLVED, PlanStatus.ACCEPTABLE)
     assert "not finite" in plan.why
     assert trained.plan(seen).status is PlanStatus.ACCEPTABLE

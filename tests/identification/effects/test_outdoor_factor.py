@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from houses import House, effect_rmse, random_levels, record, weather
+from later import torch_operator
 
-from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import HOUR_S, Layout, Names
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
@@ -89,7 +89,7 @@ def test_every_form_of_the_operator_has_the_same_heat(tmp_path):
     assert certificate(operator).certified
     step, torch_form = (
         step_function(ThermalModel.single(operator), operator.step_s, part_load="held"),
-        ForcedResponseOperator(operator),
+        torch_operator.ForcedResponseOperator(operator),
     )
     for T_out in (-30.0, -2.0, 4.0, 40.0):
         features = np.array([18.0, T_out, 100.0, 0.5])

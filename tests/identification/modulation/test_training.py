@@ -6,11 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from houses import House, record
-from torch.nn.utils import parameters_to_vector, vector_to_parameters
+from later import torch, torch_operator
 
-from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.identification import Pair
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
 from thermoforce_mpc.identification.estimation.rest import rest_of
@@ -70,13 +68,13 @@ def test_value_and_gradient_are_those_of_the_definition(order, sign):
         step_s=900.0, sign=sign, gamma=GAMMA, hidden=4, feature_mean=np.array([20.0, 4.0, 60.0, 0.0]),
         feature_scale=np.array([2.0, 4.0, 90.0, 0.7]),
     )  # fmt: skip
-    operator = ForcedResponseOperator(start)
-    values = parameters_to_vector(network(operator)).detach()
+    operator = torch_operator.ForcedResponseOperator(start)
+    values = torch.nn.utils.parameters_to_vector(network(operator)).detach()
     values += 0.3 * torch.tensor(np.random.default_rng(order).normal(size=values.shape))
-    vector_to_parameters(values, network(operator))
+    torch.nn.utils.vector_to_parameters(values, network(operator))
     expected = by_torch(operator, data)
     expected.backward()
-    gradient = parameters_to_vector([p.grad for p in network(operator)]).numpy()
+    gradient = torch.nn.utils.parameters_to_vector([p.grad for p in network(operator)]).numpy()
 
     misfit = Misfit(start, data, SD)
     assert not misfit.begin.any()

@@ -9,9 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
-from foundation_models import MAKERS
-from safetensors.torch import load_file, save_file
+from later import Later, safetensors_torch, torch
 
 from thermoforce_mpc.data.series import interpolated
 from thermoforce_mpc.errors import BackboneError
@@ -22,6 +20,7 @@ from thermoforce_mpc.model.free_response.backbones.loading import load_backbone
 # Of what the packages themselves warn.
 pytestmark = pytest.mark.filterwarnings("ignore")
 OF_NAME = {model.name: model for model in known.KNOWN}
+foundation_models = Later("foundation_models")
 
 
 @pytest.fixture
@@ -31,7 +30,7 @@ def anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(known, "version", lambda package: "2.11.0")
 
 
-@pytest.fixture(params=MAKERS)
+@pytest.fixture(params=[one.name for one in known.KNOWN if one.extra and one.checkpoint])
 def model(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, anywhere: None
 ) -> tuple[str, Path]:
@@ -39,7 +38,7 @@ def model(
     torch.manual_seed(0)
     folder = tmp_path / "model"
     folder.mkdir()
-    MAKERS[request.param](folder, monkeypatch)
+    foundation_models.MAKERS[request.param](folder, monkeypatch)
     return request.param, folder
 
 
@@ -85,10 +84,12 @@ def test_weights_are_frozen_and_all_of_them_from_the_file(model: tuple[str, Path
     _, folder = model
     backbone = load_backbone(str(folder))
     assert not any(parameter.requires_grad for module in backbone.modules for parameter in module.parameters())
-    weights = load_file(folder / "model.safetensors")
+    weights = safetensors_torch.load_file(folder / "model.safetensors")
     less = Path(shutil.copytree(folder, tmp_path / "less"))
     lost = sorted(weights)[-1]
-    save_file({name: value for name, value in weights.items() if name != lost}, less / "model.safetensors")
+    safetensors_torch.save_file(
+        {name: value for name, value in weights.items() if name != lost}, less / "model.safetensors"
+    )
     with pytest.raises(BackboneError, match=r"less"):
         load_backbone(str(less))
 
@@ -143,7 +144,7 @@ def test_what_is_missing_is_said_before_anything_is_fetched(
 
 def test_a_directory_of_a_family_without_its_package_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "config.json").write_text(json.dumps({"stack_config": {}}))
-    save_file({"a": torch.zeros(1)}, tmp_path / "model.safetensors")
+    safetensors_torch.save_file({"a": torch.zeros(1)}, tmp_path / "model.safetensors")
     monkeypatch.setattr(importlib.util, "find_spec", lambda package: None)
     with pytest.raises(BackboneError, match=r"'tirex-2': it is not installed"):
         load_backbone(str(tmp_path))
@@ -151,13 +152,13 @@ def test_a_directory_of_a_family_without_its_package_says_so(tmp_path: Path, mon
 
 def test_a_model_of_no_family_is_refused(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text(json.dumps({"model_type": "bert"}))
-    save_file({"a": torch.zeros(1)}, tmp_path / "model.safetensors")
+    safetensors_torch.save_file({"a": torch.zeros(1)}, tmp_path / "model.safetensors")
     with pytest.raises(BackboneError, match=r"holds a bert; Chronos-Bolt, .* are supported"):
         load_backbone(str(tmp_path))
 
 
 def test_a_ttm_without_quantiles_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, anywhere: None) -> None:
-    MAKERS["ttm"](tmp_path, monkeypatch)
+    foundation_models.MAKERS["ttm"](tmp_path, monkeypatch)
     config = json.loads((tmp_path / "config.json").read_text())
     (tmp_path / "config.json").write_text(json.dumps({**config, "multi_quantile_head": False}))
     with pytest.raises(BackboneError, match="this TTM forecasts no quantiles"):

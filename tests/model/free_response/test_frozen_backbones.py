@@ -18,9 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from forecasting import LEVELS, boundary_of, daily, history_of, hours
-from safetensors.torch import load_file, save_file
+from later import safetensors_torch, torch
 
 from benchmarks.free_response.scales import SMALLER
 from thermoforce_mpc.errors import BackboneError, ConfigError, DataError
@@ -223,10 +222,10 @@ def test_all_is_frozen(bolt_folder: Path) -> None:
 
 
 def test_hash_tells_weights_apart(bolt_folder: Path, copy: Path) -> None:
-    weights = load_file(copy / "model.safetensors")
+    weights = safetensors_torch.load_file(copy / "model.safetensors")
     name = next(key for key, value in weights.items() if value.ndim == 2)
     weights[name][0, 0] += 1e-3
-    save_file(weights, copy / "model.safetensors", metadata={"format": "pt"})
+    safetensors_torch.save_file(weights, copy / "model.safetensors", metadata={"format": "pt"})
     same = ChronosFreeResponse(str(bolt_folder)).weight_hash()
     assert same == ChronosFreeResponse(str(bolt_folder)).weight_hash()
     assert same != ChronosFreeResponse(str(copy)).weight_hash()
@@ -252,7 +251,7 @@ def test_weights_as_a_pickle_are_refused_and_never_opened(copy: Path, tmp_path: 
         def __reduce__(self) -> tuple[object, ...]:
             return (Path.touch, (tmp_path / "went off",))
 
-    weights = load_file(copy / "model.safetensors")
+    weights = safetensors_torch.load_file(copy / "model.safetensors")
     torch.save(weights | {"bomb": Bomb()}, copy / "pytorch_model.bin")
     (copy / "model.safetensors").unlink()
     with pytest.raises(BackboneError, match=r"no model\.safetensors there.*pickle: pytorch_model\.bin"):
@@ -277,19 +276,19 @@ def test_a_broken_config_is_refused(copy: Path) -> None:
 
 
 def test_a_checkpoint_that_lacks_weights_is_refused_instead_of_drawn_at_random(copy: Path) -> None:
-    weights = load_file(copy / "model.safetensors")
+    weights = safetensors_torch.load_file(copy / "model.safetensors")
     lost = sorted(key for key in weights if "encoder.block" in key)[0]
     del weights[lost]
-    save_file(weights, copy / "model.safetensors", metadata={"format": "pt"})
+    safetensors_torch.save_file(weights, copy / "model.safetensors", metadata={"format": "pt"})
     with pytest.raises(BackboneError, match=rf"lacks 1 of .*first {lost}"):
         load_backbone(str(copy))
 
 
 def test_weights_that_are_not_finite_are_refused(copy: Path) -> None:
-    weights = load_file(copy / "model.safetensors")
+    weights = safetensors_torch.load_file(copy / "model.safetensors")
     name = sorted(weights)[0]
     weights[name].view(-1)[0] = float("nan")
-    save_file(weights, copy / "model.safetensors", metadata={"format": "pt"})
+    safetensors_torch.save_file(weights, copy / "model.safetensors", metadata={"format": "pt"})
     with pytest.raises(BackboneError, match="not finite"):
         load_backbone(str(copy))
 

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from forecasting import daily, hours
-from safetensors.torch import load_file, save_file
+from later import Later, safetensors_torch
 
 from benchmarks.free_response.scales import SMALLER
-from benchmarks.pretraining.export import export
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.model.free_response.backbones.base import Context
 from thermoforce_mpc.model.free_response.backbones.loading import load_backbone, shipped_folder
 
+exporting = Later("benchmarks.pretraining.export")
 FOLDERS = (shipped_folder(), shipped_folder("shipped_weather"), *SMALLER.values())
 
 
@@ -65,9 +65,9 @@ def test_a_graph_gives_what_the_library_gives(folder: Path, tmp_path: Path) -> N
 
 
 def test_a_graph_of_other_weights_is_refused(copy: Path) -> None:
-    weights = load_file(copy / "model.safetensors")
+    weights = safetensors_torch.load_file(copy / "model.safetensors")
     weights[sorted(weights)[0]].view(-1)[0] += 1e-2
-    save_file(weights, copy / "model.safetensors", metadata={"format": "pt"})
+    safetensors_torch.save_file(weights, copy / "model.safetensors", metadata={"format": "pt"})
     with pytest.raises(BackboneError, match=r"exported from other weights than model\.safetensors; export it again"):
         load_backbone(str(copy))
 
@@ -98,7 +98,7 @@ def test_an_exported_graph_runs_the_weights_beside_it(chronos2_folder: Path, tmp
     folder = Path(shutil.copytree(chronos2_folder, tmp_path / "exported"))
     contexts = _contexts((100, 16), (60, 10), (30, 16), (300, 10), (100, 100))
     library = _by_library(folder, tmp_path / "library", contexts)
-    assert export(folder).stat().st_size < 100_000
+    assert exporting.export(folder).stat().st_size < 100_000
     backbone = load_backbone(str(folder))
     assert not backbone.modules
     for graph, expected in zip(backbone.quantiles_C(contexts), library, strict=True):

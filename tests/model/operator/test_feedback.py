@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from later import torch, torch_operator
 from operators import HEAT_MAP, random_features, random_operator
 
-from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.model.exported import rollout_function
 from thermoforce_mpc.model.operator.building import forced_rollout
@@ -55,7 +54,7 @@ def _loop(params, F0, u, features) -> np.ndarray:
 
 def _jacobian(params, F0, u, features) -> np.ndarray:
     """∂F(end of step j)/∂u(step t), shape (N, N), by autodiff through the recursion."""
-    module = ForcedResponseOperator(params)
+    module = torch_operator.ForcedResponseOperator(params)
     start, x = torch.tensor(F0), torch.tensor(features)
     return torch.autograd.functional.jacobian(lambda a: module(start, a, x).sum(-1), torch.tensor(u)).numpy()
 
@@ -67,7 +66,7 @@ def test_three_forms_follow_the_recursion(order):
     assert params.feedback_active
     F0, u, features = rng.normal(size=order), rng.uniform(0, 1, (5, N)), random_features(rng, N)
     together = forced_rollout(params, F0, u, features)
-    module = ForcedResponseOperator(params)
+    module = torch_operator.ForcedResponseOperator(params)
     for i in range(5):
         expected = _loop(params, F0, u[i], features)
         np.testing.assert_allclose(together[i], expected, atol=1e-12)
@@ -80,7 +79,7 @@ def test_three_forms_follow_the_recursion(order):
     np.testing.assert_allclose(by_torch, together, atol=1e-10)
     blind = replace(params, feedback=False)
     assert np.abs(forced_rollout(blind, F0, u, features) - together).max() > 1e-4, "the choice must matter"
-    assert ForcedResponseOperator(params).numpy().feedback
+    assert torch_operator.ForcedResponseOperator(params).numpy().feedback
 
 
 @pytest.mark.slow

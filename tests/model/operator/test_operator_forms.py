@@ -9,12 +9,11 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from later import torch, torch_operator
 from operators import HEAT_MAP, random_features, random_operator
 
-from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.exported import rollout_function, step_function
 from thermoforce_mpc.model.machine.load import MachineLoad
@@ -47,7 +46,7 @@ def test_rollouts_equal_the_printed_recursion(order, heat_input):
     params = random_operator(order, order, heat_input=heat_input)
     F0, u, features = rng.normal(size=order), rng.uniform(0, 1, N), random_features(rng, N)
     expected = _loop(params, F0, u, features)
-    module = ForcedResponseOperator(params)
+    module = torch_operator.ForcedResponseOperator(params)
     by_torch = module(torch.tensor(F0), torch.tensor(u), torch.tensor(features)).detach().numpy()
     np.testing.assert_allclose(forced_rollout(params, F0, u, features), expected, atol=1e-12)
     np.testing.assert_allclose(by_torch, expected, atol=1e-12)
@@ -64,7 +63,7 @@ def test_rollouts_equal_the_printed_recursion(order, heat_input):
 def test_casadi_equals_torch(seed, order, scale, heat_input):
     rng = np.random.default_rng(seed)
     params = random_operator(seed, order, scale=scale, heat_input=heat_input)
-    module = ForcedResponseOperator(params)
+    module = torch_operator.ForcedResponseOperator(params)
     F0, u, features = rng.normal(size=order) * 5, rng.uniform(0, 1, N), random_features(rng, N)
     by_torch = module(torch.tensor(F0), torch.tensor(u), torch.tensor(features)).detach().numpy()
     modes, forced = rollout_function(ThermalModel.single(params), N, params.step_s, part_load="held")(F0, u, features.T)
@@ -85,7 +84,7 @@ def test_casadi_derivative_equals_autodiff():
     plan = ca.MX.sym("u", N)
     forced = rollout_function(ThermalModel.single(params), N, params.step_s, part_load="held")(F0, plan, features.T)[1]
     by_casadi = np.array(ca.Function("j", [plan], [ca.jacobian(forced, plan)])(u))
-    module = ForcedResponseOperator(params)
+    module = torch_operator.ForcedResponseOperator(params)
     by_torch = torch.autograd.functional.jacobian(
         lambda actions: module(torch.tensor(F0), actions, torch.tensor(features)).sum(-1), torch.tensor(u)
     ).numpy()
@@ -109,7 +108,7 @@ def test_only_parameters_that_bear_on_a_prediction_are_effective():
 @pytest.mark.parametrize(("order", "count"), [(1, 195), (2, 197), (3, 199)])
 def test_number_of_trained_parameters(order, count):
     params = random_operator(0, order)
-    module = ForcedResponseOperator(params)
+    module = torch_operator.ForcedResponseOperator(params)
     assert params.n_trained == count
     assert sum(p.numel() for p in module.parameters() if p.requires_grad) == count
     assert {p.dtype for p in module.parameters()} == {torch.float64}

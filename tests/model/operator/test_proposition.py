@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from later import torch, torch_operator
 from operators import HEAT_MAP, random_features, random_operator
 
-from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.model.operator.building import forced_rollout
 from thermoforce_mpc.model.operator.certificate import certificate, modulation_interval
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
@@ -30,7 +29,7 @@ feature_sizes = st.sampled_from([1.0, 1e3, 1e40])
 
 def _jacobian_by_autodiff(params, F0, u, features) -> np.ndarray:
     """∂F(end of step j)/∂u(step t), shape (N, N)."""
-    module = ForcedResponseOperator(params)
+    module = torch_operator.ForcedResponseOperator(params)
 
     def total(actions: torch.Tensor) -> torch.Tensor:
         return module(torch.tensor(F0), actions, torch.tensor(features)).sum(-1)
