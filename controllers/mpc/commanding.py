@@ -25,7 +25,7 @@ from controllers.mpc.state import MPCState
 from controllers.optimisation.plan_model import Evaluator
 from controllers.optimisation.problem import MPCProblem, Weights
 from thermoforce_mpc.commands.command import SAME
-from thermoforce_mpc.commands.loop import LearnedCommand
+from thermoforce_mpc.commands.loop import LearnedCommand, behind_levels
 from thermoforce_mpc.commands.meter import MeterEffect, MeterRecord, beyond_sd, chance_sd, learn_meter
 from thermoforce_mpc.data import (
     HOUR_S,
@@ -57,8 +57,6 @@ NOT_BETTER = "commands that were found are not better than leaving the building 
 """What a plan says that is not carried out."""
 # Rounds in which level and temperature of a step are made to agree, and levels of a table of their heat.
 _ROUNDS, _CLOSE, _TABLE = 20, 5e-4, 65
-# A level below it, or a share of the usual one, is that of a valve that is shut.
-_SHUT = 0.05
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
 # Lead time whose error counts of rooms that are not known, h: the longest that is judged.
 _ERROR_H = JUDGED_H[-1]
@@ -715,10 +713,12 @@ class _LoopTables:
             *(filled([getattr(one, of) for one in maps]) for of in ("shuts_C", "opens")),
         )
         self._per_u, self._per_drive = _per_u(problem), np.ascontiguousarray(operator.gains.sum(axis=2))
-        self.before = _behind_now(
+        self.before = behind_levels(
             np.zeros(len(operator.home)) if problem.last_u is None else problem.last_u,
-            loops,
-            {a: float(problem.T_now_C[operator.home[a]]) for a in loops},
+            {a: one.learned for a, one in loops.items()},
+            {a: float(one.usual[0]) for a, one in loops.items()},
+            problem.T_now_C[list(operator.home)],
+            float(next(iter(loops.values())).T_out_C[0]),
         )
 
     def settle(
@@ -752,25 +752,6 @@ class _LoopTables:
         for a, loop in self.loops.items():
             if loop.off:
                 level[:, a] *= loop.is_on(values[a])
-
-
-def _behind_now(last_u: Array, loops: Mapping[int, CommandedLoop], T_C: Mapping[int, float]) -> Array:
-    """x of the last step (A,), see `LoopMap`, by its levels `last_u` (A,) and rooms at `T_C`, °C, by actuator.
-
-    Of levels that are made of water, the most open valve of a command shows what the water is of what the usual command
-    brings; where none is open, it is that.
-    """
-    out = last_u.copy()
-    shown: dict[str | int, float] = {}
-    of_water = {a: one for a, one in loops.items() if one.learned.loop.of_water}
-    usual = {a: one.learned.loop.at_rest(one.usual[0], T_C[a], one.T_out_C[0]) for a, one in of_water.items()}
-    for a, one in of_water.items():
-        share = float(last_u[a]) / max(float(usual[a]), _SHUT)
-        shown[one.learned.machine or a] = max(share, shown.get(one.learned.machine or a, 0.0))
-    for a, one in of_water.items():
-        share = shown[one.learned.machine or a]
-        out[a] = np.clip(usual[a] * (share if share > _SHUT else 1.0), 0.0, 1.0)
-    return out
 
 
 @njit(cache=True)

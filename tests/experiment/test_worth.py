@@ -13,6 +13,8 @@ from click.testing import CliRunner
 from simple_house import GAIN_K, POLE, outdoor_C, simple_model
 
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.commands.heating_curve import CurveOffset
+from thermoforce_mpc.commands.loop import LearnedCommand, LoopMap
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Block, Boundary, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.experiment.worth import worth
@@ -114,6 +116,44 @@ def test_a_level_gives_less_to_a_room_that_is_warmer_than_it_was() -> None:
     np.testing.assert_allclose(step, GAIN_K * level, atol=1e-6)
     less = falling[_FIRST + 13 :] - POLE * falling[_FIRST + 12 : -1]
     np.testing.assert_allclose(less, GAIN_K * (level - 0.1 * falling[_FIRST + 12 : -1]), atol=1e-6)
+
+
+# Temperatures of the room, °C, and how far its valve is open there.
+_VALVE = np.array([16.0, 26.0]), np.array([1.0, 0.1])
+
+
+def _of_water() -> LearnedCommand:
+    """Water of a curve that keeps half of what it was each hour, and a valve that is shut where the room is warm."""
+    nothing, kelvins = np.zeros(2), np.array([-3.0, 3.0])
+    loop = LoopMap(
+        0.5, kelvins, kelvins, 0.0, 0.0, kelvins, np.array([0.0, 0.6]), nothing, nothing, 0.1, 0.9, 30.0,
+        *_VALVE, of_water=True,
+    )  # fmt: skip
+    return LearnedCommand(CurveOffset(kind="curve_offset", column="x"), loop, 0.0, 0.0, np.zeros(7 * 24), 0.0)
+
+
+def test_the_water_behind_a_valve_that_is_nearly_shut_is_remembered() -> None:
+    """It is x that a loop goes on from, and not the level; in parts of a step, and where another house goes on."""
+    record = _run(_levels(1))
+    begin, loops = _FIRST + 12, {record.names.actuators[0]: _of_water()}
+    shut = IdentifiedHouse(_model(0.1), record, _conditions(record), commands=loops)
+    # Of the hour before, an open valve shows its water; behind a shut one it is what the usual command brings.
+    T, x, expected = record.T_zone_C[0, begin], record.u[0, begin - 1] or 0.3 / 0.5, []
+    offsets = np.where(np.arange(24) < 12, 3.0, -2.0)
+    for k, offset in enumerate(offsets):
+        x = min(0.5 * x + 0.3 + 0.1 * offset, 1.0)
+        expected.append(x * np.interp(T, *_VALVE))
+        T = POLE * T + (1 - POLE) * record.T_out_C[begin + k] + GAIN_K * expected[-1]
+    assert np.interp(T, *_VALVE) < 0.7, "levels that are not what the water is"
+    shut.reset(begin * HOUR_S, 0.0)
+    for offset in offsets[:14]:
+        shut.advance(None, HOUR_S / 4, (offset,))
+        shut.advance(None, 3 * HOUR_S / 4, (offset,))
+    later = IdentifiedHouse(_model(0.1), record, _conditions(record), commands=loops, before=shut.state)
+    later.reset((begin + 14) * HOUR_S, 0.0)
+    for offset in offsets[14:]:
+        later.advance(None, HOUR_S, (offset,))
+    np.testing.assert_allclose(later.lived(begin * HOUR_S).u[0], expected, atol=5e-3)
 
 
 def test_it_ends_with_its_record_and_knows_no_other_command() -> None:

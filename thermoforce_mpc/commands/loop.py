@@ -45,6 +45,8 @@ _DRAWS, _SEED = 30, 64
 # Water that is less above the room heats nothing, K. The level of a kelvin of it with an open valve is this quantile of
 # those of hours with heat: in most the valve is open throughout, and a few levels are cut at 1. Least hours of them.
 _NO_HEAT_K, _OPEN, _LEAST_OPEN = 1.0, 0.9, 24
+# A level below it, or a share of the usual one, is that of a valve that is shut.
+_SHUT = 0.05
 # Least share of the scatter of the level that the map must explain: below it, the loop follows something else. Means of
 # an hour at least are compared: within it, a machine that a thermostat switches is on and off with any command.
 _LEAST_R2, _COMPARED_S = 0.2, HOUR_S
@@ -258,6 +260,28 @@ def learn_command(
         now_s,
         untold=untold,
     )
+
+
+def behind_levels(
+    u: Array, learned: Mapping[int, LearnedCommand], usual: Mapping[int, float], T_zone_C: Array, T_out_C: float
+) -> Array:
+    """x (A,), see the head of this module, of a step with levels `u` (A,) of which nobody says by what command.
+
+    `usual`: what is usual then, by actuator; `T_zone_C` (A,): the room of each, `T_out_C`: outdoors, °C. Of levels that
+    are made of water, the most open valve of a command shows what the water is of what the usual command brings; where
+    none is open, it is that.
+    """
+    out = np.array(u, dtype=np.float64)
+    of_water = {a: one for a, one in learned.items() if one.loop.of_water}
+    at_rest = {a: float(one.loop.at_rest(usual[a], T_zone_C[a], T_out_C)) for a, one in of_water.items()}
+    shown: dict[str | int, float] = {}
+    for a, one in of_water.items():
+        share = float(u[a]) / max(at_rest[a], _SHUT)
+        shown[one.machine or a] = max(share, shown.get(one.machine or a, 0.0))
+    for a, one in of_water.items():
+        share = shown[one.machine or a]
+        out[a] = min(at_rest[a] * (share if share > _SHUT else 1.0), 1.0)
+    return out
 
 
 def check_told(learned: Collection[LearnedCommand]) -> None:

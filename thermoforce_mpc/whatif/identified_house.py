@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from thermoforce_mpc.boundary.forecast_error import ForecastError
-from thermoforce_mpc.commands.loop import LearnedCommand
+from thermoforce_mpc.commands.loop import LearnedCommand, behind_levels
 from thermoforce_mpc.data import (
     HOUR_S,
     Array,
@@ -45,11 +45,12 @@ _HEAT_RANGE = (0.0, 2.0)
 @dataclass(frozen=True, eq=False)
 class HouseState:
     """Where a house stands: its `record` until then, and by how much its forced states are more than they were then,
-    `more_K` (Z, A, r), K.
+    `more_K` (Z, A, r), K. `behind` (A,): x of the last step of loops that answer commands, see `LoopMap`.
     """
 
     record: Record
     more_K: Array
+    behind: Array
 
 
 class IdentifiedHouse(Releasing):
@@ -89,6 +90,8 @@ class IdentifiedHouse(Releasing):
         self.model, self._conditions, self._error = model, conditions, error
         self._forecasts, self._before = forecasts, before
         self._loops = {record.names.actuators.index(name): one for name, one in (commands or {}).items()}
+        begins_s = record.time_s[:-1]
+        self._usual = {a: one.usual_at(one.from_origin_s(begins_s, record.origin)) for a, one in self._loops.items()}
         whole, _ = bridged(model.in_rooms(record))
         self._was = whole
         operator = model.operator
@@ -130,6 +133,8 @@ class IdentifiedHouse(Releasing):
         self.u, self.power_W = self._was.u.copy(), self._power_was.copy()
         self._T_C = self._free_C + self._forced_was.sum(axis=(1, 3))
         self._part_s, self._owed_J = 0.0, np.zeros(len(self.power_W))
+        last = max(self._k - 1, 0)
+        self._behind, self._behind_part = self._behind_levels(self.u[:, last], self._loops, last), np.zeros(len(self.u))
         if self._before is not None and abs(self._now_s - float(self._before.record.time_s[-1])) < _CLOCK_S:
             self._go_on_from(self._before)
         return self._measured(np.full(len(self.u), np.nan), np.full(len(self.power_W), np.nan))
@@ -137,7 +142,7 @@ class IdentifiedHouse(Releasing):
     def _go_on_from(self, before: HouseState) -> None:
         """Take over what was lived through before; what its record does not hold stays as it was."""
         n = min(self._k, before.record.n_steps)
-        self.forced_K = self.forced_K + before.more_K
+        self.forced_K, self._behind = self.forced_K + before.more_K, before.behind.copy()
         self._T_C[:, self._k - n : self._k + 1] = before.record.T_zone_C[:, before.record.n_steps - n :]
         for row, values in ((self.u, before.record.u), (self.power_W, before.record.power_W)):
             row[:, self._k - n : self._k] = values[:, before.record.n_steps - n :]
@@ -145,7 +150,7 @@ class IdentifiedHouse(Releasing):
     @property
     def state(self) -> HouseState:
         """Where the house stands now."""
-        return HouseState(self._lived(0, self._k), self.forced_K - self._forced_was[:, :, self._k])
+        return HouseState(self._lived(0, self._k), self.forced_K - self._forced_was[:, :, self._k], self._behind)
 
     def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
         """See `RoomSetpointPlant.advance`: with a command the loop that was learned answers.
@@ -159,9 +164,9 @@ class IdentifiedHouse(Releasing):
         left_s, u_sum, power_sum = float(duration_s), np.zeros(len(self.u)), np.zeros(len(self.power_W))
         while left_s > _CLOCK_S:
             seconds = min(left_s, self._was.step_s - self._part_s)
-            level = self._levels(block.u, block.command)
+            level, behind = self._levels(block.u, block.command)
             power_W = self._power(level, seconds)
-            self._go_on(level, power_W, seconds)
+            self._go_on(level, behind, power_W, seconds)
             u_sum, power_sum, left_s = u_sum + level * seconds, power_sum + power_W * seconds, left_s - seconds
         return self._measured(u_sum / duration_s, power_sum / duration_s)
 
@@ -218,20 +223,30 @@ class IdentifiedHouse(Releasing):
             heat_W=np.full_like(part.heat_W, np.nan),
         )
 
-    def _levels(self, u: tuple[float | None, ...], command: tuple[CommandValue | None, ...]) -> Array:
-        """Levels (A,) now: as set, as loops answer, or as they were."""
+    def _levels(self, u: tuple[float | None, ...], command: tuple[CommandValue | None, ...]) -> tuple[Array, Array]:
+        """Levels (A,) now, as set, as loops answer, or as they were, and x (A,) of their loops."""
         was, T_out_C = self._was.u[:, self._k], float(self._was.T_out_C[self._k])
-        before = self.u[:, max(self._k - 1, 0)]
         level = np.array([was[a] if one is None else one for a, one in enumerate(u)], dtype=np.float64)
+        untold = {a: one for a, one in self._loops.items() if command[a] is None}
+        behind = self._behind_levels(level, untold, self._k)
         for a, told in enumerate(command):
             if told is None:
                 continue
             if a not in self._loops or isinstance(told, tuple):
                 raise InputError(f"command of '{self._was.names.actuators[a]}': it has none")
-            home = self.model.operator.home[a]
-            T_C = float(self._free_C[home, self._k] + self.forced_K[home].sum())
-            level[a] = float(self._loops[a].loop.level(told, T_C, T_out_C, before[a]))
-        return np.clip(level, np.array(self.model.layout.u_min), 1.0)
+            loop, T_C = self._loops[a].loop, self._rooms_C(self._k)[a]
+            behind[a] = loop.behind(told, T_C, T_out_C, self._behind[a])
+            level[a] = loop.opened(T_C) * behind[a]
+        return np.clip(level, np.array(self.model.layout.u_min), 1.0), behind
+
+    def _behind_levels(self, u: Array, loops: Mapping[int, LearnedCommand], k: int) -> Array:
+        """x (A,) of levels `u` (A,) that no command set, in step `k` of the record."""
+        usual = {a: float(self._usual[a][k]) for a in loops}
+        return behind_levels(u, loops, usual, self._rooms_C(k), float(self._was.T_out_C[k]))
+
+    def _rooms_C(self, k: int) -> Array:
+        """The home zone of each actuator (A,) with the forced states of now over the free part of step `k`, °C."""
+        return np.asarray((self._free_C[:, k] + self.forced_K.sum(axis=(1, 2)))[list(self.model.operator.home)])
 
     def _power(self, level: Array, seconds: float) -> Array:
         """Power of each machine (M,) at levels (A,): as it was, and what other levels change by the law.
@@ -252,7 +267,7 @@ class IdentifiedHouse(Releasing):
                 raise DataError(f"the power of '{name}' was not measured: what other levels cost cannot be said")
         return np.where(np.isfinite(whole.power_W), whole.power_W, self._law_was)
 
-    def _go_on(self, level: Array, power_W: Array, seconds: float) -> None:
+    def _go_on(self, level: Array, behind: Array, power_W: Array, seconds: float) -> None:
         operator, k, step_s = self._resampled(seconds), self._k, self._was.step_s
         share = self._part_s / step_s
         free_now = (1.0 - share) * self._free_C[:, k] + share * self._free_C[:, k + 1]
@@ -273,10 +288,12 @@ class IdentifiedHouse(Releasing):
         weight = seconds / step_s
         for row, values in ((self.u, level), (self.power_W, power_W)):
             row[:, k] = values * weight if self._part_s == 0.0 else row[:, k] + values * weight
+        self._behind_part = self._behind_part + behind * weight
         self._part_s += seconds
         self._now_s += seconds
         if self._part_s > step_s - _CLOCK_S:
             self._k, self._part_s = k + 1, 0.0
+            self._behind, self._behind_part = self._behind_part, np.zeros(len(behind))
             self._now_s = float(self._was.time_s[self._k])
             self._T_C[:, self._k] = self._free_C[:, self._k] + self.forced_K.sum(axis=(1, 2))
 
