@@ -140,7 +140,10 @@ class CommandedLoop:
         return tuple(turn for turn in turns if turn[1] > 0.0), CommandState(float(values[v]), (n - i) * part_s, owed)
 
     def _later(self, k: int, values: Array, wanted: Array, T_end_C: Array) -> Array:
-        """How far commands that are held beyond step `k` are from what is planned then, (values,)."""
+        """How far commands that are held beyond step `k` are from what is planned then, (values,).
+
+        What is planned stands for x too: of where a search begins, more would not be seen in what it finds.
+        """
         n = min(_AHEAD, wanted.size - 1, self.low.size - 1 - k)
         out = np.zeros(values.size)
         for j in range(1, n + 1):
