@@ -495,6 +495,28 @@ def test_wrong_readings_of_a_counter_are_no_energy(wrong, rows, unknown, said):
     assert np.isnan(power[:-1]).sum() <= unknown
 
 
+def test_the_code_of_a_meter_for_no_reading_is_no_energy_of_a_step():
+    """65535 kWh in a quarter of an hour are 262 MW, and were believed."""
+    df = house()
+    df["E"] = (df["P"] / 4000.0).where(df.index != 100, 65535.0)
+    rules = BASE | {"machines": {"g": {"power": {"column": "E", "unit": "kWh per step"}}}}
+    found = tf.read_measurements(df, rules)
+    (flag,) = (flag for s in found.understood.signals for flag in s.flags)
+    assert (flag.rule, flag.count) == ("energy", 1)
+    assert flag.first.endswith("wrong readings, first at 2025-01-11 01:00:00")
+    assert np.isnan(found.record.power_W[0, 100])
+    np.testing.assert_allclose(np.delete(found.record.power_W[0], 100), np.delete(df["P"].to_numpy()[:-1], 100))
+
+
+@pytest.mark.parametrize("unit", ["kWh per step", "kWh counter"])
+def test_a_machine_that_ran_once_in_a_short_table_took_its_energy(unit):
+    energy = np.where(np.arange(40) == 30, 0.6, 0.002)
+    df = house(periods=40).assign(E=energy.cumsum() if unit.endswith("counter") else energy)
+    found = tf.read_measurements(df, BASE | {"machines": {"g": {"power": {"column": "E", "unit": unit}}}})
+    assert not [flag for s in found.understood.signals for flag in s.flags]
+    assert np.nanmax(found.record.power_W[0]) == pytest.approx(2400.0)
+
+
 def test_a_counter_that_begins_anew_each_day_keeps_its_energy():
     df = house(periods=385)
     day = df["time"].dt.day

@@ -165,8 +165,9 @@ def missing(rules: MeasurementMap, record: Record, conditions: Boundary) -> tupl
 # before a step that took so many times what the next one did (simulated heat meter of 28 November 2026: 2.5, 4 and 6
 # times err by 633, 613 and 608 W, differences by 1,440 W).
 _OFTEN, _LEAST_STEPS, _ROUND, _MOSTLY, _ONE_STEP, _RESTED = 0.7, 8, 1e-3, 0.5, 1.1, 4.0
-# A counter that rises by this many times the 99th percentile of its rises did not count energy.
-_UNUSUAL = 10.0
+# A meter of energy that tells this many times the 99th percentile of what it tells did not count it; of fewer than 100,
+# of which a machine at rest may have taken all but one, 1000 times: 9 kW after a standby of 9 W. By judgement.
+_UNUSUAL, _FEW_LOADS, _UNUSUAL_OF_FEW = 10.0, 100, 1000.0
 # A signal of so few readings, of a table with so many rows for each of them, is stored when it changes.
 _FEW, _ROWS_BESIDE = 8, 5
 
@@ -270,6 +271,11 @@ class SignalReader:
         values, time_s, raw = values[finite], time_s[finite], raw[finite]
         is_counter = declared.endswith(COUNTER)
         stored_s = time_s
+        if declared.endswith(PER_STEP) and (wrong := _unusual(values)).any():
+            first = self._when(float(time_s[int(np.argmax(wrong))]))
+            words = f"energies of more than {_UNUSUAL:g} times the usual largest: wrong readings, first at {first}"
+            flags.append(Flag("energy", int(wrong.sum()), words, (), float(time_s[wrong][-1])))
+            values, time_s, raw = values[~wrong], time_s[~wrong], raw[~wrong]
         if is_counter and values.size > 1:
             if step := _step_of(raw):
                 self.coarse.append(
@@ -446,9 +452,7 @@ def _from_counter(
     flag(back, time_s[1:], "readings below the one before: a reset or a new meter")
     # Readings that came late, in a burst, rise by no more than in the usual time.
     load = amount / np.maximum(lasts, usual_s(time_s))
-    positive = load[load > 0.0]
-    most = _UNUSUAL * float(np.percentile(positive, 99.0, method="lower")) if positive.size else np.inf
-    jumped = load > most
+    jumped = _unusual(load)
     flag(jumped, time_s[1:], f"rises of more than {_UNUSUAL:g} times the usual largest: a new meter or a wrong reading")
     sound = ~back & ~jumped
     if coarse:
@@ -457,6 +461,15 @@ def _from_counter(
         amount = np.diff(np.concatenate(counts))
     stamps_s = time_s[1:] if marks == "end" else time_s[:-1]
     return (amount / lasts)[sound], stamps_s[sound], raw[1:][sound], flags
+
+
+def _unusual(load: Array) -> NDArray[np.bool_]:
+    """Which loads (n,) that a meter of energy tells no machine took, see `_UNUSUAL`."""
+    positive = load[load > 0.0]
+    if not positive.size:
+        return np.zeros(load.size, dtype=bool)
+    times = _UNUSUAL_OF_FEW if positive.size < _FEW_LOADS else _UNUSUAL
+    return np.asarray(load > times * np.percentile(positive, 99.0, method="lower"))
 
 
 def _step_of(counts: Array) -> float:

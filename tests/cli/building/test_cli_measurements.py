@@ -16,12 +16,17 @@ from click.testing import CliRunner
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.cli.building.data import show_findings
 from thermoforce_mpc.cli.building.plan import drawn_plan, plan_table
 from thermoforce_mpc.data import DAY_S, Boundary, Layout, Names, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
+from thermoforce_mpc.identification.probing import operation
+from thermoforce_mpc.identification.probing.operation import OperationFinding
 from thermoforce_mpc.identification.validation import competence
 from thermoforce_mpc.loop.probing import probe
+from thermoforce_mpc.measurements.load import read_measurements
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.report.display import RunDisplay
 
 MAP = """\
 time: {zone: Europe/Brussels}
@@ -132,6 +137,32 @@ def test_what_a_record_of_operation_cannot_tell_is_said_and_a_probing_is_propose
     assert schedule.columns.tolist() == ["heat_pump"]
     assert set(schedule["heat_pump"].dropna()) == {0.0, 1.0}
     assert np.isnan(schedule["heat_pump"].iloc[-1]), "the last line gives control back"
+
+
+def test_what_is_told_of_many_actuators_alike_is_said_once(monkeypatch, capsys):
+    """Of twelve rooms the same advice stood there twelve times."""
+    rooms, at = ["bath", "hall", "loft"], pd.date_range("2025-02-01", periods=25, freq="1h", name="when")
+    told = [
+        OperationFinding("bath", False, "not known", ("hold full level", "probe 6 hours more")),
+        OperationFinding("hall", True, "competent"),
+        OperationFinding("loft", False, "not known", ("hold full level", "probe 9 hours more")),
+    ]
+    monkeypatch.setattr(operation, "findings", lambda record, layout: told)
+    rules = {
+        "outdoor": "out",
+        "zones": {name: {"temperature": f"T_{name}"} for name in rooms},
+        "actuators": {name: {"level": f"u_{name}", "zone": name} for name in rooms},
+    }
+    columns = {f"T_{name}": 20.0 for name in rooms} | {f"u_{name}": 0.5 for name in rooms}
+    measured = read_measurements(pd.DataFrame({"out": 0.0, **columns}, index=at).reset_index(), rules)
+    show_findings(measured, RunDisplay(), [])
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert lines[lines.index("bath, loft: not known") + 1] == "hall: competent"
+    assert [line for line in lines if line.startswith("advice")] == [
+        "advice for bath, loft: hold full level",
+        "advice for bath: probe 6 hours more",
+        "advice for loft: probe 9 hours more",
+    ]
 
 
 def test_probing_by_hand_keeps_the_hours_of_summer_time(folder, tmp_path):

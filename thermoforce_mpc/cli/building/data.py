@@ -6,7 +6,8 @@ Its picture has temperatures, weather and what acts; gaps are shaded, flagged re
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,7 @@ from rich.table import Table
 from thermoforce_mpc.cli.options import PATH, plot_option
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.data.series import stretches
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import DataError, counted
 from thermoforce_mpc.files import written
 from thermoforce_mpc.measurements.load import Measurements
 from thermoforce_mpc.measurements.signals import Understood
@@ -152,8 +153,8 @@ def probe_plan(
     if note:
         display.say(note)
     fitted = findings(record, measured.layout) if fit else []
-    for finding in fitted:
-        display.say(f"Found for {finding.actuator} by a linear model: {finding.words}")
+    for words, of in _by_text((finding.words, finding.actuator) for finding in fitted).items():
+        display.say(f"Found for {', '.join(of)} by a linear model: {words}")
     lower, upper = (_last_known(getattr(measured.conditions, name)) for name in ("lower_C", "upper_C"))
     recent = measured.record.last(round(MOST_DAYS * DAY_S / measured.record.step_s))
     plan = probe_schedule(
@@ -290,12 +291,15 @@ def show_findings(measured: Measurements, display: RunDisplay, doubts: Sequence[
     display.say("Effect of acting, found by a linear model:")
     if note:
         display.say(f"  {note}")
-    found = findings(record, served.layout)
+    several = len(served.layout.home) > 1  # takes seconds for each
+    with display.working(f"  fitted to {counted(len(served.layout.home), 'actuator')}") if several else nullcontext():
+        found = findings(record, served.layout)
     gaps = gaps_in_words(measured) if not all(finding.competent for finding in found) else ""
-    for finding in found:
-        display.say(f"  {finding.actuator}: {finding.words}")
-        for advice in finding.advice:
-            display.say(f"    advice: {advice}")
+    for words, of in _by_text((finding.words, finding.actuator) for finding in found).items():
+        display.say(f"  {', '.join(of)}: {words}")
+    advised = _by_text((advice, finding.actuator) for finding in found for advice in finding.advice)
+    for advice, of in advised.items():
+        display.say(f"    advice{'' if len(of) == len(found) else ' for ' + ', '.join(of)}: {advice}")
     if gaps:
         display.say(f"  {gaps}")
     if doubts and any(finding.competent for finding in found):
@@ -304,6 +308,14 @@ def show_findings(measured: Measurements, display: RunDisplay, doubts: Sequence[
         display.say("  `tf-mpc data probe-plan` writes a probing by hand that would tell")
     headline = "; ".join(f"{f.actuator} {f.words if f.competent else 'cannot be told'}" for f in found)
     return {"headline": headline, "part": note, "found": [asdict(finding) for finding in found]}
+
+
+def _by_text(told: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """Each text once, with the names of which it was told."""
+    found: dict[str, list[str]] = {}
+    for text, name in told:
+        found.setdefault(text, []).append(name)
+    return found
 
 
 def gaps_in_words(measured: Measurements) -> str:
