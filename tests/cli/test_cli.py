@@ -140,12 +140,19 @@ def test_what_is_printed_to_a_full_disk_is_one_message_and_exit_code_6(words):
     assert (done.returncode, done.stderr) == (6, said)
 
 
-@pytest.mark.parametrize("error", ["MemoryError()", "RuntimeError('std::bad_alloc')"])
-def test_out_of_memory_is_one_message_and_exit_code_6(error):
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        ("MemoryError()", "Out of memory: close other programs"),
+        ("RuntimeError('std::bad_alloc')", "Out of memory: close other programs"),
+        ("OSError(28, 'No space left on device', 'kept/law')", "Cannot be written: kept/law: No space left on device;"),
+    ],
+)
+def test_a_machine_that_is_full_is_one_message_and_exit_code_6(error, said):
     code = f"import thermoforce_mpc.cli as cli\ndef main(**_): raise {error}\ncli.cli.main = main\ncli.main()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 6
-    assert done.stderr.startswith("Out of memory: close other programs")
+    assert done.stderr.startswith(said)
     assert "Traceback" not in done.stderr
 
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import json
 import os
 import re
+import resource
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 
 import thermoforce_mpc
@@ -33,6 +36,13 @@ from thermoforce_mpc.plants.zz_law import law
 @njit(cache=True)
 def step(x):
     return 0.5 * (law(x) + zz_law.law(x))
+"""
+DOUBLED = """
+from thermoforce_mpc.data.compiled import njit
+
+@njit(cache=True)
+def doubled(x):
+    return 2.0 * x
 """
 ASK = """
 from thermoforce_mpc.plants.zz_plant import step
@@ -68,6 +78,36 @@ def test_a_plant_whose_laws_are_changed_in_another_file_is_compiled_again(tmp_pa
     no_folder = tmp_path / "file"
     no_folder.write_text("")
     assert asked(root, no_folder) == (3.0, 0), "where nothing can be kept it is compiled each time"
+
+
+@pytest.mark.parametrize("trouble", ["full disk", "cut short"])
+def test_what_cannot_be_kept_or_read_is_compiled_again(tmp_path, monkeypatch, trouble):
+    """A full disk ended the command without naming a file, and a file that a power cut left empty every command."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "kept"))
+    (tmp_path / "law.py").write_text(DOUBLED)
+
+    def doubled() -> float:
+        spec = importlib.util.spec_from_file_location("law", tmp_path / "law.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module.doubled(1.5)
+
+    if trouble == "full disk":
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+        try:
+            assert doubled() == 3.0
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert not list((tmp_path / "kept").rglob("*.nbc"))
+    else:
+        assert doubled() == 3.0
+        kept = list((tmp_path / "kept").rglob("*.nb?"))
+        assert len(kept) == 2
+        for file in kept:
+            file.write_bytes(b"")
+    assert doubled() == 3.0
+    assert all(file.stat().st_size for file in (tmp_path / "kept").rglob("*.nb?")), "it is kept once more"
 
 
 def test_sources_are_those_of_all_modules_that_are_imported():

@@ -133,7 +133,8 @@ def main() -> None:
             raise
         # What could not be written is not tried again at the end, which Python would tell of in lines of its own.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        click.echo(f"Cannot be written: {error.strerror}; make room or write elsewhere", err=True)
+        where = f"{error.filename}: " if isinstance(error.filename, str) else ""
+        click.echo(f"Cannot be written: {where}{error.strerror}; make room or write elsewhere", err=True)
         sys.exit(6)
     except Terminated as error:
         _say_end("Terminated.", error)

@@ -15,6 +15,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache, cached_property, update_wrapper
 from importlib.metadata import version
 from pathlib import Path
@@ -41,7 +42,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     where a signal may raise, and the process crashes over that.
 
     With `cache=True` it is kept by `sources_of` its file, in `NUMBA_CACHE_DIR` where that is set, else in the user's
-    cache folder. Where that cannot be written nothing is kept.
+    cache folder. What cannot be written there is not kept, and what cannot be read is compiled again.
     """
     return lambda function: _Compiled(function, options)
 
@@ -75,9 +76,33 @@ class _Compiled:
             compiled = numba.njit(**given)(function)
         finally:
             numba.config.CACHE_DIR = before
+        if folder:
+            _without_it(compiled._cache)
         if names.get(function.__name__) is self:
             names[function.__name__] = compiled
         return compiled
+
+
+def _without_it(kept: Any) -> None:
+    """Have numba's store of a function do without what it cannot write (a full disk) or read (cut short by a crash)."""
+    save, load = kept.save_overload, kept.load_overload
+
+    def saved(*what: Any) -> None:
+        try:
+            save(*what)
+        except OSError as error:
+            _LOG.info("%s: what was compiled is not kept: %s", kept.cache_path, error)
+
+    def loaded(*what: Any) -> Any:
+        try:
+            return load(*what)
+        except Exception as error:  # unpickling raises anything
+            _LOG.info("%s: what was compiled cannot be read (%s): compiled again", kept.cache_path, error)
+        with suppress(OSError):
+            kept.flush()  # numba reads the list of what it kept before it adds to it
+        return None
+
+    kept.save_overload, kept.load_overload = saved, loaded
 
 
 def sources_of(file: Path) -> list[Path]:
