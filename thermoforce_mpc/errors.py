@@ -127,6 +127,13 @@ def _terminate(number: int, frame: FrameType | None) -> None:
     raise_if_terminated()
 
 
+def left_to_parent() -> None:
+    """Ignore Ctrl-C and a closed terminal in this process: they reach its parent too, which then ends it."""
+    for name in ("SIGINT", "SIGHUP"):
+        if (number := getattr(signal, name, None)) is not None:
+            signal.signal(number, signal.SIG_IGN)
+
+
 def _raise_in_main_thread(number: int) -> None:
     if sys.platform == "win32":
         signal.raise_signal(number)

@@ -140,6 +140,20 @@ def test_what_is_printed_to_a_full_disk_is_one_message_and_exit_code_6(words):
     assert (done.returncode, done.stderr) == (6, said)
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no terminal is hung up here")
+def test_a_closed_terminal_ends_a_command_as_a_signal_to_end_does():
+    """It ended the process where it was: a comparison left its workers' semaphores and did not say how to go on."""
+    code = (
+        "import os, signal, sys, thermoforce_mpc.cli as cli\n"
+        "def main(**_):\n    try: os.kill(os.getpid(), signal.SIGHUP)\n    finally: print('given back')\n"
+        "cli.cli.main = main\nos.close(2)\ncli.main()"
+    )
+    ours = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # inherited, and ignored where the tests run under nohup
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    signal.signal(signal.SIGHUP, ours)
+    assert (done.returncode, done.stdout) == (129, "given back\n")
+
+
 @pytest.mark.parametrize(
     ("error", "said"),
     [

@@ -7,6 +7,7 @@ import io
 import os
 import sys
 import warnings
+from contextlib import suppress
 from typing import Any
 
 import click
@@ -77,13 +78,15 @@ def _say_end(words: str, error: BaseException) -> None:
     from boptest_client import safe_text  # it may quote a file, a service or a journal
 
     notes = [*getattr(error.__cause__, "__notes__", ()), *getattr(error, "__notes__", ())]
-    click.echo(safe_text("\n".join((words, *notes)), _MOST_SHOWN), err=True)
+    with suppress(OSError):  # a terminal that was closed
+        click.echo(safe_text("\n".join((words, *notes)), _MOST_SHOWN), err=True)
 
 
 def _run() -> Any:
     """Run the command; what cannot be imported since something of the user's hides it says so."""
     try:
-        with terminated_by("SIGTERM"), terminated_by("SIGINT"):
+        # SIGHUP: the terminal was closed, or the connection to it lost.
+        with terminated_by("SIGTERM"), terminated_by("SIGHUP"), terminated_by("SIGINT"):
             return cli.main(standalone_mode=False)
     except Exception as error:
         # A building that was not given back, or a record that could not be kept, is to be told all the same.

@@ -23,7 +23,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, TypeVar
 
-from thermoforce_mpc.errors import EngineError
+from thermoforce_mpc.errors import EngineError, left_to_parent
 from thermoforce_mpc.execution.execute import Begun, Ended, Event, Lost, Told, WorkerAnswer, answer_to
 
 Result = TypeVar("Result")
@@ -246,7 +246,7 @@ def _begin(channel: Connection) -> None:
     """Prepare the process: interrupts are for the parent, which ends this process by SIGTERM; so does its own end."""
     global _channel
     _channel = channel
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    left_to_parent()
     signal.signal(signal.SIGTERM, _terminate)
     threading.Thread(target=_follow_parent, daemon=True).start()
 

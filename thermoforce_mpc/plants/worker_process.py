@@ -28,7 +28,7 @@ from typing import IO, Any
 from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.dependencies import SWITCHES
-from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.errors import PlantError, left_to_parent
 
 _LOG = logging.getLogger(__name__)
 
@@ -185,7 +185,7 @@ class Failed:
 
 def channel() -> tuple[Callable[[], Any], Callable[[Any], None]]:
     """Receive a request and send an answer, in the worker; the end of the stream ends its process, also if it hangs."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the other end too, which then ends this one
+    left_to_parent()
     # Output of the simulation must not reach the messages: standard output is redirected to standard error.
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange
-from thermoforce_mpc.errors import ConfigError, InputError, PlantError, terminated_by
+from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 
 if TYPE_CHECKING:
     from thermoforce_mpc.connections.sole import Sets
@@ -107,7 +107,6 @@ def commission(
     rules = load_map(map_file)
     step_s = _step_s(rules)
     with ExitStack() as held:
-        held.enter_context(terminated_by("SIGHUP"))
         say: Callable[[str], None] = RunDisplay().say
         if not dry_run:
             with storage_errors(out):

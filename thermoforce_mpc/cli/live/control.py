@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange, billed_objective, map_option, own_prices_option, said_tank
-from thermoforce_mpc.errors import ConfigError, ThermoForceError, terminated_by
+from thermoforce_mpc.errors import ConfigError, ThermoForceError
 
 if TYPE_CHECKING:
     from controllers.mpc.config import MPCConfig
@@ -158,7 +158,6 @@ def control(
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as held:
-        held.enter_context(terminated_by("SIGHUP"))
         held.enter_context(sole_use(out))
         building = held.enter_context(closing(build_connection(connection, settings)))
         held.enter_context(logging_to(out, say))

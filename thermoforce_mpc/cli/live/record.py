@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option
-from thermoforce_mpc.errors import ConfigError, PlantError, terminated_by
+from thermoforce_mpc.errors import ConfigError, PlantError
 
 
 @click.command()
@@ -43,7 +43,7 @@ def record(
         raise ConfigError(f"--set {unknown[0]}: write connection.KEY=VALUE")
     rules = load_map(map_file)
     name, options = connection_settings(connection, chosen.get("connection", {}))
-    with terminated_by("SIGHUP"), closing(build_connection(name, options)) as building:
+    with closing(build_connection(name, options)) as building:
         if (reads := getattr(building, "reads", None)) is not None:
             reads([column for _, signal in rules.signals() for column in signal.columns])
         if (history := getattr(building, "history", None)) is not None:
