@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Literal
 
 import numpy as np
@@ -58,12 +59,11 @@ def hour_of_day(time_s: Array) -> Array:
 
 def varying(rng: np.random.Generator, time_s: Array, relative_sd: float) -> Array:
     """Return a log-normal first-order process of mean 1 on an equally spaced grid `time_s`; correlation time 2 h."""
-    from scipy.signal import lfilter  # only where houses are drawn: it loads slowly
-
-    memory = np.exp(-(time_s[1] - time_s[0]) / HOUR_S / _GAINS_HOURS)
+    memory = float(np.exp(-(time_s[1] - time_s[0]) / HOUR_S / _GAINS_HOURS))
     draws = rng.standard_normal(time_s.size)
     draws[1:] *= np.sqrt(1.0 - memory**2)
-    noise = lfilter([1.0], [1.0, -memory], draws)
+    # Not by SciPy's filter, which takes longer to load than all draws of a year.
+    noise = np.fromiter(accumulate(draws.tolist(), lambda before, draw: draw + memory * before), float, draws.size)
     sd = np.sqrt(np.log1p(relative_sd**2))
     return np.asarray(np.exp(sd * noise - 0.5 * sd**2))
 
