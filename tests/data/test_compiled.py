@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numba
 import pytest
+from waiting import LONG_S
 
 import thermoforce_mpc
 from thermoforce_mpc.data.compiled import sources_hash, sources_of
@@ -108,6 +109,26 @@ def test_what_cannot_be_kept_or_read_is_compiled_again(tmp_path, monkeypatch, tr
             file.write_bytes(b"")
     assert doubled() == 3.0
     assert all(file.stat().st_size for file in (tmp_path / "kept").rglob("*.nb?")), "it is kept once more"
+
+
+@pytest.mark.slow
+def test_of_two_processes_that_begin_together_one_compiles(tmp_path):
+    ask = (
+        "import sys, numba\n"
+        "from thermoforce_mpc.plants.embedded.schedule import is_occupied\n"
+        "print('here', flush=True); sys.stdin.readline(); is_occupied(0.0)\n"
+        "print(sum(is_occupied.dispatcher.stats.cache_hits.values()))"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    two = [
+        subprocess.Popen([sys.executable, "-c", ask], env=environment, stdin=-1, stdout=-1, text=True) for _ in range(2)
+    ]
+    for process in two:
+        assert process.stdout.readline() == "here\n"
+    for process in two:
+        process.stdin.write("\n")
+        process.stdin.flush()
+    assert sorted(process.communicate(timeout=LONG_S)[0] for process in two) == ["0\n", "1\n"]
 
 
 def test_sources_are_those_of_all_modules_that_are_imported():

@@ -14,8 +14,8 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, cached_property, update_wrapper
 from importlib.metadata import version
 from pathlib import Path
@@ -31,6 +31,8 @@ _PACKAGES = ("thermoforce_mpc", "controllers")
 _IMPORTS = re.compile(r"^(?:from[ ]([\w.]+)[ ]import[ ](\([^)]*\)|[^\n]*)|import[ ]([^\n]*))", re.M)
 # Packages of others whose functions ours take in: their versions count as sources.
 _TAKEN_IN = ("psychrolib",)
+# Longest wait for another process that compiles, s: ten times what the slowest takes on a busy machine.
+_LONGEST_S = 120.0
 # Folders of other sources that no process has used for as long are removed, days.
 _KEPT_DAYS = 30.0
 
@@ -51,11 +53,21 @@ class _Compiled:
     """A function that is compiled when it is first called, with those of ours that it calls."""
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
-        self._function, self._options = function, options
+        self._function, self._options, self._ready = function, options, False
         update_wrapper(self, function)
 
     def __call__(self, *args: Any) -> Any:
+        if not self._ready:
+            self._compile(args)
         return self.dispatcher(*args)
+
+    def _compile(self, args: tuple[Any, ...]) -> None:
+        """Compile it for these arguments, or read it: of several processes that ask at once, one compiles."""
+        import numba
+
+        dispatcher, self._ready = self.dispatcher, True
+        with _alone(_folder(str(self._function.__globals__["__file__"])) if self._options.get("cache") else None):
+            dispatcher.compile(tuple(map(numba.typeof, args)))
 
     @cached_property
     def dispatcher(self) -> Any:
@@ -103,6 +115,18 @@ def _without_it(kept: Any) -> None:
         return None
 
     kept.save_overload, kept.load_overload = saved, loaded
+
+
+@contextmanager
+def _alone(folder: str | None) -> Iterator[None]:
+    """Whoever else comes to `folder` waits until the end; nobody where there is none, or it is held for too long."""
+    from filelock import FileLock
+
+    with ExitStack() as held:
+        if folder is not None:
+            with suppress(OSError, NotImplementedError):  # what it is for comes anyway, if later
+                held.enter_context(FileLock(Path(folder) / "compiling.lock").acquire(timeout=_LONGEST_S))
+        yield
 
 
 def sources_of(file: Path) -> list[Path]:
