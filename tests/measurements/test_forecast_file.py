@@ -264,6 +264,9 @@ def test_weather_that_stays_is_a_forecast_and_no_stuck_sensor(measured, update):
     outdoor = measured.map.outdoor.model_copy(update=update)
     here = replace(measured, map=measured.map.model_copy(update={"outdoor": outdoor}))
     assert (read_forecast(hourly(49).assign(out=-15.0), here).T_out_C == -15.0).all()
+    sunny = measured.map.sun.model_copy(update=update)
+    here = replace(measured, map=measured.map.model_copy(update={"sun": sunny}))
+    assert (read_forecast(hourly(49).assign(sun=50.0), here).solar_W_m2 == 50.0).all()
 
 
 @pytest.mark.parametrize(

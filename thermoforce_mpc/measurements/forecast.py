@@ -252,7 +252,9 @@ class _Sources:
     def of(cls, measured: Measurements, prices: Path | None) -> _Sources:
         rules, names = measured.map, measured.record.names
         own = {key: value for key, value in rules.forecast if value is not None}
-        weather = {"outdoor": rules.outdoor.model_copy(update={"stuck_h": None})} | own
+        weather = {"outdoor": rules.outdoor.model_copy(update={"stuck_h": None}), "sun": rules.sun} | own
+        if weather["sun"] is not None and ("sun" not in own or weather["sun"].stuck_h is None):
+            weather["sun"] = weather["sun"].model_copy(update={"stuck_h": 0.0})  # see `_OUTDOOR_AHEAD`
         ours = rules.model_copy(update={key: weather[key] for key in ("time", "outdoor", "sun") if key in weather})
         zones = [rules.zones[name] for name in names.zones]
         bounds = {key: [own.get(key, getattr(zone, key)) for zone in zones] for key in ("lower", "upper")}
