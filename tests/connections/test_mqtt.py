@@ -246,6 +246,23 @@ def test_a_meter_that_speaks_each_second_is_recorded_every_ten_and_its_last_word
     other.loop_stop()
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"days": -3}, r"days: -3: for how long mqtt\.csv is kept; expected 1 or more"),
+        ({"days": 0}, "days: 0: for how long"),
+        ({"days": 1e12}, r"days: no building has 1e\+12; expected at most 3660 days"),
+        ({"port": 700000}, "port: 700000: expected 1 to 65535, or 0"),
+        ({"port": -1}, "port: -1: expected"),
+    ],
+)
+def test_numbers_that_no_record_or_broker_has_are_refused(tmp_path, monkeypatch, options, said):
+    """With fewer than no days all that was recorded was left out of the record."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=said):
+        build_connection("mqtt", options)
+
+
 def test_a_record_reads_as_measurements(tmp_path):
     now = pd.Timestamp.now("UTC").floor("1h")
     file = tmp_path / "mqtt.csv"

@@ -44,6 +44,7 @@ _HEADER = "time,topic,value\n"
 _MOST_PAYLOAD = 100_000
 # A step of control should see some readings of what changes.
 _LONGEST_EVERY_S = 300.0
+_MOST_PORT = 65535
 # How often a record that is written to for months is looked through for what is too old.
 _KEEP_EVERY = timedelta(days=1)
 
@@ -109,6 +110,10 @@ class MqttConnection:
             raise ConfigError(f"connection mqtt: version: {version!r}: expected '5' or '3.1.1'")
         if not 0.0 <= every_s <= _LONGEST_EVERY_S:
             raise ConfigError(f"connection mqtt: every_s: {every_s:g}: expected 0 to {_LONGEST_EVERY_S:g} s")
+        if not days >= 1.0:  # of fewer the record would be cut to nothing
+            raise ConfigError(f"connection mqtt: days: {days:g}: for how long {record} is kept; expected 1 or more")
+        if not 0 <= port <= _MOST_PORT:
+            raise ConfigError(f"connection mqtt: port: {port}: expected 1 to {_MOST_PORT}, or 0 for the usual one")
         if discovery is not None and not _plain_topic(discovery):
             raise ConfigError(f"connection mqtt: discovery: {discovery!r} is no topic")
         if not _plain_topic(prefix):

@@ -138,7 +138,9 @@ class StrictModel(BaseModel):
         for one in _leaves(value):
             if isinstance(one, int | float) and not least <= one <= most:
                 in_unit = f" {_SHOWN.get(unit, unit.removeprefix('_'))}" if unit else ""
-                raise ValueError(f"no building has {one:g}; expected {least:g} to {most:g}{in_unit}")
+                bound = f"at most {most:g}" if one > most else f"at least {least:g}"
+                expected = f"{least:g} to {most:g}" if unit in _LEAST else bound
+                raise ValueError(f"no building has {one:g}; expected {expected}{in_unit}")
         return value
 
 
