@@ -65,6 +65,10 @@ def _is_private(name: str) -> bool:
     return name.startswith("_") and not name.startswith("__") and name != "_"
 
 
+def _called(function: ast.expr) -> str:
+    return str(getattr(function, "attr", getattr(function, "id", "")))
+
+
 def _reached(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """Lines on which a module reaches for a private name of something else, and the names."""
     for node in ast.walk(tree):
@@ -74,7 +78,7 @@ def _reached(tree: ast.Module) -> Iterator[tuple[int, str]]:
         elif isinstance(node, ast.ImportFrom):
             parts = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
             yield from ((node.lineno, part) for part in parts if _is_private(part))
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in ("setattr", "getattr", "delattr"):
+        elif isinstance(node, ast.Call) and _called(node.func) in ("setattr", "getattr", "delattr"):
             named = [arg.value for arg in node.args if isinstance(arg, ast.Constant) and isinstance(arg.value, str)]
             yield from ((node.lineno, name) for name in named if _is_private(name.split(".")[-1]))
 

@@ -161,6 +161,7 @@ def test_what_is_safe_to_repeat_is_repeated(client, service, kind):
     assert service.count("kpi/") == 3
 
 
+@pytest.mark.slow
 @hasty
 def test_what_is_late_and_safe_to_repeat_is_repeated(client, service):
     client.initialize(86400, 0)
@@ -192,6 +193,7 @@ class Clock:
             self.then()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("status", "away_s"), [("500", 890.0), ("drop", 890.0)])
 def test_a_service_that_is_away_for_a_quarter_of_an_hour_does_not_end_a_run(service, status, away_s):
     """With the default patience; the pauses are asked for and not slept."""
@@ -261,6 +263,7 @@ def test_a_step_length_that_did_not_arrive_is_set_again(client, service):
     assert client.advance({})["time"] == start["time"] + 900
 
 
+@pytest.mark.slow
 @hasty
 def test_before_the_run_a_slow_answer_is_not_waited_for_long(client, service):
     service.faults.append(Fault("kpi/", "slow", times=9, seconds=LATE_S))
@@ -269,6 +272,7 @@ def test_before_the_run_a_slow_answer_is_not_waited_for_long(client, service):
     assert service.count("kpi/") == 1
 
 
+@pytest.mark.slow
 @hasty
 @pytest.mark.parametrize("kind", ["drip", "drip head"])
 def test_an_answer_that_drips_is_given_up_in_time(client, service, kind):
@@ -324,6 +328,7 @@ def test_measurements_without_a_time_are_a_protocol_error(client, service, odd):
 FOREIGN = [{}, {"detail": None}, {"detail": {}}, {"detail": {"loc": ["body"]}}, {"time": "noon"}, {"x": 7}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["inputs", "measurements", "forecast_points"])
 @pytest.mark.parametrize("odd", FOREIGN, ids=repr)
 def test_json_of_another_kind_is_no_list_of_points(client, service, what, odd):
@@ -373,6 +378,7 @@ def test_kpis_that_are_none_are_a_protocol_error(client, service, odd):
         client.kpi()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
@@ -557,6 +563,7 @@ def never(seconds):
     raise AssertionError("it is not asked again")
 
 
+@pytest.mark.slow
 def test_silence_is_said_and_ends_before_a_run(service, caplog, monkeypatch):
     monkeypatch.setattr("boptest_client.transport.SAID_AFTER_S", 0.2)
     monkeypatch.setattr("boptest_client.client.LOOKUP_S", 1.0)
@@ -568,6 +575,7 @@ def test_silence_is_said_and_ends_before_a_run(service, caplog, monkeypatch):
         assert "no answer for 0.4 s already" in caplog.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("read_timeout_s", "last_s"), [(1.0, r"0\.\d+"), (300.0, r"1\.\d+")])
 def test_silence_in_a_run_ends_with_its_patience(service, read_timeout_s, last_s):
     config = TransportConfig(connect_timeout_s=0.3, read_timeout_s=read_timeout_s, patience_s=1.5, backoff_s=0.1)
@@ -581,6 +589,7 @@ def test_silence_in_a_run_ends_with_its_patience(service, read_timeout_s, last_s
         service.faults.clear()
 
 
+@pytest.mark.slow
 def test_a_selection_that_hangs_is_waited_for_no_longer_than_patience(service):
     service.faults.append(Fault("testcases/", "slow", times=9, seconds=LATE_S))
     began_s = time.monotonic()
@@ -636,6 +645,7 @@ def test_an_address_that_swallows_connections_is_given_up_after_one_wait():
         assert pauses == [], "no second attempt"
 
 
+@pytest.mark.slow
 def test_an_address_that_takes_connections_and_never_answers_is_given_up_soon(caplog, monkeypatch):
     """Though a request of a run may take minutes; of ten seconds the test waits one."""
     monkeypatch.setattr("boptest_client.client.FIRST_ANSWER_S", 1.0)

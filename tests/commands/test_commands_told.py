@@ -39,6 +39,7 @@ def run(files, *words):
     return CliRunner().invoke(cli, ["plan", *map(str, given)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".json", ".csv"])
 def test_commands_are_printed_and_written_with_their_units(files, suffix):
     out = files / f"commands{suffix}"
@@ -52,6 +53,7 @@ def test_commands_are_printed_and_written_with_their_units(files, suffix):
     assert rows[0]["from"] == "2025-01-29T00:00:00+00:00"
 
 
+@pytest.mark.slow
 def test_a_thermostat_in_fahrenheit_is_read_and_told_in_its_degrees(files, tmp_path):
     """The same home: what is told differs by the steps of the device alone, and saves as much."""
     rows, saved = {}, {}
@@ -121,6 +123,7 @@ def test_a_higher_curve_brings_hotter_water_and_more_heat_to_all_rooms():
     assert taken[1][1] > taken[0][1]
 
 
+@pytest.mark.slow
 def test_a_torn_last_line_does_not_keep_control_from_its_commands(files, tmp_path):
     """As after a power failure, when it is started again."""
     whole = (files / "house.csv").read_text()

@@ -139,6 +139,7 @@ def test_an_offset_is_told_from_the_weather():
         assert more == pytest.approx(0.2, abs=0.05)
 
 
+@pytest.mark.slow
 def test_what_an_offset_does_is_read_off_the_water():
     """Thermostats that shut the valves scatter the level: of a home three days of trials told 0.03 ± 0.05 by it."""
     command, errors = CurveOffset(kind="curve_offset", column="x"), {"water": [], "level": []}

@@ -65,6 +65,7 @@ def test_a_state_that_charges_a_tank_takes_its_energy_first_and_saves_it_later()
     assert more_W[16:].sum() + after_Wh == pytest.approx(-more_W[:16].sum(), abs=250.0)
 
 
+@pytest.mark.slow
 def test_its_bands_hold_what_days_take():
     inside, widths = 0, []
     for seed in range(12):

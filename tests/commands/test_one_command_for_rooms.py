@@ -71,6 +71,7 @@ def test_both_rooms_have_the_one_offset_that_is_good_for_both(plan):
     assert plan.saving.outside_Kh <= plan.saving.outside_alone_Kh + 0.5
 
 
+@pytest.mark.slow
 def test_a_small_room_is_kept_as_warm_as_a_large_one(home, measured):
     """Weights go by floor area: a kelvin in 3 m² would count less than an hour of the heat that avoids it."""
     ahead = read_forecast(home.forecast(), measured)
@@ -99,6 +100,7 @@ def plan_by(home, measured, cards):
     return controller(home, measured, model, gate=True).plan(Observation(measured.record, ahead))
 
 
+@pytest.mark.slow
 def test_one_command_acts_where_its_joint_effect_is_known(home, measured, plan):
     """A bedroom whose model may not act closed the offset of the whole house."""
     found = judged_plan(home, measured, bedroom=("a lead time misses", "another one too"))
@@ -118,6 +120,7 @@ def test_what_is_known_together_is_enough_for_one_command(home, measured, plan):
     assert "known to ± 15 % together" in found.why
 
 
+@pytest.mark.slow
 def test_a_room_that_is_not_known_is_not_brought_nearer_to_its_bounds(home, measured, plan):
     """Predictions err there, and what is done may do more than is said: a plan for the living room took no notice."""
     found = judged_plan(home, measured, bedroom=("a lead time misses", "another one too"))
@@ -126,6 +129,7 @@ def test_a_room_that_is_not_known_is_not_brought_nearer_to_its_bounds(home, meas
     assert 0.0 < found.saving.gain <= found.saving.saved
 
 
+@pytest.mark.slow
 def test_errors_of_the_free_part_are_in_the_band(home, measured):
     """What a day's weather, sun and people do moves what is needed, left alone and planned."""
     widths = []
@@ -137,6 +141,7 @@ def test_errors_of_the_free_part_are_in_the_band(home, measured):
     assert widths[1] > 1.03 * widths[0]
 
 
+@pytest.mark.slow
 def test_what_else_is_on_the_meter_is_no_cost_of_heat(home, measured, monkeypatch):
     """Heat that is stored was counted at what hot water and standby cost too: a plan kept more of it."""
     found = []
@@ -153,6 +158,7 @@ def test_what_else_is_on_the_meter_is_no_cost_of_heat(home, measured, monkeypatc
     assert found[1].saving.saved == pytest.approx(found[0].saving.saved, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_machine_is_set_once(home, measured):
     building = copy.deepcopy(home)
     live = LiveBuilding(building, validate(MeasurementMap, RULES, "rules"), 3600.0)
@@ -161,6 +167,7 @@ def test_the_machine_is_set_once(home, measured):
     assert any(value is not None for _, value in building.written)
 
 
+@pytest.mark.slow
 def test_no_offset_is_planned_of_which_the_record_does_not_tell(home, measured):
     """A plan took −3 K where 2 K had been tried, and counted on what −2 K does."""
     table = home.measurements()
@@ -208,6 +215,7 @@ def test_power_knows_what_a_kelvin_of_flow_costs(home, measured):
     assert (warm - cool) == pytest.approx(warm_true - cool_true, rel=0.2)
 
 
+@pytest.mark.slow
 def test_it_is_told_once_under_the_name_of_the_machine(home, tmp_path):
     curve_model(home).save(tmp_path / "model")
     home.measurements().to_csv(tmp_path / "house.csv", index=False)

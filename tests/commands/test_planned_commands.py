@@ -74,6 +74,7 @@ def test_set_points_stay_near_the_comfort_band_in_steps_of_their_resolution(plan
     assert {block.command for block in plan.blocks} <= {(value,) for value in values}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hold_min", [30, 180])
 def test_a_set_point_is_held_for_its_least_time(home, hold_min):
     (settings,) = planned(home, with_command(hold_min=hold_min)).settings
@@ -102,6 +103,7 @@ def test_a_plan_days_after_its_commands_were_learned_holds_none_of_then():
     assert settings[0].value == DAY_C
 
 
+@pytest.mark.slow
 def test_the_usual_command_is_of_the_same_day_though_seconds_count_from_another_year(home):
     """A plan's clock goes on over the new year; control that is started again reads a record of this year alone."""
     measured = read_measurements(home.measurements(), RULES, step_s=3600.0).served()
@@ -171,6 +173,7 @@ def test_a_home_that_only_takes_set_points_is_heated_more_cheaply_and_kept_warm(
     assert all(later - at >= pd.Timedelta(minutes=30) for at, later in pairwise(kept))
 
 
+@pytest.mark.slow
 def test_what_a_plan_is_compared_with_can_be_said(home):
     """The record is of times under planned commands: the median of its weeks is not what people would set."""
     saving = {usual: planned(home, with_command(usual=usual)).saving for usual in (19.0, 21.5)}
@@ -181,6 +184,7 @@ def test_what_a_plan_is_compared_with_can_be_said(home):
     assert (learned_commands(measured)["actuator"].usual == 21.5).all()
 
 
+@pytest.mark.slow
 def test_the_guard_commands_the_most_where_a_room_is_far_too_cold(home):
     """Whatever the plan: at a price that nobody pays it would leave the room cold."""
     measured = read_measurements(home.measurements(), with_command(maximum=24.0), step_s=3600.0).served()

@@ -111,6 +111,7 @@ def test_standing_loss_is_known_from_five_days_on_that_show_it(lived, days):
         assert 0.0 < tank.loss_sd < 0.02
 
 
+@pytest.mark.slow
 def test_a_charge_takes_what_its_kelvins_take_at_the_temperatures_that_it_goes_through(lived):
     """Dearer the warmer the tank is and the colder it is outdoors."""
     tank = learned_tank(read_measurements(lived[1], a_map(), step_s=HOUR_S))

@@ -74,6 +74,7 @@ def test_a_killed_worker_changes_no_record(tmp_path, monkeypatch):
     assert again.exit_code == 0, "nothing is left to run, so nobody is asked"
 
 
+@pytest.mark.slow
 def test_a_cluster_that_cannot_be_used_leaves_no_folder_and_a_folder_that_cannot_be_made_no_run(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="needs the extra [fleet]: pip install distributed")
     monkeypatch.setattr(cluster, "DaskEngine", partial(DaskEngine, patience=Patience(connect_s=0.3)))

@@ -80,6 +80,7 @@ CLOSE = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [600, 1400])
 def test_no_name_is_on_another_or_on_a_mark(browser, tmp_path, width):
     records = [
@@ -164,6 +165,7 @@ def test_confidence_is_shown_beside_any_reference(seen):
     assert not any(row.startswith("native") for row in rows)
 
 
+@pytest.mark.slow
 def test_differences_are_told_with_their_own_windows(browser, tmp_path):
     costs = {"ours": {"16": 0.5, "44": 0.4}, "pi": {"44": 0.7}, "thermostat": {"16": 0.5, "44": 0.5}}
     records = [

@@ -179,6 +179,7 @@ def test_the_address_of_a_worker_is_refused(dask_cluster, engine):
             open_engine(scheduler=address)
 
 
+@pytest.mark.slow
 def test_a_port_that_accepts_and_stays_silent_is_refused():
     """The limit of the connection alone does not end it, and no signal did."""
     before = _loops()

@@ -151,6 +151,7 @@ def test_processes_are_used_again_and_compute_on_one_thread(engine):
     assert collect([Task("t", "t", functions.threads, {})], engine) == [["1", "1"]]
 
 
+@pytest.mark.slow
 def test_a_task_tells_how_far_it_is(engine):
     watched = Watched()
     collect([Task("t", "t", functions.tell_all, {})], engine, watcher=watched)
@@ -160,6 +161,7 @@ def test_a_task_tells_how_far_it_is(engine):
     assert [o.reason for o in watched.outcomes] == [""]
 
 
+@pytest.mark.slow
 def test_what_is_under_way_is_ended_and_released_when_nobody_wants_more(log):
     engine = LocalEngine(1, leave_s=LONG_S)
     engine.submit("k", "k", functions_payload(log))
@@ -253,6 +255,7 @@ with LocalEngine(1) as engine:
 """
 
 
+@pytest.mark.slow
 def test_a_program_that_starts_processes_as_it_is_imported_is_told_so_once(tmp_path):
     script = tmp_path / "campaign.py"
     script.write_text(_UNGUARDED, encoding="utf-8")

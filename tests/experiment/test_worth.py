@@ -168,6 +168,7 @@ def test_it_ends_with_its_record_and_knows_no_other_command() -> None:
         house.advance(1.0, HOUR_S, (21.0,))
 
 
+@pytest.mark.slow
 def test_what_plans_would_have_saved_is_what_they_save_in_the_house() -> None:
     u = _levels(2)
     record, other = _run(u), _run(_nightly(u))

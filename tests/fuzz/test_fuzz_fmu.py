@@ -183,6 +183,7 @@ def test_bytes_that_were_changed(written, tmp_path, kind):
     assert {path.name for path in tmp_path.iterdir()} == {"x.fmu", "fmu"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in MEMBERS if name != BINARY])
 def test_a_member_that_was_changed(written, name):
     @fuzz(50)

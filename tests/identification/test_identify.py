@@ -111,6 +111,7 @@ def test_cooling_has_a_negative_effect():
     assert rmse < 0.05 * effect
 
 
+@pytest.mark.slow
 def test_the_wrong_sign_is_noticed():
     with pytest.raises(DataError, match="no effect of the actuator with the sign of cooling"):
         identify([record(HOUSE, 3.0, heat_measured=False)], config=LINEAR, mode="cooling")

@@ -94,6 +94,7 @@ def test_a_house_as_it_should_be_has_no_remark(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "set_to", "unit", "value"),
     [
@@ -165,6 +166,7 @@ def by_another_wall(rows):
     return rows.assign(out=rows["out"] + 12.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "where", "text"),
     [
@@ -376,6 +378,7 @@ def by_setpoint():
     return TimedHome(3), rules_of({name: name for name in SENSORS})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("made", "words"),
     [

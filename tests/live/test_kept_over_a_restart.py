@@ -88,6 +88,7 @@ def test_what_somebody_set_while_a_killed_controller_was_away_is_left_alone(tmp_
     assert house.written[before:] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("later_h", [0.0, 3.0])
 def test_what_is_held_yet_when_it_is_started_again_is_nobody_at_the_wall(tmp_path, later_h):
     """Also where the device went back by itself, once the time was over for which it was set."""

@@ -164,6 +164,7 @@ def test_a_silent_logger_is_bridged_by_the_model_for_a_while():
     assert told[-1] in ("thermostat", "native")
 
 
+@pytest.mark.slow
 def test_a_logger_that_was_silent_for_a_day_says_nothing_of_now():
     house = SimulatedBuilding()
     live = house.measurements
@@ -581,6 +582,7 @@ def runs_of(decisions):
     return [(on, sum(length for _, length in each)) for on, each in groupby(blocks, key=lambda block: block[0])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("at_h", "again_h"), [(5.1, 5.1), (5.999, 6.0)])
 def test_minimum_times_hold_over_a_kill(tmp_path, at_h, again_h):
     """Two and a half hours on and off at the least, in steps of one: a restart falls into each."""

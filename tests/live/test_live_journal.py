@@ -162,6 +162,7 @@ def test_the_journal_of_another_building_is_moved_aside(tmp_path, caplog):
     assert kinds(tmp_path).count("step") == 2
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_no_control(tmp_path, caplog, monkeypatch):
     house, write, writes = SimulatedBuilding(), os.write, count()
 

@@ -82,6 +82,7 @@ class _Silent(HomeWithTank):
         return rows
 
 
+@pytest.mark.slow
 def test_a_tank_that_says_nothing_any_more_is_given_back():
     home = _Silent()
     lived(5, home)
@@ -90,6 +91,7 @@ def test_a_tank_that_says_nothing_any_more_is_given_back():
     assert values[-2] is None
 
 
+@pytest.mark.slow
 def test_explain_watch_and_page_tell_of_the_tank(tmp_path):
     home = HomeWithTank()
     tank, rules = learned_tank(read_measurements(home.measurements(), MAP, step_s=HOUR_S).served()), tmp_path / "m.yaml"
@@ -122,6 +124,7 @@ def test_explain_watch_and_page_tell_of_the_tank(tmp_path):
     assert "tank: set to" in CliRunner().invoke(cli, ["watch", str(tmp_path), "--once"]).output
 
 
+@pytest.mark.slow
 def test_what_is_set_at_the_tank_is_known_after_a_restart(tmp_path):
     """It is held for its least time also by a controller that was started again."""
     home = HomeWithTank()

@@ -44,6 +44,7 @@ def test_steps_come_back_in_order(tmp_path):
         kept[0]
 
 
+@pytest.mark.slow
 def test_a_run_is_the_same_wherever_its_steps_are(tmp_path):
     options = {"step_s": 3600, "gate": {"enabled": False}, "free_response": {"name": "linear_weather"}}
     config = controller_config("thermoforce_mpc", options, load_testcase("bestest_hydronic_heat_pump"))

@@ -48,6 +48,7 @@ def ran(plant, hours: float = 16, **options):
     return run_closed_loop(plant, controller(), Period("test", START_S, hours * HOUR_S, 2 * DAY_S), **options)
 
 
+@pytest.mark.slow
 def test_the_last_forecast_stands_in_and_is_marked(caplog):
     with caplog.at_level(logging.WARNING):
         found = ran(silent(4, 9))
@@ -79,6 +80,7 @@ def test_a_plant_that_never_gave_a_forecast_ends_the_run_at_once():
         ran(silent(0, 99))
 
 
+@pytest.mark.slow
 def test_a_run_killed_without_a_forecast_goes_on_to_the_same_bytes_and_is_explained(tmp_path, monkeypatch):
     simple_model().save(tmp_path / "model")
     monkeypatch.setattr(ChosenPlant, "build", lambda *_: silent(4, 30))
@@ -114,6 +116,7 @@ def gappy(house, given):
     return given
 
 
+@pytest.mark.slow
 def test_a_journal_tells_the_forecasts_that_the_run_had(tmp_path, monkeypatch):
     simple_model().save(tmp_path / "model")
     had = {}

@@ -88,6 +88,7 @@ def test_a_wrong_unit_from_the_start_is_said_in_the_first_step(says, changes, ca
     assert any(record.levelno == logging.WARNING and re.search(says, record.getMessage()) for record in caplog.records)
 
 
+@pytest.mark.slow
 def test_prices_in_another_currency_are_not_judged():
     """30 yen per kWh are usual. The controller compares them with its weight of comfort, see `test_comfort_weight`."""
     assert noted(simple_model(), currency="JPY", factor=120.0, signals=PRICES) == {}
@@ -115,6 +116,7 @@ def test_a_meter_that_changes_its_unit_is_said_within_a_day():
     assert "of what the model expects at these levels; kW is likelier than W" in found[24]
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_right_units():
     assert noted(simple_model()) == {}
 

@@ -65,6 +65,7 @@ def test_a_last_line_torn_at_any_byte_tells_nothing_that_was_not_measured(path, 
         assert len(found.left_out) <= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("last", "believed"), [("200", False), ("2", False), ("1000.5", False), ("1000.0", True), ("1000\n", True)]
 )
@@ -165,6 +166,7 @@ def test_a_file_of_nothing_that_can_be_read_is_refused(path):
         live(path, ["\x00\n", "ERR\n"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("column", "change", "words"),
     [

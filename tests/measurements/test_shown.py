@@ -253,6 +253,7 @@ def test_the_picture_is_drawn_whatever_is_missing(tmp_path):
         assert (tmp_path / name).stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("days", [0.5, 3, 60, 400])
 def test_every_panel_of_the_picture_has_labels_on_both_axes_that_do_not_overlap(days):
     n = int(days * 48)

@@ -70,6 +70,7 @@ def test_flipped_bits_are_refused_with_the_command_that_goes_on_to_the_same_byte
     assert not read_journal(folder / "journal.jsonl").torn
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_from_a_time_or_an_earlier_line(whole, tmp_path):
     folder = copied(whole, tmp_path / "back")
     done = call("resume", folder, "--from", f"{10.25 * DAY_S:.0f}s")

@@ -85,6 +85,7 @@ def listener() -> Iterator[list[tuple[str, str | None]]]:
         thread.join()
 
 
+@pytest.mark.slow
 def test_an_address_in_a_journal_gets_no_request_and_no_token_until_it_is_given(monkeypatch, tmp_path, listener):
     (url, _), *_ = listener
     monkeypatch.setenv("BOPTEST_TOKEN", TOKEN)
@@ -129,6 +130,7 @@ def test_an_fmu_in_a_journal_is_not_opened_until_it_is_given_or_the_one_of_befor
     assert "not given it here before" in str(call("resume", changed).exception)
 
 
+@pytest.mark.slow
 def test_python_in_a_journal_is_not_run_by_resume_or_explain(monkeypatch, tmp_path):
     monkeypatch.setattr(ChosenPlant, "build", lambda *_: SimpleHouse())
     mark, terms = tmp_path / "was here", tmp_path / "terms.py"

@@ -66,6 +66,7 @@ def test_a_loop_that_takes_long_says_so_now_and_then_and_ever_less_often(result,
     assert lines[-1].startswith("native: 9 days in 7 min")
 
 
+@pytest.mark.slow
 def test_until_a_plant_has_warmed_up_it_is_said_that_it_does(monkeypatch):
     monkeypatch.setattr(display, "SAID_AFTER_S", 0.1)
     console = Console(file=io.StringIO(), width=200)

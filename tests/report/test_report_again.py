@@ -50,6 +50,7 @@ def last_line(folder, kind, n):
     return found[n]
 
 
+@pytest.mark.slow
 def test_the_report_of_a_whole_run_is_the_same_again(whole, tmp_path):
     done = call("report", whole, "--out", tmp_path / "again.html")
     assert done.exit_code == 0, done.output

@@ -276,6 +276,7 @@ def test_other_levels_and_step_responses_are_those_of_the_model(tmp_path):
     np.testing.assert_allclose(answer["K"][1:25], np.cumsum(impulse), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_other_levels_are_not_asked_about_where_a_level_was_not_measured():
     house, model = SimpleHouse(), simple_model()
     config = MPCConfig.model_validate({"step_s": None, "horizon_h": 6})

@@ -163,6 +163,7 @@ def test_the_slider_shows_the_plan_made_then_beside_what_came(seen, one_zone):
     assert seen.page.locator("#plan-slider").input_value() == "24"
 
 
+@pytest.mark.slow
 def test_playing_goes_on_from_plan_to_plan_until_stopped(seen):
     move(seen, "#plan-slider", 3)
     seen.page.locator("#plan-play").click()
@@ -238,6 +239,7 @@ def test_pointing_tells_values_with_units_and_why(seen, one_zone):
     assert not tip.is_visible()
 
 
+@pytest.mark.slow
 def test_light_and_dark_by_system_and_by_switch(browser, one_zone):
     ground = "getComputedStyle(document.body).backgroundColor"
     dark = Seen(browser, one_zone[1], color_scheme="dark")
@@ -253,6 +255,7 @@ def test_light_and_dark_by_system_and_by_switch(browser, one_zone):
     dark.close()
 
 
+@pytest.mark.slow
 def test_a_phone_needs_no_sideways_scrolling(browser, one_zone):
     phone = Seen(browser, one_zone[1], width=390, device_scale_factor=2)
     assert phone.ask("document.documentElement.scrollWidth") == 390
@@ -261,6 +264,7 @@ def test_a_phone_needs_no_sideways_scrolling(browser, one_zone):
     phone.close()
 
 
+@pytest.mark.slow
 def test_print_is_light_fits_the_paper_and_leaves_the_controls_out(browser, one_zone):
     dark = Seen(browser, one_zone[1], color_scheme="dark")
     assert dark.page.pdf(format="A4", print_background=True)[:5] == b"%PDF-"
@@ -291,6 +295,7 @@ def zones(browser, tmp_path):
     found.close()
 
 
+@pytest.mark.slow
 def test_zones_are_rows_and_actuators_have_lanes_of_who_acted(zones):
     run, seen = zones
     assert seen.page.locator("#course .zone-row").count() == 2
@@ -305,6 +310,7 @@ def test_zones_are_rows_and_actuators_have_lanes_of_who_acted(zones):
     assert not near(seen, "Report.status.lanes[1]", t + HOUR_S, 0, "--status-native")
 
 
+@pytest.mark.slow
 def test_set_points_are_lines_of_their_zone_that_do_not_set_its_height(zones):
     _, seen = zones
     chart = "Report.course.temperatures[0]"
@@ -314,6 +320,7 @@ def test_set_points_are_lines_of_their_zone_that_do_not_set_its_height(zones):
     assert seen.page.locator("#course-legend [data-key=set-heating]").count() == 1
 
 
+@pytest.mark.slow
 def test_an_instant_without_a_plan_shows_what_came_and_says_so(zones):
     _, seen = zones
     move(seen, "#plan-slider", 9)
@@ -325,6 +332,7 @@ def test_an_instant_without_a_plan_shows_what_came_and_says_so(zones):
     assert series(seen, "Report.plans.temperatures[0]", "plan").size == N + 1
 
 
+@pytest.mark.slow
 def test_markup_in_names_and_reasons_is_shown_and_never_run(zones):
     _, seen = zones
     assert HOSTILE_NAMES.zones[0] in seen.page.locator("#course figcaption").first.inner_text()
@@ -336,6 +344,7 @@ def test_markup_in_names_and_reasons_is_shown_and_never_run(zones):
     move(seen, "#plan-slider", N)
 
 
+@pytest.mark.slow
 def test_the_browser_refuses_scripts_that_are_not_the_pages_own(browser, one_zone):
     seen = Seen(browser, one_zone[1])
     seen.ask("document.body.insertAdjacentHTML('beforeend', '<img src=x onerror=\"window.hacked = 1\">')")

@@ -108,6 +108,7 @@ def test_the_document_names_the_token_where_one_is_needed(guarded, url):
     assert "security" not in requests.get(f"{url}/openapi.json", timeout=SOON_S).json()
 
 
+@pytest.mark.slow
 def test_more_requests_than_the_rate_get_429_and_when_to_come_again(monkeypatch):
     with running_emulator_service(per_second=5.0) as address, requests.Session() as client:
         monkeypatch.setattr(time, "monotonic", lambda: 1e6)  # so that it is the same second, on any machine

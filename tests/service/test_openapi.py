@@ -142,6 +142,7 @@ BODIES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", BODIES)
 def test_whatever_does_not_fit_it_is_refused_or_understood(app, verb):
     client, method = app.test_client(), "POST" if verb == "advance" else "PUT"

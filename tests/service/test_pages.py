@@ -34,6 +34,7 @@ def startable(url):
     return len(started)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "headers",
     [
@@ -84,6 +85,7 @@ def test_a_body_of_another_type_is_none_as_at_the_real_service_and_a_page_of_els
     requests.put(f"{url}/stop/{testid}", timeout=LONG_S)
 
 
+@pytest.mark.slow
 def test_no_address_starts_more_than_its_share():
     with running_emulator_service(most_tests=3, tests_each=2) as url:
         first, _ = (requests.post(f"{url}/{SELECT}", timeout=LONG_S).json()["testid"] for _ in range(2))
@@ -95,6 +97,7 @@ def test_no_address_starts_more_than_its_share():
         assert requests.post(f"{url}/{SELECT}", timeout=LONG_S).ok
 
 
+@pytest.mark.slow
 def test_where_other_machines_can_ask_one_address_has_half():
     token = "kept-in-a-drawer-0123456789"
     with running_emulator_service(most_tests=3, token=token, host="0.0.0.0") as url:

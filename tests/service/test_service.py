@@ -51,6 +51,7 @@ def house():
     return EmbeddedPlant(synthetic_weather())
 
 
+@pytest.mark.slow
 def test_the_plant_on_the_service_is_the_embedded_plant(url, house):
     with BoptestPlant(url, load_testcase(NAME), config=QUICK) as served:
         for plant in (served, house):
@@ -416,6 +417,7 @@ def test_the_price_of_a_running_test_can_be_changed_without_disturbing_it(client
     assert client.advance()["time"] == before["time"] + 3600
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "path", "body", "status", "message"),
     [

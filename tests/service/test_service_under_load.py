@@ -116,6 +116,7 @@ def test_connections_that_say_nothing_keep_no_one_out(url, sent):
             connection.close()
 
 
+@pytest.mark.slow
 def test_steps_that_take_long_leave_the_others_their_answers(monkeypatch):
     """Every test but one simulates something long, and is asked once more meanwhile."""
     finish = threading.Event()

@@ -113,6 +113,7 @@ def test_a_record_without_a_column_is_named(tmp_path, own_weather):
         bench.run_plant_bench(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_hotter_thermostat_uses_more(own_weather):
     plant = EmbeddedPlant(synthetic_weather())
     low, high = (thermostat_energy(plant, Thermostat(16, centre, 1.0, 1.0)) for centre in (21.0, 22.0))

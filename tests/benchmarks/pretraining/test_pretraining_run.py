@@ -48,6 +48,7 @@ def weights(folder):
     return safetensors_torch.load_file(folder / "checkpoint" / "model.safetensors")
 
 
+@pytest.mark.slow
 def test_a_run_leaves_a_loadable_checkpoint_and_its_curve(trained):
     from chronos import BaseChronosPipeline
 
@@ -61,6 +62,7 @@ def test_a_run_leaves_a_loadable_checkpoint_and_its_curve(trained):
     assert len(lines) == 2
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_ends_with_the_same_weights(trained, tmp_path, monkeypatch):
     real = training.save_checkpoint
 

@@ -40,6 +40,7 @@ def test_a_year_of_its_place_is_taken_without_a_word(tmp_path, year):
     assert load_weather(written(tmp_path / "w.mos", year)).latitude_deg == 50.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "message"),
     [
@@ -62,6 +63,7 @@ def test_a_year_warmer_or_colder_than_any_is_refused(tmp_path, year, T_C):
         load_weather(written(tmp_path / "w.mos", year, T_dry_C=T_C, T_dew_C=0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "later_h"),
     [(TOWN, 12), (TOWN, 5), ("50.9,-120,1.0", 0), ("50.9,4.53,-8", 0)],

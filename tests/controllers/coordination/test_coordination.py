@@ -35,6 +35,7 @@ def _free_kW(members: Sequence[Member]) -> Array:
     return np.sum([plan.total_kW for plan in _alone(members)], axis=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("share", "peak_price"), [(0.8, 0.0), (np.inf, 200.0), (0.9, 50.0)], ids=["limit", "peak price", "both"]
 )

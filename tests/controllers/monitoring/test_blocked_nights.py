@@ -44,6 +44,7 @@ def test_what_probing_has_found_keeps_the_first_night():
     assert coldest_K(run_of(model, 10.5 * DAY_S, 0.75)) > 0.5, "without it the night is cold"
 
 
+@pytest.mark.slow
 def test_the_night_is_kept_though_the_plant_sleeps():
     steps = run_of(simple_model(), 10 * DAY_S, 2.25)
     assert coldest_K([step for step in steps if step.time_s >= 11 * DAY_S]) < 0.1, "0.8 K without"

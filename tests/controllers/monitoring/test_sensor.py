@@ -92,6 +92,7 @@ def test_for_hours_the_model_stands_in_and_nobody_feels_it(shows, says):
     assert result.kpis["cost_tot"] == pytest.approx(healthy.kpis["cost_tot"], rel=0.03)
 
 
+@pytest.mark.slow
 def test_after_its_time_the_building_is_left_to_its_own_control_until_the_sensor_is_back():
     result = run(sensor(lambda T, last: np.nan, hours=12.0))
     found = statuses(result)
@@ -102,6 +103,7 @@ def test_after_its_time_the_building_is_left_to_its_own_control_until_the_sensor
     assert all(sample.u_applied == (None,) for sample in result.steps[FROM_H + 8].samples)
 
 
+@pytest.mark.slow
 def test_a_rule_acts_on_the_models_temperature_where_native_control_is_not_wanted(monkeypatch):
     monkeypatch.setattr(SensorConfig, "bridge_h", 1.0)
     result = run(sensor(lambda T, last: np.nan, hours=8.0), fallback={"stand_back": "rule"})

@@ -208,6 +208,7 @@ def test_energy_lies_between_the_law_of_power_and_what_the_rooms_ask_for(parts):
         assert found.energy_alone_kWh == pytest.approx(by_law.energy_alone_kWh)
 
 
+@pytest.mark.slow
 def test_rooms_are_next_to_never_colder_than_left_alone_for_what_that_saves(parts):
     """Where an hour's heat is dear and discomfort counts little: counted once, 0.25 K·h were worth what they saved."""
     commands, boundary, problem, mpc = parts

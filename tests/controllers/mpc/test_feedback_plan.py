@@ -87,6 +87,7 @@ def test_a_scaled_operator_is_certified_over_the_horizon():
         assert (scaled(zone, 1.3, 1.0, n_steps) is not None) == certified
 
 
+@pytest.mark.slow
 def test_the_quadratic_programme_refuses_it():
     with pytest.raises(ControllerConfigError, match="gain depends on the predicted temperature"):
         ThermoForceMPC(seeing_model(), MPCConfig(solver="qp"), free_response=OutdoorResponse())

@@ -196,6 +196,7 @@ def test_plan_says_prints_and_writes_what_to_set_at_the_tank(home, rows, tmp_pat
     assert TankTarget(kind="tank_target", column="x").in_words(50.0) == "tank target 50 °C"
 
 
+@pytest.mark.slow
 def test_the_tank_of_the_page_is_planned(home, rows):
     page = (Path(__file__).parents[3] / "docs/how-to/hot-water.md").read_text()
     (text,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)

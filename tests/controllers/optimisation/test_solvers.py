@@ -78,6 +78,7 @@ def crash(*_):
     raise MemoryError("out of memory")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.convex and "xclu" not in name])
 def test_a_convex_problem_begins_at_the_optimum_of_piqp(name):
     operator, problem, shape = instance(CASES[name], np.random.default_rng(4))

@@ -103,6 +103,7 @@ def test_zones_that_share_nothing_are_planned_as_if_alone():
         np.testing.assert_allclose(together.u[z], solution.u[0], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_zones_may_differ_in_order():
     rng = np.random.default_rng(20)
     n, hours = 192, ((40.0,), (0.5, 4.0, 40.0))

@@ -84,6 +84,7 @@ def test_no_answer_of_a_solver_acts_unchecked(acts, says):
     assert all(u in (0.0, 1.0) for block in plan.blocks for u in block.u)
 
 
+@pytest.mark.slow
 def test_a_solver_that_hangs_is_left_behind_within_its_time_and_another_one_takes_over(released, monkeypatch):
     monkeypatch.setattr(DeadlineConfig, "solve_s", SOON_S)
     hanging = lambda n, found: found if n else released.wait(30.0)  # noqa: E731
@@ -95,6 +96,7 @@ def test_a_solver_that_hangs_is_left_behind_within_its_time_and_another_one_take
     assert controller.plan(seen, plan.state).status is PlanStatus.SOLVED
 
 
+@pytest.mark.slow
 def test_a_forecaster_that_hangs_is_replaced_within_its_time_until_it_returns(released):
     hanging = ChangedResponse(lambda n, found: found if n else released.wait(30.0) and found)
     controller = mpc(hanging, deadline={"forecast_s": SOON_S})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from simple_house import SimpleHouse
 
 from thermoforce_mpc.data import DAY_S
@@ -27,6 +28,7 @@ def test_a_run_that_is_cut_short_does_not_turn_the_next_one_down():
     assert applied(LevelTrial((0.5,), 4), [1, 0, 1, 1, 1, 1]) == [0.5, 0, 1, 0.5, 0.5, 1]
 
 
+@pytest.mark.slow
 def test_probing_with_a_trial_holds_few_intermediate_levels():
     def levels(**options):
         config = ProbingConfig(design="random", warmup_days=0.0, margin_K=20.0, **options)

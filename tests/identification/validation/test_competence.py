@@ -158,6 +158,7 @@ def test_heating_says_nothing_of_cooling(measured, words):
         identify([record(HOUSE, 3.0, heat_measured=measured)], config=LINEAR, mode="cooling", floor_area_m2=190.0)
 
 
+@pytest.mark.slow
 def test_little_excitation_is_condemned_with_levels_and_hours():
     """An hour at a fifth of full level, now and then."""
     u = np.zeros(192)

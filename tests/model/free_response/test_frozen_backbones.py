@@ -45,6 +45,7 @@ def copy(bolt_folder: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(bolt_folder, tmp_path / "copy"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [1, 24, 100])
 def test_every_horizon_has_ordered_finite_quantiles(forecaster: ChronosFreeResponse, steps: int) -> None:
     free = daily(hours(240)) + 0.1 * np.random.default_rng(0).standard_normal(241)

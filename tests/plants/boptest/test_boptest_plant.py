@@ -70,6 +70,7 @@ def test_the_past_holds_the_warm_up(plant):
     assert past.u.max() > 0, "native control was at work"
 
 
+@pytest.mark.slow
 def test_named_periods_are_the_services_official_scenarios(plant, service):
     period = plant.period("peak_heat_day")
     before = service.count("scenario/")

@@ -56,6 +56,7 @@ def test_a_room_that_was_handed_back_keeps_its_water(service):
     assert set(native.values()) == {0.0}
 
 
+@pytest.mark.slow
 def test_a_valve_that_native_control_opens_without_water_has_no_level(service):
     """In the sun the living room turns the boiler off, and the valves of the cold rooms open for nothing."""
     with BoptestPlant(service.url, load_testcase(HOUSE)) as plant:

@@ -38,6 +38,7 @@ def test_open_loop_replay(plant, shared, name, warmup_days, rmse_K):
         assert power.sum() == pytest.approx(electric.sum(), rel=0.001)
 
 
+@pytest.mark.slow
 def test_water_temperatures_are_what_the_real_sensors_show(plant, shared):
     real = pd.read_csv(shared / "boptest_hp" / "excite_jan.csv.gz")
     start = float(real.time.iloc[0]) - 900
@@ -83,6 +84,7 @@ def test_native_control_on_the_peak_window(plant):
     assert kpis["pele_tot"] == pytest.approx(0.018913, rel=0.002)
 
 
+@pytest.mark.slow
 def test_the_windows_are_the_published_ones_in_whatever_form_the_weather_comes(plant, shared, tmp_path):
     lines = (shared / "boptest_hp" / "Brussels.mos").read_text().splitlines()
     other_form = tmp_path / "other.mos"

@@ -29,6 +29,7 @@ def office():
     return emulator_of("bestest_air", synthetic_weather(climate=CONTINENTAL))
 
 
+@pytest.mark.slow
 def test_they_are_plants_of_their_test_case(boiler, office):
     for plant, name in zip((boiler, office), NAMES, strict=True):
         assert isinstance(plant, Plant)
@@ -36,6 +37,7 @@ def test_they_are_plants_of_their_test_case(boiler, office):
     assert "continental" in office.info.weather
 
 
+@pytest.mark.slow
 def test_a_lowered_cooling_set_point_alone_brings_no_cold_air(office):
     """The mode follows the schedule: at night, below 30 °C, the fan blows air of 21 °C or more."""
     office.reset(200 * DAY_S + 2 * HOUR_S, DAY_S)
@@ -61,6 +63,7 @@ def test_cooling_goes_on_until_a_kelvin_below_the_scheduled_set_point(office):
     assert all(supply_C >= 21.0 for T_C, supply_C in seen if T_C < 22.9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("signal", "runs"), [(0.39, False), (0.51, True)])
 def test_the_pump_rounds_its_signal(boiler, signal, runs):
     boiler.reset(20 * DAY_S, DAY_S)

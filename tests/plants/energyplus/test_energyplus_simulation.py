@@ -129,6 +129,7 @@ def test_unknown_weather_names_what_there_is():
         weather_file("Atlantis")
 
 
+@pytest.mark.slow
 def test_inputs_of_different_length_are_refused():
     with LocalEngine(1) as engine, pytest.raises(PlantError, match="differ"):
         simulate_all([ZoneJob(HEATED, 30, np.full(96, 21.0), np.full(95, 0.5))], engine)

@@ -203,6 +203,7 @@ def _zone_lost(root):
             variable.set("name", "reaTRoo_y")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("describe", "message"),
     [

@@ -20,6 +20,7 @@ HOURS = WEEK_S % DAY_S / HOUR_S
 IN_USE = (HOURS >= 6.0) & (HOURS < 19.0)
 
 
+@pytest.mark.slow
 def test_names_resolve_to_offices():
     plant = house_of_rooms("office:5rooms:3")
     assert plant.zones == ("open_1", "open_2", "meeting", "corridor", "cell")

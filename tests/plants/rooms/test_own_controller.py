@@ -99,6 +99,7 @@ def test_contacts_block_it_and_raise_the_curve():
     assert raised[-360:, physics.POWER].mean() > normal[-360:, physics.POWER].mean()
 
 
+@pytest.mark.slow
 def test_the_same_house_has_the_same_device_and_goes_on_where_it_stood():
     one, other = (draw_device(house_of_rooms("house:3rooms:902").house) for _ in range(2))
     np.testing.assert_array_equal(one.parameters, other.parameters)
