@@ -142,10 +142,11 @@ def test_efficiency_compares_the_parts_with_the_paper(simulated, folder, tmp_pat
 @pytest.mark.slow
 def test_baselines_are_scored_in_every_setting_and_seed(simulated, folder, tmp_path, monkeypatch):
     from benchmarks.interventions import studies
+    from benchmarks.interventions.methods import surrogate
 
     monkeypatch.setattr(interventions, "QUICK", TINY)
     monkeypatch.setattr(studies, "TEACHER_SEEDS", 2)
-    monkeypatch.setattr(studies, "surrogates", partial(studies.surrogates, epochs=2))
+    monkeypatch.setattr(surrogate, "surrogates", partial(surrogate.surrogates, epochs=2))
     rows = studies.run_study("baselines", folder, out=tmp_path, engine=LocalEngine(1), quick=True)["rows"]
     rc, network = ([row for row in rows if (row["teacher"] is None) == of_rc] for of_rc in (True, False))
     modes = len({row["mode"] for row in rows})
