@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from here import Here
 
 from benchmarks.interventions import bench as interventions
 from benchmarks.interventions.dataset import load_or_simulate
@@ -84,7 +85,7 @@ def test_the_manifest_names_engine_weather_model_and_outputs_by_their_hash(simul
 
 
 @pytest.mark.slow
-def test_the_command_writes_table_figures_and_page(simulated, folder, tmp_path, monkeypatch):
+def test_the_command_writes_table_figures_and_page(simulated, folder, tmp_path, monkeypatch, computed_here):
     monkeypatch.setattr(interventions, "QUICK", TINY)
     out = tmp_path / "out"
     command = ["bench", "interventions", "--quick", "--data", str(folder), "--out", str(out), "--workers", "1"]
@@ -125,9 +126,7 @@ def test_efficiency_compares_the_parts_with_the_paper(simulated, folder, tmp_pat
     from benchmarks.interventions import studies
 
     monkeypatch.setattr(interventions, "QUICK", TINY)
-    result = studies.run_study(
-        "efficiency", folder, out=tmp_path, engine=LocalEngine(1), days=(1,), quick=True, repeats=1
-    )
+    result = studies.run_study("efficiency", folder, out=tmp_path, engine=Here(), days=(1,), quick=True, repeats=1)
     rows = {row["component"]: row for row in result["rows"]}
     assert rows["trained parameters"]["here"] <= rows["trained parameters"]["paper"] == 195.0
     assert all(row["here"] > 0 for row in rows.values())
