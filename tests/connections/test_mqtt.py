@@ -163,6 +163,35 @@ def test_what_the_device_says_is_waited_for(connect, broker, monkeypatch):
 
 
 @needs_broker
+@pytest.mark.parametrize("lost", ["its answer", "the broker"])
+def test_what_a_device_said_before_does_not_say_that_it_was_put_back(connect, broker, monkeypatch, lost):
+    """It took 21 and its answer was lost: the 20 that it had said before passed for the answer to the next 20."""
+    monkeypatch.setattr("thermoforce_mpc.connections.mqtt.TAKEN_S", 0.3)
+    device = broker.client()
+    with wire(broker.port) as (port, _, snap):
+        home = connect(actuators={"hall": {"topic": "deaf/set", "release": 20, "state": "deaf/state"}}, port=port)
+        home.begin()
+        wait_for("the broker", lambda: home.connected)
+        wait_for(
+            "its state", lambda: device.publish("deaf/state", "20", 1) and home.present(["hall"]) == {"hall": 20.0}
+        )
+        if lost == "the broker":
+            snap()
+            wait_for("that it is gone", lambda: not home.connected)
+            wait_for("that it is back", lambda: home.connected)
+        else:
+            with pytest.raises(PlantError, match="deaf/state says 20, not 21"):
+                home.write({"hall": 21.0}, 900.0)
+        with pytest.raises(PlantError, match="deaf/state says None, not 20"):
+            home.put_back({"hall": 20.0})
+        device.publish("deaf/state", "20", 1)
+        wait_for("its word", lambda: home.present(["hall"]) == {"hall": 20.0})
+        home.put_back({"hall": 20.0})
+    device.disconnect()
+    device.loop_stop()
+
+
+@needs_broker
 def test_what_comes_is_recorded_but_for_what_was_retained(connect, broker, tmp_path):
     other = broker.client()
     other.publish("z/old", "99", qos=1, retain=True).wait_for_publish(5)

@@ -145,6 +145,7 @@ class MqttConnection:
         self._outlook = Outlook(forecast)
         self._columns: tuple[str, ...] = tuple(a.state for a in self._actuators.values() if a.state is not None)
         self._heard: dict[str, str] = {}
+        self._anew_said = set[str]()  # what a device said since it was last told something
         self._writing, self._kept_at = threading.Lock(), utc_now()
         self._change = threading.Condition()
         self._asks: dict[str, Callable[[str], None]] = {}
@@ -249,6 +250,8 @@ class MqttConnection:
             if one.state is not None:
                 awaited[one.state] = value
         with self._hearing(awaited):
+            with self._change:
+                self._anew_said -= awaited.keys()
             self._publish(messages)
             self._await(awaited)
 
@@ -306,6 +309,7 @@ class MqttConnection:
                 of, _, key = state.partition("#")
                 if of == topic and (value := _value(text, key)) is not None:
                     self._heard[state] = value
+                    self._anew_said.add(state)
             self._change.notify_all()
 
     def _await(self, awaited: Mapping[str, str]) -> None:
@@ -315,6 +319,8 @@ class MqttConnection:
             while wrong := {key: v for key, v in awaited.items() if not _alike(self._heard.get(key), v)}:
                 if not self._change.wait(max(deadline - time.monotonic(), 0.0)) and time.monotonic() >= deadline:
                     told = ", ".join(f"{key} says {self._heard.get(key)}, not {value}" for key, value in wrong.items())
+                    for key in wrong.keys() - self._anew_said:  # what it held before may not be what it holds
+                        self._heard.pop(key, None)
                     raise PlantError(f"not taken: {told}")
 
     def tell(self, said: Mapping[str, Any]) -> None:
@@ -439,6 +445,8 @@ class MqttConnection:
 
     def _on_disconnect(self, _client: Any, _userdata: Any, _flags: Any, reason: Any, _properties: Any = None) -> None:
         self._problem = f"lost ({reason})"
+        with self._change:  # what devices said meanwhile is not known
+            self._heard.clear()
         if self._client is not None:
             _LOG.warning("broker %s:%d: %s", self._host, self._port, self._problem)
 
