@@ -18,7 +18,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.exported import rollout_function, step_function
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import forced_rollout
-from thermoforce_mpc.model.operator.casadi_export import heat_input_expression, modulation_function
+from thermoforce_mpc.model.operator.casadi_export import ExportedGain, heat_input_expression, modulation_function
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, feature_matrix, linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -71,6 +71,7 @@ def test_casadi_equals_torch(seed, order, scale, heat_input):
     assert np.abs(np.array(forced).ravel() - by_torch.sum(-1)).max() <= 1e-10
     m = np.array(modulation_function(params).map(N)(features.T)).ravel()
     assert np.abs(m - module.modulation(torch.tensor(features)).detach().numpy()).max() <= 1e-10
+    np.testing.assert_allclose(ExportedGain(params, N)(features), m, rtol=0.0, atol=1e-15)
     one = np.array(
         step_function(ThermalModel.single(params), params.step_s, part_load="held")(F0, u[0], features[0])
     ).ravel()
