@@ -58,8 +58,9 @@ _NOTHING = -(2**31)
 _READINGS = ("T_out_C", "solar_W_m2", "T_zone_C", *ACTING)
 
 
-def _deflated(content: bytes, effort: int) -> str:
-    return base64.b64encode(zlib.compress(content, effort)).decode()
+def _deflated(content: bytes, strategy: int = zlib.Z_DEFAULT_STRATEGY) -> str:
+    packing = zlib.compressobj(strategy=strategy)
+    return base64.b64encode(packing.compress(content) + packing.flush()).decode()
 
 
 def _inflated(text: str, shapes: Sequence[Sequence[int]], each: int) -> bytes:
@@ -73,7 +74,7 @@ def _inflated(text: str, shapes: Sequence[Sequence[int]], each: int) -> bytes:
 def pack(rows: Array) -> Json:
     """An array as JSON."""
     content = np.ascontiguousarray(rows, dtype="<f8").tobytes()
-    return {"shape": list(rows.shape), "zlib": _deflated(content, 6)}
+    return {"shape": list(rows.shape), "zlib": _deflated(content)}
 
 
 def unpack(packed: Mapping[str, Any]) -> Array:
@@ -229,7 +230,9 @@ def _courses_json(of: object, units: Mapping[str, float]) -> Json:
     shapes = [list(course.shape) for course in courses]
     # Small changes of either sign become small numbers without one.
     octets = ((change << 1) ^ (change >> 31)).astype("<u4").view(np.uint8).reshape(-1, 4).T
-    return {"shapes": shapes, "zlib": _deflated(octets.tobytes(), 9)}
+    # Nearly all that repeats are runs. To look for them alone takes an eighth of the time of the best effort, and the
+    # default run's plans 784 bytes instead of 794 (two days, 2026-11-29).
+    return {"shapes": shapes, "zlib": _deflated(octets.tobytes(), zlib.Z_RLE)}
 
 
 def planned_of(told: Mapping[str, Any]) -> dict[str, Array]:
