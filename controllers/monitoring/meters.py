@@ -165,7 +165,7 @@ class Meters:
             return state
         hours, moved = (float(at_s[-1]) - state.since_s) / HOUR_S, state.high - state.low
         if not state.stuck:
-            if not replace(RULES[name], frozen_h=config.frozen_h).is_frozen(hours, moved):
+            if not RULES[name].is_frozen(hours, moved, config.frozen_h):
                 return state
             magnitudes = np.abs(values[np.isfinite(values)])
             if np.ptp(magnitudes) == 0.0 or (name not in _WEATHER and abs(state.value) <= _NOTHING * magnitudes.max()):

@@ -111,18 +111,12 @@ class Formulation:
         T_out = boundary.T_out_C[:-1]
         water_C = [self._return_water_C(m, context, history) for m in range(len(self.power))]
         parts = [power.parts(T_out, back_C) for power, back_C in zip(self.power, water_C, strict=True)]
-        fixed_W = np.stack([np.broadcast_to(fixed, T_out.shape) for fixed, _ in parts])
-        per_u_W = np.stack(
-            [
-                weight * np.broadcast_to(parts[m][1], T_out.shape)
-                for weight, m in zip(self._layout.weights, layout.machine_of, strict=True)
-            ]
-        )
-        bends = [
-            np.broadcast_to(power.curve_W(back_C), T_out.shape)
-            for power, back_C in zip(self.power, water_C, strict=True)
-        ]
-        per_u2_W = np.stack([weight * bends[m] for weight, m in zip(layout.weights, layout.machine_of, strict=True)])
+        every = np.ones(T_out.size)
+        fixed_W = np.array([fixed * every for fixed, _ in parts])
+        per_actuator = list(zip(layout.weights, layout.machine_of, strict=True))
+        per_u_W = np.array([weight * parts[m][1] * every for weight, m in per_actuator])
+        bends = [power.curve_W(back_C) * every for power, back_C in zip(self.power, water_C, strict=True)]
+        per_u2_W = np.array([weight * bends[m] for weight, m in per_actuator])
         if self._straight:
             per_u_W = per_u_W + per_u2_W * np.minimum(self.machinery.lowest_level, self.machinery.u_max)[:, None]
         bent = self.bent and bool(per_u2_W.any())
@@ -264,7 +258,7 @@ class Formulation:
         heat, names = np.full(weights.shape, np.inf), self._layout.names.zones
         for a, z in enumerate(self._layout.home):
             pair = operator.of_actuator(a)
-            mean_K = abs(float(np.cumsum(pair.impulse(steps)).mean())) * self._full_drive(pair, a, features[z])
+            mean_K = abs(float(pair.step_response(steps).mean())) * self._full_drive(pair, a, features[z])
             if mean_K > 0.0:
                 heat[z] = min(heat[z], max(price_W[a], 0.0) / 1000.0 / mean_K)
         least = np.where(np.isfinite(heat), _COMFORT_OVER_HEAT * heat, 0.0)

@@ -130,7 +130,7 @@ def is_fast(operator: OperatorParameters) -> bool:
 
 def _rise_K(operator: OperatorParameters, steps: int) -> Array:
     """Effect of full level after each of the first steps, in the winter of the limits here, 0 °C outdoors, K."""
-    return np.abs(np.cumsum(operator.impulse(steps)) * operator.heat_input.full_share(0.0))
+    return np.abs(operator.step_response(steps) * operator.heat_input.winter_share)
 
 
 def reserve_K(operator: OperatorParameters, actuation: Actuation, card: ModelCard) -> float:
@@ -220,10 +220,10 @@ class LearnedMargin:
 
     def meeting(self, lower_C: Array, upper_C: Array) -> LearnedMargin:
         """With the bounds (Z, N), °C, of the instants ahead, NaN where they are not known."""
-        now_C = np.stack([lower_C[:, 0], upper_C[:, 0]])
+        now_C = np.array([lower_C[:, 0], upper_C[:, 0]])
         lower_C, upper_C = np.fmax.reduce(lower_C, axis=-1), np.fmin.reduce(upper_C, axis=-1)
         tightest_C = np.fmax(self.tightest_C[0], lower_C), np.fmin(self.tightest_C[1], upper_C)
-        return replace(self, tightest_C=np.stack(tightest_C), now_C=now_C)
+        return replace(self, tightest_C=np.array(tightest_C), now_C=now_C)
 
     def after_setback(self, T_C: Array, lower_C: Array, upper_C: Array, spare: NDArray[np.bool_]) -> LearnedMargin:
         """With a reading (Z,) at the instant at which a bound begins; what is missing there is added for the next time.
@@ -232,22 +232,22 @@ class LearnedMargin:
         was to spare is given back. Bounds (Z,) of now, °C; `spare` (2, Z): whether there was more to give in the hours
         before, else nothing is added.
         """
-        missing_K = np.stack([lower_C - T_C, T_C - upper_C])
-        begins = self.begins(self.now_C, np.stack([lower_C, upper_C])) & np.isfinite(missing_K)
+        missing_K = np.array([lower_C - T_C, T_C - upper_C])
+        begins = self.begins(self.now_C, np.array([lower_C, upper_C])) & np.isfinite(missing_K)
         change_K = np.where(begins, np.where(missing_K > 0.0, spare * missing_K, _GIVEN_BACK * missing_K), 0.0)
         return replace(self, recovery_K=np.clip(self.recovery_K + change_K, 0.0, _MOST_RECOVERY_K))
 
     @staticmethod
     def begins(before_C: Array, bounds_C: Array) -> NDArray[np.bool_]:
         """Where a lower and an upper bound (2, …), °C, are tighter than before."""
-        return np.stack([bounds_C[0] - before_C[0], before_C[1] - bounds_C[1]]) > SET_BACK_K
+        return np.array([bounds_C[0] - before_C[0], before_C[1] - bounds_C[1]]) > SET_BACK_K
 
     def at_begin_K(self, z: int, now_C: Array, bounds_C: Array, unsure_K: Array) -> Array:
         """Reserve inside the bounds (2, N) of zone `z`, °C, where they begin, K; 0 elsewhere.
 
         `now_C` (2,): bounds of now. `unsure_K` (2, N): standard deviation of the recovery, K.
         """
-        begins = self.begins(np.column_stack([now_C, bounds_C[:, :-1]]), bounds_C)
+        begins = self.begins(np.concatenate([now_C[:, None], bounds_C[:, :-1]], axis=1), bounds_C)
         # One column for all zones: a state from before it was learned.
         recovery_K = np.broadcast_to(self.recovery_K, self.reserve_K.shape)[:, z, None]
         return np.where(begins, np.minimum(recovery_K + unsure_K, _MOST_RECOVERY_K), 0.0)
@@ -278,7 +278,7 @@ class LearnedMargin:
         There loops cycle at low load, and a reserve costs little. The instants ahead do not tell: a weekend is longer.
         """
         tightest_C = self.tightest_C[:, z]
-        return np.stack([lower_C < tightest_C[0] - SET_BACK_K, upper_C > tightest_C[1] + SET_BACK_K])
+        return np.array([lower_C < tightest_C[0] - SET_BACK_K, upper_C > tightest_C[1] + SET_BACK_K])
 
     def inside_K(self, z: int, lower_C: Array, upper_C: Array, *, by_loops: bool) -> Array:
         """Reserve inside the bounds (N,) of zone `z`, (2, N), K; `by_loops`: only where they are set back."""
@@ -344,7 +344,7 @@ class Innovations:
         told = np.isfinite(error_K) & np.isfinite(change_K)
         e, x = np.where(told, error_K, 0.0), np.where(told, change_K, 0.0)
         count = np.minimum(self.count + told, _REMEMBERED_H * HOUR_S / step_s)
-        products = np.stack([x**2, x * e, e**2]) / (x**2 + _SMALL_K**2)
+        products = np.array([x**2, x * e, e**2]) / (x**2 + _SMALL_K**2)
         moments = self.moments + told / np.maximum(count, 1.0) * (products - self.moments)
         after = replace(self, moments=moments, count=count)
         more, sd = after.first_step
@@ -562,11 +562,11 @@ class MarginRules:
             by_loops = any(self._actuators.each[a].by_rooms for a in own)
             learned_K = learned.inside_K(z, lower_C, upper_C, by_loops=by_loops)
             reserves_K = np.array([self._reserve_K(acting, sign) for sign in (1, -1)])
-            inside_K = c.comfort_margin_K + np.stack([below, above]) + reserves_K[:, None] + learned_K
+            inside_K = c.comfort_margin_K + np.array([below, above]) + reserves_K[:, None] + learned_K
             now_C = np.array([boundary.lower_C[z, 0], boundary.upper_C[z, 0]])
             outside_K = np.array([boundary.lower_C[z, 1:] - T_C[z], T_C[z] - boundary.upper_C[z, 1:]])
             unsure_K = self._unsure[:, z, None] * np.fmax(outside_K, 0.0)
-            inside_K += learned.at_begin_K(z, now_C, np.stack([lower_C, upper_C]), unsure_K)
+            inside_K += learned.at_begin_K(z, now_C, np.array([lower_C, upper_C]), unsure_K)
             protected = np.array([1 in signs, -1 in signs]) & (c.corrections and not by_loops)
             inside_K = np.clip(inside_K, np.minimum(protected[:, None] * self._half_K[z], half), half)
             rows.append(
@@ -580,9 +580,9 @@ class MarginRules:
         lower, upper, firsts, whole = zip(*rows, strict=True)
         names = ("comfort", "backoff", "reserve", "learned")
         first_step = {
-            name: np.stack(of_zones, axis=1) for name, of_zones in zip(names, zip(*firsts, strict=True), strict=True)
+            name: np.array(of_zones).T for name, of_zones in zip(names, zip(*firsts, strict=True), strict=True)
         }
-        return Bounds(np.stack(lower), np.stack(upper), first_step, np.stack(whole, axis=1))
+        return Bounds(np.array(lower), np.array(upper), first_step, np.array(whole).T)
 
     def could_begin_earlier(self, history: Record) -> NDArray[np.bool_]:
         """Whether what protects the lower and the upper bound of each zone had more to give in the last 12 h (2, Z)."""
@@ -656,7 +656,7 @@ class MarginRules:
         if learning is None:
             return before
         lower_C, upper_C = forecast.lower_C[:, 0], forecast.upper_C[:, 0]
-        beyond_K = np.stack([lower_C - T_C, T_C - upper_C])
+        beyond_K = np.array([lower_C - T_C, T_C - upper_C])
         last = observation.history.u[:, -1]
         spare = self._had_more(np.where(np.isnan(last), 1.0, last)) & self._config.corrections
         if by_loops:

@@ -118,7 +118,7 @@ def solved_plan(
     T_zone_C, slack_K = compose(problem.T_free_C, brought.forced_K), brought.slack_K
     doubts, learned = (*readings.doubts, free.doubt), forecast.state.margins
     status = PlanStatus.BRIDGED if any(doubts) else PlanStatus.SOLVED
-    comfort_C = np.stack([context.boundary.lower_C[:, 1:], context.boundary.upper_C[:, 1:]])
+    comfort_C = np.array([context.boundary.lower_C[:, 1:], context.boundary.upper_C[:, 1:]])
     reason = reason_of(problem, context.operator, u, T_zone_C, slack_K, free, comfort_C, free_steps)
     first = forecast.state.good is None
     plan = Plan(

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -297,25 +296,27 @@ class MPCProblem:
         Z, n = self.T_free_C.shape if np.ndim(self.T_free_C) == 2 else (-1, -1)
         (A, M), r = self.machinery.shape, np.shape(self.forced_state_K)[-1]
         zones, machines, actuators = (Z, n), (M, n), (A, n)
-        expected = {
-            **dict.fromkeys(("T_free_C", "lower_C", "upper_C"), zones),
-            **dict.fromkeys(("price_per_kWh", "power_fixed_W", "capacity"), machines),
-            **dict.fromkeys(("power_per_u_W", "power_per_u2_W", "available", "least_u", "most_u"), actuators),
-            **dict.fromkeys(("cooling.price_per_kWh", "cooling.power_per_u_W"), actuators),
-            **{"forced_state_K": (Z, A, r), "features": (*zones, N_FEATURES), "last_u": (A,)},
-            **dict.fromkeys(("power_cap.limit_W", "exchange.others_W", "exchange.dearer_per_kWh"), (n,)),
-        }
-        if np.ndim(self.weights.comfort):
-            expected["weights.comfort"] = (Z,)
-        for name, shape in expected.items():
-            value: Any = self
-            for part in name.split("."):
-                value = None if value is None else getattr(value, part)
-            if value is not None and np.shape(value) != shape:
-                raise DataError(
-                    f"MPC problem of {Z} zones, {A} actuators and {M} machines over {n} steps: {name} has shape "
-                    f"{np.shape(value)}, expected {shape}"
-                )
+        of_weights = (Z,) if np.ndim(self.weights.comfort) else ()
+        for part, names, shape in (
+            ("", ("T_free_C", "lower_C", "upper_C"), zones),
+            ("", ("price_per_kWh", "power_fixed_W", "capacity"), machines),
+            ("", ("power_per_u_W", "power_per_u2_W", "available", "least_u", "most_u"), actuators),
+            ("", ("forced_state_K",), (Z, A, r)),
+            ("", ("features",), (*zones, N_FEATURES)),
+            ("", ("last_u",), (A,)),
+            ("weights", ("comfort",), of_weights),
+            ("cooling", ("price_per_kWh", "power_per_u_W"), actuators),
+            ("power_cap", ("limit_W",), (n,)),
+            ("exchange", ("others_W", "dearer_per_kWh"), (n,)),
+        ):
+            of = getattr(self, part) if part else self
+            for name in names if of is not None else ():
+                value = getattr(of, name)
+                if value is not None and np.shape(value) != shape:
+                    raise DataError(
+                        f"MPC problem of {Z} zones, {A} actuators and {M} machines over {n} steps: "
+                        f"{'.'.join(filter(None, [part, name]))} has shape {np.shape(value)}, expected {shape}"
+                    )
         if (self.lower_C > self.upper_C + BOUND_TOLERANCE).any():
             raise DataError("MPC problem: a lower comfort bound is above the upper one")
         if self.cooling is None and self.machinery.signed.size:

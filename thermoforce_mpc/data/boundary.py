@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from statistics import NormalDist
 from typing import TYPE_CHECKING
 
@@ -235,7 +237,9 @@ class Boundary:
         return np.maximum(np.maximum(self.lower_C[:, ends] - T_C, T_C - self.upper_C[:, ends]), 0.0)
 
     def head(self, n_steps: int) -> Boundary:
-        """The first `n_steps` steps."""
+        """The first `n_steps` steps; itself where there are no more."""
+        if n_steps == self.n_steps:
+            return self
         return Boundary(
             **{name: getattr(self, name)[..., : n_steps + 1] for name in (*CONDITIONS, *_AT_THE_METER)},
             names=self.names,
@@ -318,25 +322,31 @@ class FreeForecast:
         for level, row in zip(np.asarray(self.levels, dtype=np.float64), self.quantiles_C, strict=True):
             off = np.hypot(row - median, NormalDist().inv_cdf(float(level)) * sd_K)
             rows.append(np.where(sd_K > 0.0, median + math.copysign(1.0, level - 0.5) * off, row))
-        index = int(np.argmin(np.abs(np.asarray(self.levels) - 0.5)))
-        rows[index] = median
+        rows[self._median_row] = median
         return replace(self, quantiles_C=np.stack(rows))
 
     @property
     def median_C(self) -> Array:
         """The 0.5 quantile, shape (N,) or (Z, N), °C."""
-        index = int(np.argmin(np.abs(np.asarray(self.levels) - 0.5)))
-        return np.asarray(self.quantiles_C[index], dtype=np.float64)
+        return np.asarray(self.quantiles_C[self._median_row], dtype=np.float64)
+
+    @cached_property
+    def _median_row(self) -> int:
+        return int(np.argmin(np.abs(np.asarray(self.levels) - 0.5)))
+
+    @cached_property
+    def _levels(self) -> list[float]:
+        return np.asarray(self.levels, dtype=np.float64).tolist()
 
     def quantile_C(self, level: float) -> Array:
         """The quantile of `level`, (N,) or (Z, N), °C: linear between levels that were forecast, held beyond them."""
-        levels = np.asarray(self.levels, dtype=np.float64)
-        above = int(np.searchsorted(levels, level))
+        levels = self._levels
+        above = bisect_left(levels, level)
         for at in (above, above - 1):  # levels are decimal fractions, which are rounded
-            if 0 <= at < levels.size and math.isclose(levels[at], level, abs_tol=1e-12):
+            if 0 <= at < len(levels) and math.isclose(levels[at], level, abs_tol=1e-12):
                 return np.asarray(self.quantiles_C[at], dtype=np.float64)
-        if above in (0, levels.size):
-            return np.asarray(self.quantiles_C[min(above, levels.size - 1)], dtype=np.float64)
+        if above in (0, len(levels)):
+            return np.asarray(self.quantiles_C[min(above, len(levels) - 1)], dtype=np.float64)
         share = (level - levels[above - 1]) / (levels[above] - levels[above - 1])
         lower, upper = self.quantiles_C[above - 1], self.quantiles_C[above]
         return np.asarray(lower + share * (upper - lower), dtype=np.float64)

@@ -117,14 +117,15 @@ class SignalRule:
         """What a jump is."""
         return f"more than {min(self.spike, self.reach(0.0)):g} {self.unit} from those before and after"
 
-    def is_frozen(self, hours: float, moved: float = math.nan) -> bool:
+    def is_frozen(self, hours: float, moved: float = math.nan, frozen_h: float | None = None) -> bool:
         """Whether a reading that has been the same for `hours` is no longer one.
 
-        `moved`: by how much what it follows has moved meanwhile; NaN: not known.
+        `moved`: by how much what it follows has moved meanwhile; NaN: not known. `frozen_h`: in the place of its own.
         """
         if math.isnan(moved):
             return 0.0 < self.stuck_h < hours
-        return self.frozen_h > 0.0 and hours >= self.frozen_h - 1e-6 and moved >= self.moved
+        frozen_h = self.frozen_h if frozen_h is None else frozen_h
+        return frozen_h > 0.0 and hours >= frozen_h - 1e-6 and moved >= self.moved
 
 
 RULES = {

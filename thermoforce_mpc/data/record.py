@@ -193,7 +193,7 @@ class Record:
         """This record with the steps that end at the measurements `ends` appended."""
         if not ends:
             return self
-        later = {name: np.stack([np.asarray(getattr(end, name)) for end in ends], axis=-1) for name in SIGNALS}
+        later = {name: np.array([getattr(end, name) for end in ends]).T for name in SIGNALS}
         joined = {name: np.concatenate([getattr(self, name), new], axis=-1) for name, new in later.items()}
         return Record(**joined, origin=self.origin, names=self.names)
 

@@ -240,7 +240,7 @@ class _Simulated(PlantDriver):
         self._state = state
         self._period, self._price, self._step_s = period, price, controller.step_s
         self._allowed = allowed or limits_of(controller)
-        self._u_min: Sequence[float] = [self._allowed.u_min] if u_min is None else u_min
+        self._u_min: float | Sequence[float] = self._allowed.u_min if u_min is None else u_min
         self._on_step, self._keeper, self._units, self._record_days = on_step, keeper, units, record_days
         self.steps: KeptSteps[StepRecord] = KeptSteps() if steps is None else steps
         self._notes: tuple[str, ...] = ()

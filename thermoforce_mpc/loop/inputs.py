@@ -104,6 +104,8 @@ def holes(boundary: Boundary) -> tuple[str, ...]:
     """One note per signal of a forecast that has no value at some instants."""
     notes = []
     for name in _NEEDED:
+        if np.isfinite(getattr(boundary, name)).all():
+            continue
         for row, values in enumerate(np.atleast_2d(getattr(boundary, name))):
             missing = np.flatnonzero(~np.isfinite(values))
             if missing.size:

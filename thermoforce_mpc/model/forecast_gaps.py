@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
-from thermoforce_mpc.data.limits import BRIDGED_GAP_H, RULES
+from thermoforce_mpc.data.limits import BRIDGED_GAP_H, RULES, outside
 from thermoforce_mpc.data.series import WEATHER, at_instants, gap_s
 
 # How a source of data fills what follows a schedule.
@@ -65,8 +65,9 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
     ]
     for name in CONDITIONS[1:]:
         rows = np.atleast_2d(getattr(boundary, name))
-        low, high = RULES[name].range if name in WEATHER else (-np.inf, np.inf)
-        missing = ~(np.isfinite(rows) & (rows >= low) & (rows <= high))
+        missing = ~np.isfinite(rows)
+        if name in WEATHER:
+            missing |= outside(rows, RULES[name].range)
         if not missing.any():
             continue
         out, made_up = np.where(missing, np.nan, rows), np.zeros_like(missing)

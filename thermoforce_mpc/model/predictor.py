@@ -271,7 +271,7 @@ class Predictor:
 def _shifted(boundary: Boundary, history: Record) -> list[Boundary]:
     """`boundary` with each weather signal that is guessed off by its standard deviation, as long as it is."""
     out = []
-    for name in WEATHER:
+    for name in filter(boundary.guessed.__contains__, WEATHER):
         spread = weather_spread(name, boundary, history)
         if (spread > 0.0).any():
             out.append(replace(boundary, **{name: getattr(boundary, name) + spread}))

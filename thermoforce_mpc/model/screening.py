@@ -6,6 +6,7 @@ slowest mode, days, and all plans of that time would overestimate the heat in th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -91,31 +92,34 @@ def screened(measurement: Measurement, allowed: ReadingLimits, history: Record) 
     notes: list[str] = []
     names = measurement.names
     for name in limits.RULES:
-        readings = np.atleast_1d(getattr(measurement, name))
-        refused = np.zeros(readings.size, dtype=bool)
+        reading = getattr(measurement, name)
+        readings: list[float] = reading.tolist() if name in AXIS else [float(reading)]
+        refused = []
         for row, value in enumerate(readings):
             label = names.label(name, row) if name in AXIS else name
-            note = _refusal(measurement, name, row, float(value), label, allowed, history)
-            refused[row] = note is not None
+            note = _refusal(measurement, name, row, value, label, allowed, history)
+            refused.append(note is not None)
             if note is not None:
                 notes.append(note)
-            elif limits.RULES[name].always and np.isnan(value):
+            elif limits.RULES[name].always and math.isnan(value):
                 notes.append(f"{label} was not measured")
-        if refused.any():
+        if any(refused):
             kept = np.where(refused, np.nan, readings)
             cleaned[name] = kept if name in AXIS else float(kept[0])
-    return replace(measurement, **cleaned), tuple(notes)
+    return replace(measurement, **cleaned) if cleaned else measurement, tuple(notes)
 
 
 def _refusal(
     measurement: Measurement, name: str, row: int, value: float, label: str, allowed: ReadingLimits, history: Record
 ) -> str | None:
-    if limits.outside(np.array([value]), allowed.range(name))[0]:
+    low, high = allowed.range(name)
+    if value < low or value > high or math.isinf(value):
         return f"{label} of {value:.6g}{_unit(name)} is not {_words(allowed, name)}: {_NOT_MEASURED}"
     rule = limits.RULES[name]
-    if np.isnan(value) or np.isinf(rule.jump[0]):
+    if math.isnan(value) or math.isinf(rule.jump[0]):
         return None
-    before = np.atleast_2d(getattr(history, name))[row]
+    values = getattr(history, name)
+    before = values[row] if name in AXIS else values
     accepted = np.flatnonzero(np.isfinite(before))
     if not accepted.size:
         return None

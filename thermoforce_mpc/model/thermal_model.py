@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -107,12 +108,12 @@ class ThermalModel:
         """The building of one zone with one actuator."""
         return cls(single(zone.operator), (zone.power,), (zone.free,), (zone.card,))
 
-    @property
+    @cached_property
     def names(self) -> Names:
         """Names of zones, actuators and machines."""
         return Names(self.operator.zones, self.operator.actuators, self.machines)
 
-    @property
+    @cached_property
     def layout(self) -> Layout:
         """What acts where."""
         heads = [self.operator.of_actuator(a) for a in range(len(self.operator.actuators))]
@@ -159,7 +160,7 @@ class ThermalModel:
             raise DataError(f"the model has {self.names}: name the zone and the actuator")
         return self.actuator(0)
 
-    @property
+    @cached_property
     def sun_on_sensors(self) -> tuple[SunOnSensor | None, ...]:
         """Sun on the sensor of each zone (Z,), as identified with the first actuator that found any."""
         cards = zip(self.operator.home, self.cards, strict=True)

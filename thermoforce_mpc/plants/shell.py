@@ -97,12 +97,12 @@ def check_levels(
             raise InputError(
                 f"{what} of {len(values)} actuators: expected one for each of {', '.join(names.actuators)}"
             )
-    each = np.broadcast_to(u_min, n)
+    each = (u_min,) * n if isinstance(u_min, _NUMBERS) else u_min
     for name, level, least, told in zip(names.actuators, levels, each, commands, strict=True):
         of = "" if alone else f" for '{name}'"
         if level is not None and not (is_number(level) and least <= level <= 1.0):
             raise InputError(f"level of {level!r}{of}: expected a number from {least:g} to 1, or None")
-        if np.shape(told) == (2,):
+        if told is not None and np.shape(told) == (2,):
             if not (all(map(is_number, told)) and told[0] <= told[1]):
                 raise InputError(
                     f"room set-points of {told!r} °C{of}: expected a heating set-point not above the cooling one"
@@ -114,9 +114,12 @@ def check_levels(
     return Block(levels, float(duration_s), commands)
 
 
+_NUMBERS = (int, float, np.number)
+
+
 def is_number(value: Any) -> bool:
     """Whether `value` is a finite number."""
-    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
+    return isinstance(value, _NUMBERS) and bool(np.isfinite(value))
 
 
 def plant_inputs(

@@ -70,7 +70,7 @@ class Numbers:
     def _write(self, vector: Array, values: Mapping[str, Array | float]) -> None:
         for name, value in values.items():
             at, rows, columns = self._places[name]
-            vector[at : at + rows * columns].reshape(columns, rows)[:] = np.reshape(value, (rows, columns)).T
+            vector[at : at + rows * columns].reshape(columns, rows)[:] = np.asarray(value).reshape(rows, columns).T
 
     def part(self, vector: Array, name: str) -> Array:
         """One of the parameters in the vector of all, in the order of its columns."""

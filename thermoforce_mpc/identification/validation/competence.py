@@ -326,7 +326,7 @@ def _implausible(operator: OperatorParameters, heat_W_m2: float, uncertainty: Ma
     most = most_K(STEP_RESPONSE_H, heat_W_m2)
     steps = np.maximum(np.array(STEP_RESPONSE_H) * HOUR_S // operator.step_s, 1).astype(int)
     typical = float(operator.modulation(operator.feature_mean))
-    response = typical * np.abs(np.cumsum(operator.impulse(int(steps[-1]))))[steps - 1]
+    response = typical * np.abs(operator.step_response(int(steps[-1])))[steps - 1]
     sd_K = np.array([uncertainty[f"step_response_{hours}h_sd_K"] for hours in STEP_RESPONSE_H])
     over = np.flatnonzero(response - NORMAL_95 * sd_K > most)
     if not over.size:

@@ -70,6 +70,11 @@ class HeatInput:
             return np.ones(np.shape(T_out_C))
         return np.asarray(self.law(np.asarray(1.0), np.asarray(T_out_C)) / self.reference_W)
 
+    @cached_property
+    def winter_share(self) -> float:
+        """`full_share` at 0 °C, the winter of rules that know no weather."""
+        return float(self.full_share(0.0))
+
     def of_meter(self, heat_W: Array, T_out_C: Array) -> Array:
         """Return v of measured heat `heat_W`, W, at `T_out_C` °C: with v = u, the share of the heat of full level."""
         share = heat_W / self.reference_W

@@ -226,6 +226,19 @@ class OperatorParameters:
     def _impulse(self) -> list[Array]:
         return []
 
+    def step_response(self, n_steps: int) -> Array:
+        """What v = m = 1 has added after each of its first `n_steps` steps, (n_steps,), K; kept as `impulse`."""
+        kept = self._step_response
+        if not kept or kept[0].size < n_steps:
+            longest = np.cumsum(self.impulse(n_steps))
+            longest.setflags(write=False)
+            kept[:] = [longest]
+        return np.asarray(kept[0][:n_steps])
+
+    @cached_property
+    def _step_response(self) -> list[Array]:
+        return []
+
     @cached_property
     def constant_modulation(self) -> float | None:
         """The modulation where no feature enters it, since the network was not kept; None where features do."""
