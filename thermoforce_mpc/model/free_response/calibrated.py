@@ -224,12 +224,12 @@ def _windows(values: Array, groups: NDArray[np.int8]) -> Array:
 
 
 def _log_width(values: Array, hour: NDArray[np.intp]) -> tuple[float, int]:
-    """Logarithm of the width that holds what a band promises of `values`, and in how many hours these are.
+    """Logarithm of the width that holds what a band promises of `values`, and in how many hours, in order, these are.
 
     The values of an hour, forecast at neighbouring lead times, are nearly one: hours count in the correction for few
     (Angelopoulos and Bates 2023). `np.quantile` takes ten times as long as sorting.
     """
-    ordered, hours = np.sort(values), np.unique(hour).size
+    ordered, hours = np.sort(values), 1 + int(np.count_nonzero(hour[1:] != hour[:-1]))
     place = min(_INSIDE * (1.0 + 1.0 / hours), 1.0) * (ordered.size - 1)
     below = int(place)
     width = ordered[below] + (place - below) * (ordered[min(below + 1, ordered.size - 1)] - ordered[below])

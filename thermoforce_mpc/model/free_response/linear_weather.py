@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,12 +69,23 @@ def simulated(drives: Array, waves: Array, poles: Array, start: Array) -> Array:
     (d,): state of all modes for each input at the first boundary. The columns are modes of steady gain 1 for each
     input, the waves, and the decay of each mode.
     """
-    (n, d), q = drives.shape, poles.size
+    (n, d), w, q = drives.shape, waves.shape[1], poles.size
     mean = 0.5 * (drives[:-1] + drives[1:])
     begin = np.broadcast_to(start[:, None], (d, q))
+    columns = np.empty((n, d * q + w + q))
+    columns[0, : d * q] = begin.ravel()
     modes = first_order(poles, mean.T[..., None] * (1.0 - poles), begin)  # (d, n − 1, q)
-    responses = np.concatenate([begin[:, None], modes], axis=1).transpose(1, 0, 2).reshape(n, d * q)
-    return np.concatenate([responses, waves, poles ** np.arange(n)[:, None]], axis=1)
+    columns[1:, : d * q] = modes.transpose(1, 0, 2).reshape(n - 1, d * q)
+    columns[:, d * q : -q], columns[:, -q:] = waves, _decay(poles.tobytes(), n)
+    return columns
+
+
+@lru_cache(4)
+def _decay(poles: bytes, n: int) -> Array:
+    """What is left of each mode after 0 … n − 1 steps (n, q): powers, which a run asks for in every step."""
+    left = np.frombuffer(poles) ** np.arange(n)[:, None]
+    left.setflags(write=False)
+    return left
 
 
 def whitened(columns: Array, targets: Array, decay: float) -> tuple[Array, Array]:
