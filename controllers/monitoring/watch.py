@@ -387,6 +387,8 @@ def level_fault(requests: Sequence[tuple[float, float]], history: Record) -> str
     """
     hours = history.step_s / HOUR_S
     all_requested, all_measured, all_index = _paired_levels(requests, history)
+    if not (np.abs(all_measured - all_requested) > _SAME).any():
+        return ""
     for window_h in _WINDOWS_H:
         begin = float(history.time_s[-1]) - window_h * HOUR_S - 1.0
         last = slice(int(np.searchsorted(history.time_s[all_index], begin, side="right")), None)
@@ -740,6 +742,8 @@ class Watch:
 
     def _differing(self, hours: HourEffects, time_s: Array, lead: int) -> NDArray[np.bool_]:
         """Which predictions at a lead, due at `time_s` (n,), were over hours that are known to differ (n,)."""
+        if not hours.laws:
+            return np.zeros(time_s.size, dtype=bool)
         ahead_s = self.leads[lead] * self.step_s
         return np.array([hours.over(end_s - ahead_s, ahead_s) for end_s in time_s.tolist()], dtype=bool)
 

@@ -10,6 +10,7 @@ The steps of a run: the latest in memory, the others in a file that ends with th
 from __future__ import annotations
 
 import math
+import os
 import pickle
 import resource
 import tempfile
@@ -353,8 +354,11 @@ def check_memory() -> None:
         if limit != resource.RLIM_INFINITY:
             used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
             left_MB["of this process's limit (ulimit -v)"] = (limit - used) / 1e6
-        with open("/proc/meminfo", "rb", buffering=0) as file:
-            available = file.read(4096).partition(b"MemAvailable:")[2].split()[0]  # the whole table
+        file = os.open("/proc/meminfo", os.O_RDONLY)
+        try:
+            available = os.read(file, 4096).partition(b"MemAvailable:")[2].split()[0]  # the whole table
+        finally:
+            os.close(file)
         left_MB["of the machine"] = int(available) * 1024 / 1e6
     for what, left in left_MB.items():
         if left < _LEAST_MB:

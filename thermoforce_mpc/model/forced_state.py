@@ -69,8 +69,8 @@ def heat_drive(operator: BuildingOperator, history: Record, start: int, stop: in
         u = np.where(measured & ~np.isfinite(u), 0.0, u)  # u is not used there
         label = history.names.label("u", a)
         for name, values in ((label, u), ("T_out_C", T_out), ("solar_W_m2", solar)):
-            gaps = np.flatnonzero(~np.isfinite(values))
-            if gaps.size:
+            if not np.isfinite(values).all():
+                gaps = np.flatnonzero(~np.isfinite(values))
                 raise DataError(
                     f"history: {name} is not finite at step {start + gaps[0]} of {history.n_steps} ({gaps.size} such): "
                     "bridge it first (thermoforce_mpc.data.series)"

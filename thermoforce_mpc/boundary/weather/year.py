@@ -41,6 +41,7 @@ _REPORTED = {
     "total_cover": (0.0, 1.0),
     "ceiling_m": (0.0, np.inf),
 }
+_RANGES = LIMITS | _REPORTED
 
 
 @dataclass(frozen=True)
@@ -77,14 +78,14 @@ class Weather:
             if not least <= getattr(self, key) <= most:
                 raise WeatherError(f"{self.name}: {key} is {getattr(self, key):g}, expected {least:g} to {most:g}")
         for item in fields(self):
-            if item.name not in LIMITS and item.name not in _REPORTED:
+            if item.name not in _RANGES:
                 continue
             column = np.array(getattr(self, item.name), dtype=np.float64)
             if column.shape != (_HOURS,):
                 raise WeatherError(f"{self.name}: {item.name} has {column.size} rows, a year has {_HOURS}")
             if item.name in _REPORTED:
                 column = np.clip(column, *_REPORTED[item.name])
-            low, high = (LIMITS | _REPORTED)[item.name]
+            low, high = _RANGES[item.name]
             bad = np.flatnonzero(~((column >= low) & (column <= high)))
             if bad.size:
                 hour = int(bad[0])
@@ -111,14 +112,14 @@ class Weather:
         """
         shift = _RADIATION_SHIFT_S if column in _RADIATION else 0.0
         values = self._spline(column)(np.mod(np.asarray(time_s, dtype=np.float64) + shift, YEAR_S))
-        low, high = (LIMITS | _REPORTED)[column]
+        low, high = _RANGES[column]
         return np.asarray(np.clip(values, low, high))
 
     def _spline(self, column: str) -> Akima1DInterpolator:
         """Return the column's spline, cached: building it costs more than evaluating a horizon."""
-        from scipy.interpolate import Akima1DInterpolator
-
         if column not in self._splines:
+            from scipy.interpolate import Akima1DInterpolator
+
             rows = getattr(self, column)
             # Three rows beyond either end make the spline periodic.
             padded = np.concatenate([rows[-3:], rows, rows[:4]])

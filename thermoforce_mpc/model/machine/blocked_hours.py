@@ -100,7 +100,7 @@ class BlockedHours:
 
     def outside(self, asked: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
         """What was `asked` (start of the step s, level) outside blocked hours."""
-        return tuple(item for item in asked if _hour(item[0]) not in self.hours)
+        return tuple(item for item in asked if not self.hours or _hour(item[0]) not in self.hours)
 
     def after(self, asked: Sequence[tuple[float, float]], history: Record, sign: int) -> BlockedHours:
         """What is known after the last step of a record (one zone and actuator), where an hour ends with it.

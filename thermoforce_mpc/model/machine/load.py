@@ -82,7 +82,8 @@ class MachineLoad:
 
     def parts(self, T_out_C: Array | float) -> tuple[Array, Array]:
         """Return the fixed part while on and the part per unit of u at `T_out_C` °C, both W."""
-        T = np.clip(T_out_C, *self.T_out_range_C)
+        low, high = self.T_out_range_C
+        T = np.minimum(np.maximum(T_out_C, low), high)
         c0, c1, c2, c3 = self.coefficients
         return np.asarray(c0 + c1 * T), np.asarray(c2 + c3 * T)
 
