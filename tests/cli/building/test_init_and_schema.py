@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 
 import jsonschema
@@ -18,8 +19,12 @@ from thermoforce_mpc.files import configs_folder, named_configs
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.scenario.settings import parse_value, read_yaml
 
-SCHEMAS = {kind: jsonschema.Draft202012Validator(schema_of(kind)) for kind in KINDS}
 SHIPPED = [(kind, path) for kind in KINDS for path in named_configs(f"{kind}s").values()]
+
+
+@cache
+def validator(kind: str) -> jsonschema.Draft202012Validator:
+    return jsonschema.Draft202012Validator(schema_of(kind))
 
 
 def tf_mpc(*words: str):
@@ -28,7 +33,7 @@ def tf_mpc(*words: str):
 
 def wrong(kind: str, text: str) -> list[str]:
     """Where the schema of a kind of file has something against a text."""
-    return [".".join(map(str, error.absolute_path)) for error in SCHEMAS[kind].iter_errors(parse_value(text, kind))]
+    return [".".join(map(str, error.absolute_path)) for error in validator(kind).iter_errors(parse_value(text, kind))]
 
 
 @pytest.mark.slow
@@ -44,7 +49,7 @@ def test_every_file_that_ships_names_its_schema_and_fulfils_it(kind, path):
     named = re.match(r"# yaml-language-server: \$schema=(\S+)\n", path.read_text(encoding="utf-8"))
     assert named, path
     assert (path.parent / named[1]).resolve() == configs_folder() / "schema" / f"{kind}.json"
-    assert not [error.message for error in SCHEMAS[kind].iter_errors(dict(read_yaml(path)))]
+    assert not [error.message for error in validator(kind).iter_errors(dict(read_yaml(path)))]
 
 
 def test_there_are_files_of_every_kind_but_maps():

@@ -13,11 +13,15 @@ from thermoforce_mpc.plants.rooms.house import HOUSE, OFFICE
 from thermoforce_mpc.plants.rooms.plant import bounds_C, gains_W, native_setpoints_C, people
 from thermoforce_mpc.plants.testcases import load_testcase
 
-OFFICES = [draw_rooms(n, seed, OFFICE) for n in (1, 3, 5, 12, 30) for seed in range(8)]
 # A week of quarter hours.
 WEEK_S = 20 * DAY_S + np.arange(0.0, 7 * DAY_S, 900.0)
 HOURS = WEEK_S % DAY_S / HOUR_S
 IN_USE = (HOURS >= 6.0) & (HOURS < 19.0)
+
+
+@pytest.fixture(scope="module")
+def offices():
+    return [draw_rooms(n, seed, OFFICE) for n in (1, 3, 5, 12, 30) for seed in range(8)]
 
 
 @pytest.mark.slow
@@ -65,38 +69,38 @@ def test_houses_are_as_before_there_were_offices():
     assert large.floor_area_m2 == pytest.approx(181.96238980991757, rel=1e-12)
 
 
-def test_offices_are_drawn_from_their_own_ranges():
-    assert {room.kind for office in OFFICES for room in office.rooms} == set(OFFICE.kinds)
+def test_offices_are_drawn_from_their_own_ranges(offices):
+    assert {room.kind for office in offices for room in office.rooms} == set(OFFICE.kinds)
     assert not set(OFFICE.kinds) & set(HOUSE.kinds)
-    assert {office.mass for office in OFFICES} == set(OFFICE.masses) == {"very light", "light", "medium"}
-    assert {frozenset(room.emitter for room in office.rooms) for office in OFFICES} == {
+    assert {office.mass for office in offices} == set(OFFICE.masses) == {"very light", "light", "medium"}
+    assert {frozenset(room.emitter for room in office.rooms) for office in offices} == {
         frozenset({"air"}),
         frozenset({"radiator"}),
     }
-    assert {office.pattern for office in OFFICES} == {"office"}
+    assert {office.pattern for office in offices} == {"office"}
     assert "office" not in HOUSEHOLDS
-    for office in OFFICES:
+    for office in offices:
         assert 1.5 <= office.sizing <= 2.2
         assert office.heat_pump.capacity_W == pytest.approx(office.sizing * office.design_load_W)
         assert 0.15 <= office.unshaded <= 0.35
         assert 3.0 <= office.gains_home_W_m2 <= 7.0
         assert office.floor_area_m2 / 31.0 - 0.5 <= office.people <= office.floor_area_m2 / 15.0 + 0.5
         assert office.words.endswith(", ".join(f"{room.name} ({room.emitter})" for room in office.rooms))
-    assert OFFICES[0] == draw_rooms(1, 0, OFFICE)
+    assert offices[0] == draw_rooms(1, 0, OFFICE)
 
 
-def test_a_coil_is_light_gives_its_heat_to_the_air_and_has_a_curve():
-    office = next(office for office in OFFICES if office.rooms[0].emitter == "air")
+def test_a_coil_is_light_gives_its_heat_to_the_air_and_has_a_curve(offices):
+    office = next(office for office in offices if office.rooms[0].emitter == "air")
     assert set(office.curves) == {"air"}
     for room in office.rooms:
         assert (room.convective, room.emitter_exponent, room.slab_J_K) == (1.0, 1.0, 0.0)
         assert room.emitter_J_K / room.emitter_W_Kn == pytest.approx(270.0), "s"
 
 
-def test_an_office_is_in_use_from_6_to_19_h_every_day():
+def test_an_office_is_in_use_from_6_to_19_h_every_day(offices):
     assert OFFICE_HOURS == (6.0, 19.0)
     np.testing.assert_array_equal(at_home("office", WEEK_S), IN_USE)
-    office = OFFICES[10]
+    office = offices[10]
     lower, upper = bounds_C(office, WEEK_S)
     for room, low, high in zip(office.rooms, lower, upper, strict=True):
         np.testing.assert_array_equal(low, np.where(IN_USE, room.lower_C, 15.0))
@@ -105,8 +109,8 @@ def test_an_office_is_in_use_from_6_to_19_h_every_day():
         assert 4.0 <= room.upper_C - room.lower_C <= 6.0
 
 
-def test_nobody_sleeps_there_and_appliances_rest_at_night():
-    office = OFFICES[10]
+def test_nobody_sleeps_there_and_appliances_rest_at_night(offices):
+    office = offices[10]
     there = people(office, WEEK_S).sum(axis=0)
     assert there[~IN_USE].max() == 0.0
     assert there[IN_USE] == pytest.approx(np.full(IN_USE.sum(), float(office.people)))
@@ -114,8 +118,8 @@ def test_nobody_sleeps_there_and_appliances_rest_at_night():
     assert gains[IN_USE].mean() > 3.0 * gains[~IN_USE].mean() > 0.0
 
 
-def test_native_control_sets_back_at_night_and_is_up_again_at_6():
-    office = next(office for office in OFFICES if office.rooms[0].emitter == "air")
+def test_native_control_sets_back_at_night_and_is_up_again_at_6(offices):
+    office = next(office for office in offices if office.rooms[0].emitter == "air")
     setpoints = native_setpoints_C(office, WEEK_S)
     for room, T in zip(office.rooms, setpoints, strict=True):
         assert T[IN_USE].min() == T.max() == pytest.approx(room.lower_C + 0.4)

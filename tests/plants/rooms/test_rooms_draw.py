@@ -14,7 +14,11 @@ from thermoforce_mpc.plants.rooms.draw import emulator_fixed_share
 from thermoforce_mpc.plants.rooms.house import HOUSE, facade_lengths
 
 SEED = 7
-HOUSES = [draw_rooms(n, seed) for n in (1, 2, 3, 5, 9, 14, 30) for seed in range(SEED, SEED + 4)]
+
+
+@pytest.fixture(scope="module")
+def houses():
+    return [draw_rooms(n, seed) for n in (1, 2, 3, 5, 9, 14, 30) for seed in range(SEED, SEED + 4)]
 
 
 def test_a_house_is_drawn_again_and_differs_by_seed_and_number():
@@ -46,8 +50,8 @@ def test_other_numbers_of_rooms_are_refused(n):
         draw_rooms(n, 1)
 
 
-def test_rooms_tile_their_storey_and_every_wall_is_outside_or_shared():
-    for house in HOUSES:
+def test_rooms_tile_their_storey_and_every_wall_is_outside_or_shared(houses):
+    for house in houses:
         rooms = house.rooms
         assert len({room.name for room in rooms}) == len(rooms)
         footprint = house.floor_area_m2 / house.storeys
@@ -73,8 +77,8 @@ def test_rooms_tile_their_storey_and_every_wall_is_outside_or_shared():
                 assert (rooms[contact.first].place.storey, rooms[contact.second].place.storey) == (0, 1)
 
 
-def test_doors_lead_to_every_room_through_contacts_with_one_stair():
-    for house in HOUSES:
+def test_doors_lead_to_every_room_through_contacts_with_one_stair(houses):
+    for house in houses:
         kinds = {(c.first, c.second): c.kind for c in house.contacts}
         reached = {0}
         for _ in house.rooms:
@@ -84,8 +88,8 @@ def test_doors_lead_to_every_room_through_contacts_with_one_stair():
         assert sum(kinds[d.first, d.second] == "floor" for d in house.doors) == house.storeys - 1
 
 
-def test_envelope_follows_the_plan():
-    for house in HOUSES:
+def test_envelope_follows_the_plan(houses):
+    for house in houses:
         for room in house.rooms:
             at = {name: i for i, name in enumerate(FACADES)}
             assert all(room.walls_m2[at[name]] == 0 for name in house.attached)
