@@ -607,8 +607,9 @@ class Watch:
 
     def record_request(self, state: WatchState, time_s: float, level: float) -> WatchState:
         """The state with the mean `level` requested in the step from `time_s` (NaN: native control)."""
-        recent = tuple(item for item in state.asked if time_s - item[0] < LEVELS_H * HOUR_S)
-        return replace(state, asked=(*recent, (time_s, level)))
+        begin_s = time_s - LEVELS_H * HOUR_S
+        first = next((i for i, (asked_s, _) in enumerate(state.asked) if asked_s > begin_s), len(state.asked))
+        return replace(state, asked=(*state.asked[first:], (time_s, level)))
 
     def doubtful(self, state: WatchState) -> bool:
         """Whether evidence has gathered halfway (in the exponent) to an alarm: older plans are not to be followed."""

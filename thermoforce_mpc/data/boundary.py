@@ -332,7 +332,7 @@ class FreeForecast:
 
     @cached_property
     def _median_row(self) -> int:
-        return int(np.argmin(np.abs(np.asarray(self.levels) - 0.5)))
+        return min(range(len(self._levels)), key=lambda row: abs(self._levels[row] - 0.5))
 
     @cached_property
     def _levels(self) -> list[float]:

@@ -105,7 +105,7 @@ def _unchangeable(value: object) -> TypeGuard[Array]:
 
 def of_each(value: object, name: str, names: Names) -> Array:
     """Values (rows,) of one instant; a number where there is one row. Raises `DataError` for another shape."""
-    array = np.array(value, dtype=np.float64, ndmin=1)
+    array = value if _unchangeable(value) and value.ndim else np.array(value, dtype=np.float64, ndmin=1)
     rows = names.rows(name)
     if array.shape != (rows,):
         raise DataError(f"{name} has shape {array.shape}, expected ({rows},)")

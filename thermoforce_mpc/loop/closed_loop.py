@@ -346,6 +346,8 @@ def advanced(plant: Plant, block: Block) -> Measurement:
 
 def with_level(measurement: Measurement, block: Block) -> Measurement:
     """The measurement with the applied levels where u was not measured; u stays NaN where native control acts."""
+    if not np.isnan(measurement.u).any():
+        return measurement
     by_level = np.array([command is None for command in block.command])
     return replace(measurement, u=np.where(np.isnan(measurement.u) & by_level, block.as_array(), measurement.u))
 

@@ -113,9 +113,10 @@ class ReturnWater:
 def above_zone(T_return_C: Array, T_zone_C: Array, u: Array) -> float:
     """Return the mean of return − zone temperature over running steps, weighted by u, K; NaN without measurements."""
     weight = np.where(np.isfinite(T_return_C) & np.isfinite(T_zone_C) & (u > LEVEL_EDGE), u, 0.0)
-    if not weight.sum() > 0:
+    total = float(weight.sum())
+    if not total > 0.0:
         return float("nan")
-    return float(np.average(np.where(weight > 0.0, T_return_C - T_zone_C, 0.0), weights=weight))
+    return float((np.where(weight > 0.0, T_return_C - T_zone_C, 0.0) * weight).sum()) / total
 
 
 def fit_return_water(
