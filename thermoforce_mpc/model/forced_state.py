@@ -80,7 +80,7 @@ def heat_drive(operator: BuildingOperator, history: Record, start: int, stop: in
         outside = np.flatnonzero((u < u_min - ROUNDING) | (u > 1 + ROUNDING))
         if outside.size:
             at = start + outside[0]
-            raise DataError(f"history: {label} is {u[outside[0]]:g} at step {at}, expected values in [{u_min:g}, 1]")
+            raise DataError(f"history: {label} is {u[outside[0]]:.10g} at step {at}, expected values in [{u_min:g}, 1]")
         heat = head.heat_input(np.clip(u, u_min, 1.0), T_out[:-1])
         rows.append(np.where(measured, head.heat_input.of_meter(head.sign * heat_W, T_out[:-1]), heat))
     return np.stack(rows)

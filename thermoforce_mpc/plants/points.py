@@ -141,7 +141,7 @@ def _clipped(key: str, value: float, point: Point, plant: str) -> list[str]:
     high = point.maximum if point.maximum is not None else value
     if low <= value <= high:
         return []
-    return [f"{key}: {value:g} lies outside the limits of '{point.name}' at {plant}, {low:g} to {high:g}"]
+    return [f"{key}: {value:.10g} lies outside the limits of '{point.name}' at {plant}, {low:g} to {high:g}"]
 
 
 # Applied value above which the signal of a machine's pump or fan means that it runs, and share from which a valve is

@@ -77,6 +77,7 @@ def test_hour_h_of_an_epw_file_is_h_oclock(tmp_path):
         (lambda rows: rows[:4000], "4000 hourly rows, a year has 8760; the file is truncated"),
         (lambda rows: [*rows[:10], mos_row(10, T=float("nan")), *rows[11:]], "row 11: a cell is not a number"),
         (lambda rows: [*rows[:10], mos_row(10, T=99), *rows[11:]], "T_dry_C is 99 at day 1, hour 10"),
+        (lambda rows: [*rows[:10], rows[10].replace("\t200\t", "\t360.0001\t"), *rows[11:]], "is 360.0001 at day 1"),
         (lambda rows: [*rows[:10], rows[10].replace("101300", "x"), *rows[11:]], "row 11: a cell is not a number"),
         (lambda rows: [*rows[:10], "36000.0\t1\t2", *rows[11:]], "row 11 has 3 columns"),
         (lambda rows: [*rows[:10], *rows[11:], mos_row(8760), mos_row(8761)], "row 11 is at 39600 s, expected 36000"),

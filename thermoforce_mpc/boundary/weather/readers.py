@@ -224,7 +224,7 @@ def _weather(path: Path, name: str, location: str, columns: dict[str, Array]) ->
         if bad.size:
             hour = int(bad[0])
             raise WeatherError(
-                f"{path}: {key} is {columns[key][hour]:g} at day {hour // 24 + 1}, hour {hour % 24} "
+                f"{path}: {key} is {columns[key][hour]:.10g} at day {hour // 24 + 1}, hour {hour % 24} "
                 f"({_CALLED[key]}), expected "
                 f"{low / scale:g} to {high / scale:g}, or {_MISSING[key]:g} where it is missing ({bad.size} such "
                 "rows); "

@@ -90,8 +90,8 @@ class Weather:
             if bad.size:
                 hour = int(bad[0])
                 raise WeatherError(
-                    f"{self.name}: {item.name} is {column[hour]:g} at day {hour // 24 + 1}, hour {hour % 24}, expected "
-                    f"{low:g} to {high:g} ({bad.size} such rows); repair the file or use another"
+                    f"{self.name}: {item.name} is {column[hour]:.10g} at day {hour // 24 + 1}, hour {hour % 24}, "
+                    f"expected {low:g} to {high:g} ({bad.size} such rows); repair the file or use another"
                 )
             column.setflags(write=False)
             object.__setattr__(self, item.name, column)
