@@ -97,11 +97,9 @@ def _covariance(regression: RegressionData, free: RcParameters) -> Array:
     fading = a ** rows[:, None]
     # Covariance of each mode with the temperature, both at the earlier of two rows.
     now = fading * (fading @ (free.start_K2 - stationary)) + stationary.sum(axis=0)
-    # Of one row with those before it; from row to row all fade alike, so that no power is taken of each pair.
-    together, before, total = np.zeros((a.size, rows.size)), rows[0], np.zeros((rows.size, rows.size))
-    for i, row in enumerate(rows):
-        together[:, :i] *= (a ** (row - before))[:, None]
-        together[:, i], before = now[i], row
-        total[i, : i + 1] = total[: i + 1, i] = together[:, : i + 1].sum(axis=0)
-    total[np.diag_indices(rows.size)] += free.sensor_sd_K**2
-    return total
+    apart, lags = np.abs(rows[:, None] - rows), np.arange(rows[-1] - rows[0] + 1)
+    earlier = np.minimum(np.arange(rows.size)[:, None], np.arange(rows.size))
+    total = free.sensor_sd_K**2 * np.eye(rows.size)
+    for mode, pole in enumerate(a):
+        total += (pole**lags)[apart] * now[:, mode][earlier]
+    return np.asarray(total)
