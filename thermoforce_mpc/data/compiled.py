@@ -66,8 +66,13 @@ class _Compiled:
         import numba
 
         dispatcher, self._ready = self.dispatcher, True
-        with _alone(_folder(str(self._function.__globals__["__file__"])) if self._options.get("cache") else None):
+        with _alone(self._kept_in):
             dispatcher.compile(tuple(map(numba.typeof, args)))
+
+    @cached_property
+    def _kept_in(self) -> str | None:
+        """The folder in which it is kept; None where it is not."""
+        return _folder(str(self._function.__globals__["__file__"])) if self._options.get("cache") else None
 
     @cached_property
     def dispatcher(self) -> Any:
@@ -80,7 +85,7 @@ class _Compiled:
             for name in used:
                 if isinstance(called := module.get(name), _Compiled) and called is not self:
                     module[name] = called.dispatcher
-        folder = _folder(str(names["__file__"])) if self._options.get("cache") else None
+        folder = self._kept_in
         given = self._options if folder else {**self._options, "cache": False}
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = folder or before
