@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,10 +158,18 @@ _ZERO_OFFSET_W_M2, _DARK_W_M2 = 30.0, 1.0
 _USUAL_CHANGES = 97.0
 
 
-def outside(values: Array, allowed: tuple[float, float]) -> NDArray[np.bool_]:
+@overload
+def outside(values: float, allowed: tuple[float, float]) -> bool: ...
+
+
+@overload
+def outside(values: Array, allowed: tuple[float, float]) -> NDArray[np.bool_]: ...
+
+
+def outside(values: float | Array, allowed: tuple[float, float]) -> bool | NDArray[np.bool_]:
     """Which values are infinite or outside the range; NaN is not."""
     low, high = allowed
-    return np.asarray((values < low) | (values > high) | np.isinf(values))
+    return (values < low) | (values > high) | (abs(values) == math.inf)
 
 
 def jumps(time_s: Array, values: Array, rule: SignalRule) -> NDArray[np.bool_]:

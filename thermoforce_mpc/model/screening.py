@@ -112,8 +112,7 @@ def screened(measurement: Measurement, allowed: ReadingLimits, history: Record) 
 def _refusal(
     measurement: Measurement, name: str, row: int, value: float, label: str, allowed: ReadingLimits, history: Record
 ) -> str | None:
-    low, high = allowed.range(name)
-    if value < low or value > high or math.isinf(value):
+    if limits.outside(value, allowed.range(name)):
         return f"{label} of {value:.6g}{_unit(name)} is not {_words(allowed, name)}: {_NOT_MEASURED}"
     rule = limits.RULES[name]
     if math.isnan(value) or math.isinf(rule.jump[0]):

@@ -79,6 +79,7 @@ class IpoptSolver(StatementSolver):
             self._options["mumps_scaling"] = 0
         few = {"mu_init": self._options["mu_min"], "max_iter": min(config.max_iterations, _FEW)}
         self._near = {**self._options, **_FROM_OPTIMUM, **few}
+        # Convex without choices: other solvers can begin it and have the last word.
         self._piqp = Piqp(QPConfig()) if self.model.convex and not self.model.choices.size else None
         self.programme  # noqa: B018 - built once
 
@@ -88,17 +89,16 @@ class IpoptSolver(StatementSolver):
         return self.model.ipopt(self._options if self._piqp is None else self._near).function
 
     def _answers(self, p: Array, guess: Array | None) -> Iterator[SolverAnswer]:
-        cold, choices = self.model.cold(), self.model.choices
-        answers = []
+        cold, answers = self.model.cold(), []
         if (answer := self._from_optimum(p)) is not None:
             answers.append(answer)
             yield answer
         for start, options in ((cold if guess is None else guess, self._options), (cold, self._options | _CAREFUL)):
             answers.append(self._answer(p, start, options))
             yield answers[-1]
-        if any(answer.claimed is not None for answer in answers) and self.model.convex and not choices.size:
+        if self._piqp is not None and any(answer.claimed is not None for answer in answers):
             programme = self.model.local(p)
-            found = Highs(MilpConfig())(programme, choices)
+            found = Highs(MilpConfig())(programme, self.model.choices)
             why, claimed = "" if found.solved else f"HiGHS ended with {found.status}", programme.objective(found.x)
             multipliers = programme.unit * found.multipliers
             yield SolverAnswer(

@@ -14,6 +14,7 @@ Without `u` and `F` in x_t the effect of an action is exactly `a^k g m(x_t)` (pa
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
@@ -214,30 +215,28 @@ class OperatorParameters:
 
         It has one sign; rounding errors beyond zero are clipped. The longest one asked for is kept.
         """
-        kept = self._impulse
-        if not kept or kept[0].size < n_steps:
-            response = (self.gains[:, None] * self.poles[:, None] ** np.arange(n_steps)).sum(axis=0)
-            longest = self.sign * np.maximum(self.sign * response, 0.0)
-            longest.setflags(write=False)
-            kept[:] = [longest]
-        return np.asarray(kept[0][:n_steps])
 
-    @cached_property
-    def _impulse(self) -> list[Array]:
-        return []
+        def response() -> Array:
+            both = (self.gains[:, None] * self.poles[:, None] ** np.arange(n_steps)).sum(axis=0)
+            return self.sign * np.maximum(self.sign * both, 0.0)
+
+        return self._longest("impulse", n_steps, response)
 
     def step_response(self, n_steps: int) -> Array:
         """What v = m = 1 has added after each of its first `n_steps` steps, (n_steps,), K; kept as `impulse`."""
-        kept = self._step_response
-        if not kept or kept[0].size < n_steps:
-            longest = np.cumsum(self.impulse(n_steps))
-            longest.setflags(write=False)
-            kept[:] = [longest]
-        return np.asarray(kept[0][:n_steps])
+        return self._longest("step", n_steps, lambda: np.cumsum(self.impulse(n_steps)))
+
+    def _longest(self, name: str, n_steps: int, response: Callable[[], Array]) -> Array:
+        """The first `n_steps` of the longest response of this name that was asked for."""
+        kept = self._responses.get(name)
+        if kept is None or kept.size < n_steps:
+            kept = self._responses[name] = response()
+            kept.setflags(write=False)
+        return np.asarray(kept[:n_steps])
 
     @cached_property
-    def _step_response(self) -> list[Array]:
-        return []
+    def _responses(self) -> dict[str, Array]:
+        return {}
 
     @cached_property
     def constant_modulation(self) -> float | None:
