@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from click.testing import CliRunner
 
 import thermoforce_mpc as tf
@@ -249,6 +250,32 @@ def test_prices_whose_column_or_unit_is_not_clear_are_refused(measured, tmp_path
         pd.DataFrame({"time": at, **columns}).to_csv(tmp_path / "p.csv", index=False)
         with pytest.raises(DataError, match=message):
             read_forecast(hourly(), measured, prices=tmp_path / "p.csv")
+
+
+def test_prices_in_a_currency_that_is_named_may_be_of_any_size(measured, tmp_path):
+    at = pd.date_range("2025-01-10", periods=60, freq="1h").strftime("%Y-%m-%d %H:%M")
+    for column, value in (("price JPY/kWh", 31.0), ("spot HUF per MWh", 40000.0)):
+        pd.DataFrame({"time": at, column: value}).to_csv(tmp_path / "p.csv", index=False)
+        ahead = read_forecast(hourly(), measured, prices=tmp_path / "p.csv")
+        assert ahead.price_per_kWh[0, 0] == (31.0 if "JPY" in column else 40.0)
+    bill = {"source": "a contract", "energy": "p.csv", "supplier_per_kWh": 5.0, "currency": "HUF"}
+    (tmp_path / "bill.yaml").write_text(yaml.safe_dump(bill))
+    assert read_forecast(hourly(), measured, prices=tmp_path / "bill.yaml").price_per_kWh[0, 0] == 45.0
+
+
+def test_prices_of_a_column_of_the_map_that_are_in_cents_are_doubted(measured):
+    told: list[str] = []
+    for column in ("Preis ct", "price JPY/kWh", "price USD/kWh"):
+        own = measured.map.model_validate(measured.map.model_dump(exclude_unset=True) | {"forecast": {"price": column}})
+        notes: list[str] = []
+        table = hourly().assign(**{column: 26.0})
+        ahead = read_forecast(table, replace(measured, map=own), left_out=notes)
+        assert ahead.price_per_kWh[0, 0] == 26.0
+        told.append(" ".join(notes))
+    assert "column 'Preis ct': prices of 26 per kWh" in told[0]
+    assert "in cents" in told[0]
+    assert not told[1]
+    assert "0.01 to 2 USD are usual" in told[2]
 
 
 def test_a_pattern_of_several_files_is_no_forecast(measured, tmp_path):

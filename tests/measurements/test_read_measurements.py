@@ -437,6 +437,12 @@ def test_a_column_named_by_energy_is_doubted_where_no_unit_is_given(signal, doub
     assert ("its name says energy: name the unit" in power.doubt) is doubted
 
 
+def test_a_column_of_prices_in_cents_is_doubted():
+    found = tf.read_measurements(house().assign(tariff=26.0), BASE | {"machines": {"hp": {"price": "tariff"}}})
+    price = next(s for s in found.understood.signals if s.key == "machines.hp.price")
+    assert "in cents, or in another currency? Set unit: per MWh, or a factor" in price.doubt
+
+
 def test_files_of_different_clocks_are_refused(tmp_path):
     df = house()
     winter = df.assign(time=[f"{t:%Y-%m-%d %H:%M}+01:00" for t in df["time"]])

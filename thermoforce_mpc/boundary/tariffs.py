@@ -31,6 +31,8 @@ _MOST_PRICES = 600_000
 _MOST_PRICE = 1e5
 # Means of energy that is sold in EUR or USD: gas in the cheapest years, and electricity in the dearest.
 _USUAL_PRICES, _USUAL_IN = (0.01, 2.0), ("EUR", "USD")
+# A code of three capitals before the unit, as "JPY/kWh" or "SEK per MWh".
+_CURRENCY = re.compile(r"(?<![A-Z])([A-Z]{3})(?: ?/ ?|[ _]per[ _]|_)[kM]Wh")
 _PRICE_COLUMNS = (
     "price",
     "PriceElectricPowerHighlyDynamic",
@@ -148,6 +150,12 @@ def tariff_from_file(path: Path) -> Tariff:
             stacklevel=2,
         )
     return held_prices(time_s, price, str(path))
+
+
+def currency_of(name: str) -> str:
+    """The currency that the name of a column of prices tells, as JPY of 'price JPY/kWh'; '' where it tells none."""
+    told = _CURRENCY.search(name)
+    return told[1] if told else ""
 
 
 def price_doubt(price: Array, currency: str = "", *, fuel: bool = False) -> str:

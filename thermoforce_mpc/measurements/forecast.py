@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from thermoforce_mpc.boundary.tariffs import Tariff, by_name, price_doubt, tariff_from_file
+from thermoforce_mpc.boundary.tariffs import Tariff, by_name, currency_of, price_doubt, tariff_from_file
 from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array, Boundary, Record
 from thermoforce_mpc.data.clock import in_celsius, in_fahrenheit
 from thermoforce_mpc.data.dataframes import clock_s, days_before_s, new_year, seconds_since, stamps
@@ -59,10 +59,11 @@ _WHILES_S, _OTHER_WEATHER_K, _GOES_ON_K = (3.0 * HOUR_S, DAY_S), 15.0, 8.0
 
 
 def prices_over_steps(
-    path: Path, clock: TimeStampRules, origin: pd.Timestamp, grid_s: Array, step_s: float
+    path: Path, clock: TimeStampRules, origin: pd.Timestamp, grid_s: Array, step_s: float, currency: str = ""
 ) -> tuple[Array, str]:
     """Prices per kWh (n,) over the steps that begin at `grid_s` (n,), s from `origin`, and what was read, in words.
 
+    `currency`: of the prices, by default the one that their column names.
     Stamps without an offset are of the zone of `clock`; NaN where the file has no price. The name of a tariff of the
     simulated buildings, where no file has it, is that tariff by the building's clock. Raises `DataError` for a file
     whose column of prices or unit is not clear.
@@ -94,9 +95,9 @@ def prices_over_steps(
     factor, unit = next(
         ((by, f"{named[0]}, divided by {by:g}") for form, by in _UNITS if form.search(named[0])), (1.0, named[0])
     )
-    if doubt := price_doubt(values[known] / factor):
+    if doubt := price_doubt(values[known] / factor, currency or currency_of(named[0])):
         raise DataError(
-            f"{path}, column '{named[0]}': {doubt} Say the unit in its name, as 'price per MWh' or 'ct/kWh'"
+            f"{path}, column '{named[0]}': {doubt} Say the unit in its name, as 'price per MWh', 'ct/kWh' or 'JPY/kWh'"
         )
     time_s = seconds_since(origin, rows.index[known], str(path))
     ends = ends_s(time_s, longest_s(time_s, step_s, None), np.empty(0))
@@ -124,15 +125,15 @@ def billed_over_steps(
     def of(source: float | str) -> Array:
         if not isinstance(source, str):
             return np.full(grid_s.size, source)
-        found, read = prices_over_steps(file_beside(path, source), clock, origin, grid_s, step_s)
+        found, read = prices_over_steps(file_beside(path, source), clock, origin, grid_s, step_s, bill.currency)
         words.append(read)
         return found
 
     energy = price if bill.energy is None else np.tile(of(bill.energy), (len(price), 1))
     earns = np.zeros(grid_s.size) if bill.export_per_kWh is None else of(bill.export_per_kWh)
     billed_at = np.stack([billed(bill, row, grid_s, origin, step_s) for row in energy])
-    if doubt := price_doubt(billed_at):
-        raise DataError(f"{path}: with fees and tax {doubt}")
+    if doubt := price_doubt(billed_at, bill.currency):
+        raise DataError(f"{path}: with fees and tax {doubt}" + ("" if bill.currency else " Then name its currency"))
     return billed_at, earns, "; ".join(words)
 
 
@@ -213,7 +214,7 @@ def read_forecast(
         notes.append(f"{name}, {doubt}")
     solar, _ = sunlight(sources.ours, reader, grid_s, measured.record.origin)
     lower, upper = _bounds(sources, reader, grid_s, measured)
-    price, past_price, at_meter = _prices(sources, reader, grid_s, measured, prices, notes)
+    price, past_price, at_meter = _prices(sources, reader, grid_s, measured, prices, notes, now)
     others_W = _others_W(sources, reader, grid_s)
     values, guessed = {"lower_C": lower, "upper_C": upper, "price_per_kWh": price}, {}
     for signal, rows_of in values.items():
@@ -399,7 +400,7 @@ def _bounds(sources: _Sources, reader: SignalReader, grid_s: Array, measured: Me
 
 def _prices(
     sources: _Sources, reader: SignalReader, grid_s: Array, measured: Measurements, prices: Path | None,
-    notes: list[str],
+    notes: list[str], now: pd.Timestamp | None,
 ) -> tuple[Array, Array, dict[str, Array]]:  # fmt: skip
     """Prices (M, n) of the forecast and (M, m) of the measurements, and what a bill says of the meter (n,), by name."""
     record, past = measured.record, measured.conditions
@@ -412,6 +413,12 @@ def _prices(
     )
     bill, clock, step_s = sources.bill, sources.ours.time, record.step_s
     if prices is None:
+        named = [name for tariff in sources.tariffs if isinstance(tariff, Signal) for name in tariff.columns]
+        currency = next(filter(None, map(currency_of, named)), "")
+        # What a machine writes is looked at by its loop, once a day.
+        if now is None and (doubt := price_doubt(price, currency)):
+            of = f"column '{named[0]}': " if named else ""
+            notes.append(f"{of}{doubt} Set unit: per MWh, or a factor, in the map")
         return price, past.price_per_kWh, {}
     if bill is None:
         of_file, read = prices_over_steps(prices, clock, record.origin, grid_s, step_s)

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from thermoforce_mpc.boundary.tariffs import currency_of, price_doubt
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.limits import EXCURSION_S, SignalRule
 from thermoforce_mpc.data.series import stretches
@@ -399,6 +400,8 @@ def _doubt(signal: Signal, rules: SignalRule, readings: SignalReadings, median: 
         return f"a median of {median:.1f} °C is unusual: check the unit"
     if rules.kind == "level" and 0.0 < most < rules.usual[0]:
         return f"never above {most:.3g}: check the unit, 0-1 is likelier than %"
+    if rules.kind == "price" and (doubt := price_doubt(readings.values, currency_of(signal.columns[0]))):
+        return f"{doubt} Set unit: per MWh, or a factor"
     changes = np.diff(readings.values)[readings.reaches]
     jumps = np.abs(changes) > rules.spike
     if jumps.any():

@@ -144,6 +144,9 @@ class Bill(StrictModel):
     """
 
     source: str = Field(min_length=3, description="where the numbers are from")
+    currency: str = Field(
+        "", pattern=r"^([A-Z]{3})?$", description="code of three letters; sizes of prices in EUR and USD are checked"
+    )
     energy: float | str | None = Field(None, description="price per kWh without fees and tax, or a file of them")
     supplier_per_kWh: float = Field(0.0, description="what the supplier adds")
     levies_per_kWh: float = Field(0.0, description="levies and electricity tax")
