@@ -523,6 +523,23 @@ def test_a_machine_that_ran_once_in_a_short_table_took_its_energy(unit):
     assert np.nanmax(found.record.power_W[0]) == pytest.approx(2400.0)
 
 
+@pytest.mark.parametrize("unit", ["kWh per step", "kWh counter"])
+@pytest.mark.parametrize(
+    ("standby_W", "runs_W", "wrong"),
+    [(6.0, [3000.0] * 9, 0), (200.0, [80e3, 82e3, 84e3, 85e3], 0), (200.0, [262e6] * 4, 4), (2000.0, [25e3], 1)],
+    ids=["heater", "boiler of a school", "code", "glitch"],
+)
+def test_what_a_machine_that_rests_nearly_always_takes_is_its_energy(unit, standby_W, runs_W, wrong):
+    """Runs in less than one of a hundred steps lie beyond all percentiles that tell wrong readings of others."""
+    power_W = np.full(1200, standby_W)
+    power_W[100 : 100 * (len(runs_W) + 1) : 100] = runs_W
+    energy = power_W / 4000.0
+    df = house(periods=1200).assign(E=energy.cumsum() if unit.endswith("counter") else energy)
+    found = tf.read_measurements(df, BASE | {"machines": {"g": {"power": {"column": "E", "unit": unit}}}})
+    assert sum(flag.count for s in found.understood.signals for flag in s.flags) == wrong
+    assert np.nanmax(found.record.power_W[0]) == pytest.approx(standby_W if wrong else max(runs_W))
+
+
 def test_a_counter_that_begins_anew_each_day_keeps_its_energy():
     df = house(periods=385)
     day = df["time"].dt.day

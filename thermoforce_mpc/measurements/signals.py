@@ -166,9 +166,12 @@ def missing(rules: MeasurementMap, record: Record, conditions: Boundary) -> tupl
 # before a step that took so many times what the next one did (simulated heat meter of 28 November 2026: 2.5, 4 and 6
 # times err by 633, 613 and 608 W, differences by 1,440 W).
 _OFTEN, _LEAST_STEPS, _ROUND, _MOSTLY, _ONE_STEP, _RESTED = 0.7, 8, 1e-3, 0.5, 1.1, 4.0
-# A meter of energy that tells this many times the 99th percentile of what it tells did not count it; of fewer than 100,
-# of which a machine at rest may have taken all but one, 1000 times: 9 kW after a standby of 9 W. By judgement.
-_UNUSUAL, _FEW_LOADS, _UNUSUAL_OF_FEW = 10.0, 100, 1000.0
+# A meter of energy that tells this many times the 99th percentile of what it tells, and more than so many times the
+# kilowatt that any home's machine takes, did not count it. Of a machine that nearly always rests the percentile is its
+# standby: where there are fewer than 100 loads, or three that differ lie beyond that, it is 1000 times. By judgement;
+# codes for no reading, such as 65535 kWh, are alike and lie beyond both.
+_UNUSUAL, _A_MACHINE_W = 10.0, 1000.0
+_FEW_LOADS, _RUNS, _UNUSUAL_OF_RARE = 100, 3, 1000.0
 # A signal of so few readings, of a table with so many rows for each of them, is stored when it changes.
 _FEW, _ROWS_BESIDE = 8, 5
 
@@ -471,8 +474,11 @@ def _unusual(load: Array) -> NDArray[np.bool_]:
     positive = load[load > 0.0]
     if not positive.size:
         return np.zeros(load.size, dtype=bool)
-    times = _UNUSUAL_OF_FEW if positive.size < _FEW_LOADS else _UNUSUAL
-    return np.asarray(load > times * np.percentile(positive, 99.0, method="lower"))
+    usual = np.percentile(positive, 99.0, method="lower")
+    most = _UNUSUAL * max(usual, _A_MACHINE_W)
+    if positive.size < _FEW_LOADS or np.unique(positive[positive > most]).size >= _RUNS:
+        most = max(most, _UNUSUAL_OF_RARE * usual)
+    return np.asarray(load > most)
 
 
 def _step_of(counts: Array) -> float:
