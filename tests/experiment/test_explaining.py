@@ -21,6 +21,7 @@ from thermoforce_mpc.experiment.explaining import decision_at
 from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.records.journal import Journal, JournalError, read_run
+from thermoforce_mpc.records.run_folder import sole_use
 
 
 def call(*words: object):
@@ -162,6 +163,8 @@ def test_a_run_that_was_killed_is_explained(folder, tmp_path):
     assert done.exit_code == 0, done.output
     assert "step 6" in done.output
     assert "the run ended here" in done.output
+    with sole_use(tmp_path):  # as a run that is under way has it
+        assert "came: nothing is recorded yet" in call("explain", tmp_path).output
     shutil.copytree(folder / "model", tmp_path / "model")
     assert "Alternatives over 48 h" in call("explain", tmp_path).output
 

@@ -94,10 +94,10 @@ class ExplainedStep:
             if not touched:
                 sentences.append(
                     f"{of}nearest is the {side} comfort bound, {bound_C:.1f} °C, {near[side][at]:.2f} K away in "
-                    f"{when_h:g} h: plans keep a margin"
+                    f"{when_h:.3g} h: plans keep a margin"
                 )
                 continue
-            sentences.append(f"{of}the {side} comfort bound, {bound_C:.1f} °C, binds first, in {when_h:g} h")
+            sentences.append(f"{of}the {side} comfort bound, {bound_C:.1f} °C, binds first, in {when_h:.3g} h")
             outside = {side: float(-np.nanmin(gap)) for side, gap in near.items()}
             worst = max(outside, key=lambda name: outside[name])
             if outside[worst] > _BINDING_K:

@@ -25,7 +25,7 @@ from thermoforce_mpc.experiment.explaining import (
     hour_ends,
 )
 from thermoforce_mpc.files import plain_json
-from thermoforce_mpc.records.run_folder import write_json
+from thermoforce_mpc.records.run_folder import in_use, write_json
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def explain(run: Path, at: str | None, controller: str | None, hours: float, jso
     """
     decision = decision_at(run, at, controller)
     console = Console(highlight=False, markup=False, soft_wrap=True)
-    for line in _lines(decision):
+    for line in _lines(decision, under_way=in_use(run)):
         console.print(line)
     if decision.plan:
         print_whole(_table(decision, hours), console)
@@ -116,7 +116,7 @@ def _reason(decision: ExplainedStep, alternatives: Alternatives) -> str:
     return f"the plan's first step, of {alternatives.reason}{but}"
 
 
-def _lines(decision: ExplainedStep) -> list[str]:
+def _lines(decision: ExplainedStep, *, under_way: bool) -> list[str]:
     step = decision.step
     record, names = step.told, step.names
     begun = decision.building.in_words(step.time_s)
@@ -159,7 +159,7 @@ def _lines(decision: ExplainedStep) -> list[str]:
             planned = f" (planned {', '.join(_C(float(T)) for T in decision.T_zone_C[:, 0])})"
         lines.append(f"came: {zones}{planned} at {decision.building.in_words(end.time_s)}")
     else:
-        lines.append("came: nothing is recorded, the run ended here")
+        lines.append(f"came: nothing is recorded{' yet' if under_way else ', the run ended here'}")
     return lines
 
 
