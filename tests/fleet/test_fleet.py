@@ -531,6 +531,19 @@ def test_an_identification_that_fails_is_listed_and_told(tmp_path: Path, monkeyp
 
 
 @pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"controllers": ["thermostat"]}, "controllers: unknown key, did you mean 'variants.NAME.controller'?"),
+        ({"variants": {"controller": ["pi"]}}, "variants.controller: expected keys and values, of controller, iden"),
+    ],
+    ids=["elsewhere", "no name"],
+)
+def test_what_stands_under_a_name_is_told_with_one(tmp_path: Path, wrong: dict[str, object], says: str) -> None:
+    code, said = _fleet(_file(tmp_path, **wrong), "--count")
+    assert (code, says in said) == (2, True), said
+
+
+@pytest.mark.parametrize(
     ("change", "says"),
     [
         (("machines:", "machine:"), "line 8: machine: unknown key, did you mean 'machines'?"),

@@ -540,10 +540,12 @@ def _shown(value: Any) -> str:
 
 def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:
     current: type[BaseModel] | None = model
+    is_name = False
     for part in path:
-        field = current.model_fields.get(part) if current else None
+        field = None if is_name or current is None else current.model_fields.get(part)
+        is_name = field is not None and _by_name(field.annotation)
         if field is None:
-            continue  # a union tag or list index in pydantic's location, not a field
+            continue  # a name that people gave, a union tag or list index in pydantic's location, not a field
         current = next(iter(_models_in(field.annotation)), None)
     return sorted(current.model_fields) if current else []
 
@@ -568,11 +570,12 @@ def _begins_like(key: str, word: str) -> bool:
 
 
 def all_keys(model: type[BaseModel], above: str = "") -> Iterable[str]:
-    """Dotted names of all fields of a model and of those in it."""
+    """Dotted names of all fields of a model and of those in it; NAME stands for a name that people give."""
     for name, field in model.model_fields.items():
         yield above + name
+        named = "NAME." if _by_name(field.annotation) else ""
         for below in _models_in(field.annotation):
-            yield from all_keys(below, f"{above}{name}.")
+            yield from all_keys(below, f"{above}{name}.{named}")
 
 
 def _models_below(model: type[BaseModel]) -> Iterable[type[BaseModel]]:
@@ -580,6 +583,13 @@ def _models_below(model: type[BaseModel]) -> Iterable[type[BaseModel]]:
         for below in _models_in(field.annotation):
             yield below
             yield from _models_below(below)
+
+
+def _by_name(annotation: Any) -> bool:
+    """Whether values of a field stand under names that people give, as zones do."""
+    if isinstance(get_origin(annotation), type) and issubclass(get_origin(annotation), Mapping):
+        return True
+    return any(_by_name(arg) for arg in get_args(annotation))
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
