@@ -60,7 +60,7 @@ PROBED_DAYS, SCORED_DAYS = 3.0, 7.0
 LEAST_HEATING_KWH_M2 = 0.05
 # Targets: discomfort above the thermostat's, K·h a week; at equal comfort the share of windows that are cheaper and the
 # median saving; cost above that of the house's own control where this is as comfortable.
-_MORE_DISCOMFORT_KH, _CHEAPER_SHARE, _MEDIAN_SAVING, _DEARER_THAN_NATIVE = 0.5, 0.95, 0.08, 0.01
+_MORE_DISCOMFORT_KH, _CHEAPER_SHARE, _MEDIAN_SAVING, _DEARER_THAN_NATIVE = 0.5, 0.98, 0.09, 0.01
 _QUICK_HOUSES = 4
 
 

@@ -20,6 +20,7 @@ from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, SIGNALS
 from thermoforce_mpc.errors import ConfigError, InputError, WeatherError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.fmu import FmuPlant
+from thermoforce_mpc.plants.fmu.archive import BoundaryData, read_table
 from thermoforce_mpc.plants.fmu.process import missing_library
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
@@ -120,6 +121,28 @@ def test_a_forecast_over_new_year_repeats_the_year(small):
         seen = plant.forecast(DAY_S, HOUR_S)
         truth = synthetic_weather().at("T_dry_C", np.array([364.75, 0.25]) * DAY_S)
         np.testing.assert_allclose(seen.T_out_C[[6, 18]], truth, atol=1e-9)
+
+
+def table(rows):
+    return BoundaryData(read_table(b"time,PriceElectricPowerConstant,TDryBul\n" + rows.encode(), "data.csv"))
+
+
+@pytest.mark.parametrize(
+    ("begins_h", "seen"),
+    [(8759.0, [2, 2, 4, 1, 2]), (8759.5, [2, 4, 1, 2, 2]), (8760.0, [1, 1, 2, 2, 2]), (17520.0, [1, 1, 2, 2, 2])],
+)
+def test_what_begins_at_new_year_is_of_the_new_year(begins_h, seen):
+    """BOPTEST's `data_manager`: what begins before takes the year's last row for midnight, the first row after it."""
+    data = table("0,1,280\n3600,2,280\n31536000,4,280\n")
+    asked_s = 3600.0 * (begins_h + 0.5 * np.arange(5))
+    np.testing.assert_array_equal(data.at("PriceElectricPowerConstant", asked_s), seen)
+
+
+def test_rows_without_a_value_are_left_out():
+    """BOPTEST's own `occupancy.csv` of `multizone_office_simple_hydronic` has some."""
+    data = table("0,1,280\n3600,,\n7200,3,290\n")
+    np.testing.assert_array_equal(data.at("PriceElectricPowerConstant", np.array([0.0, 3600.0, 7200.0])), [1, 1, 3])
+    assert data.at("TDryBul", np.array([3600.0])) == pytest.approx(285.0)
 
 
 @pytest.mark.parametrize("level", [float("nan"), 1.5, -0.1, "high"])

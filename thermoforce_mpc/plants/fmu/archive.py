@@ -75,15 +75,17 @@ class BoundaryData:
     def at(self, name: str, time_s: Array) -> Array:
         """Return the series `name` at times (n,), s since 1 January: weather interpolated linearly, others held.
 
-        A series that covers the year repeats, as in BOPTEST: its last value is that of midnight, followed by the first
-        of the new year. Raises `ConfigError` for an unknown series, `WeatherError` for a time outside the file's range.
+        A series that covers the year repeats, as in BOPTEST. For times that begin before New Year its last value is
+        that of midnight, followed by the first of the new year; times that begin at New Year take the first. Raises
+        `ConfigError` for an unknown series, `WeatherError` for a time outside the file's range.
         """
         if name not in self.series:
             raise ConfigError(f"the FMU's resources have no series '{name}'; known: {', '.join(sorted(self.series))}")
         one = self.series[name]
         time_s = np.asarray(time_s, dtype=np.float64)
         until_s = float(2.0 * one.time_s[-1] - one.time_s[-2])  # the last value holds as long as the one before it
-        if until_s >= YEAR_S:
+        if until_s >= YEAR_S and time_s.size:
+            time_s = time_s - YEAR_S * max(0.0, np.floor(time_s.min() / YEAR_S))
             time_s = np.where(time_s > YEAR_S, np.mod(time_s, YEAR_S), time_s)
         if time_s.size and (time_s.min() < one.time_s[0] - 1e-6 or time_s.max() > until_s + 1e-6):
             raise WeatherError(
