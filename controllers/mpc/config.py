@@ -22,7 +22,7 @@ from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.data.clock import PLAN_H, PLAN_STEP_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.registry import check_free_response, own_options
-from thermoforce_mpc.scenario.bill import Bill
+from thermoforce_mpc.scenario.bill import Bill, Peak, PeakStep
 from thermoforce_mpc.scenario.settings import StrictModel, one_of
 
 
@@ -83,6 +83,11 @@ class ObjectiveConfig(StrictModel):
         "of three days of the month (a kW more on one day counts a third)",
     )
     peak_least_kW: float = Field(0.0, ge=0, description="a peak below this costs nothing more, kW")
+    peak_steps: tuple[PeakStep, ...] = Field(
+        (),
+        description="in the place of peak_price_per_kW: fees of a month by steps of its peak; a kW costs what it does "
+        "on average over the next two steps, from the highest peak of the record on",
+    )
     at_the_meter: bool = Field(
         False,
         description="what the forecast has of the meter counts: own generation and other loads behind it (what they "
@@ -109,18 +114,44 @@ class ObjectiveConfig(StrictModel):
         ),
     }  # fmt: skip
 
+    @model_validator(mode="after")
+    def _one_price_of_peaks(self) -> ObjectiveConfig:
+        if self.peak_steps:
+            if self.peak_price_per_kW:
+                raise ValueError("peak_steps: takes the place of peak_price_per_kW; leave one of them out")
+            self._peak  # noqa: B018 (steps are checked where it is made)
+        return self
+
+    @property
+    def _peak(self) -> Peak:
+        of = "three_days" if self.peak_of == "three_days" else "highest"
+        return Peak.model_validate({"of": of, "steps": self.peak_steps, "least_kW": self.peak_least_kW})
+
+    @property
+    def prices_peaks(self) -> bool:
+        """Whether peaks have a price."""
+        return self.peak_price_per_kW > 0.0 or bool(self.peak_steps)
+
+    def peak_per_kW(self, highest_kW: Array) -> float:
+        """What a kW more than the peak costs on every day that counts; `highest_kW` (n,): of the days of the record."""
+        if not self.peak_steps:
+            return self.peak_price_per_kW
+        return self._peak.per_kW(self._peak.of_days(highest_kW))
+
     def comfort_weights(self, floor_area_m2: Sequence[float]) -> Array:
         """Penalty on comfort violation in zones of `floor_area_m2` (Z,), NaN where not known, currency/(K·h) (Z,)."""
         areas = np.asarray(floor_area_m2, dtype=np.float64)
         return self.comfort_weight_per_m2 * np.where(np.isnan(areas), _AREA_M2, areas)
 
 
-def objective_of(bill: Bill, peak_kW: float) -> dict[str, Any]:
-    """Keys of `ObjectiveConfig` that say what a `bill` asks for; `peak_kW`: about what the peak of a month is."""
+def objective_of(bill: Bill) -> dict[str, Any]:
+    """Keys of `ObjectiveConfig` that say what a `bill` asks for."""
     keys: dict[str, Any] = {"at_the_meter": bill.export_per_kWh is not None or bill.dimming is not None}
     if bill.peak is not None:
-        keys |= {
-            "peak_price_per_kW": bill.peak.per_kW(peak_kW) * (1.0 + bill.vat),
+        taxed = 1.0 + bill.vat
+        steps = [step.model_dump() | {"per_month": step.per_month * taxed} for step in bill.peak.steps]
+        price = {"peak_steps": steps} if steps else {"peak_price_per_kW": bill.peak.per_kW(0.0) * taxed}
+        keys |= price | {
             "peak_of": "month" if bill.peak.of == "highest" else "three_days",
             "peak_least_kW": bill.peak.least_kW,
         }

@@ -12,6 +12,7 @@ import numpy as np
 from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.margins import Bounds, MarginRules, Margins
+from controllers.mpc.state import highest_of_days_W
 from controllers.optimisation.problem import Cooling, EquipmentLayout, Exchange, MPCProblem, PowerCap, Weights
 from thermoforce_mpc.data import DAY_S, Array, Boundary, Record
 from thermoforce_mpc.model.machine.blocked_hours import Directions, HourEffects
@@ -89,10 +90,10 @@ class Formulation:
     ) -> Instance:
         """Return the instance of one step.
 
-        `operator`: adjusted to the actuation; `context`: of the N steps; `history`: for the return water; `margins`,
-        `peak_W`: what was learned, and the highest mean power of the building over a step so far, W; `hours` (A,):
-        those in which nothing comes from an actuator, and what acting does by hour of the day; `overridden`: numbers of
-        the actuators that will not follow the plan.
+        `operator`: adjusted to the actuation; `context`: of the N steps; `history`: for the return water and the size
+        of peaks; `margins`, `peak_W`: what was learned, and the highest mean power of the building over a step so far,
+        W; `hours` (A,): those in which nothing comes from an actuator, and what acting does by hour of the day;
+        `overridden`: numbers of the actuators that will not follow the plan.
 
         Raises:
             DataError: a bound or price of the boundary is missing.
@@ -147,7 +148,7 @@ class Formulation:
             power_per_u_W=per_u_W,
             step_s=self._step_s,
             machinery=self.machinery,
-            weights=Weights(comfort, aims.curvature, self._peak_price_per_W),
+            weights=Weights(comfort, aims.curvature, self._peak_per_W(history)),
             peak_so_far_W=max(max(peak_W, 1000.0 * aims.peak_least_kW) - float(foreign_W.mean()), 0.0),
             cooling=self._cooling(boundary, np.maximum(boundary.price_per_kWh[:, :-1] + carbon, 0.0)),
             power_cap=self._cap(fixed_W, per_u_W, per_u2_W, left_W),
@@ -200,10 +201,10 @@ class Formulation:
             rows.append(comes * effects.share(boundary.time_s[:-1], self._step_s))
         return np.stack(rows)
 
-    @property
-    def _peak_price_per_W(self) -> float:
+    def _peak_per_W(self, history: Record) -> float:
         aims = self._config.objective
-        return aims.peak_price_per_kW / 1000.0 / (3.0 if aims.peak_of == "three_days" else 1.0)
+        highest_kW = np.array(list(highest_of_days_W(history).values())) / 1000.0 if aims.peak_steps else np.empty(0)
+        return aims.peak_per_kW(highest_kW) / 1000.0 / (3.0 if aims.peak_of == "three_days" else 1.0)
 
     def _exchange(self, boundary: Boundary, price: Array) -> tuple[Exchange | None, Array]:
         """What the meter sees, and the price of energy (M, N): of what is fed in, where there is a surplus.

@@ -53,7 +53,7 @@ def plan_shape(
         # Terms of the user are written for steps of one length.
         every_step(moves.size) if terms else moves,
         machinery,
-        peak=config.objective.peak_price_per_kW > 0,
+        peak=config.objective.prices_peaks,
         capped=config.objective.power_cap_kW is not None or config.objective.at_the_meter,
         exchange=config.objective.at_the_meter,
         chosen_steps=config.milp.chosen_steps(step_s),

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controllers.actuation.actuator import ActuationState
 from controllers.monitoring.meters import MeterState
@@ -14,7 +15,7 @@ from controllers.monitoring.watch import ScaledModel, WatchState
 from controllers.monitoring.zone_sensors import SensorState
 from controllers.mpc.margins import Margins
 from controllers.safety.fallback_policy import GoodPlan
-from thermoforce_mpc.data import DAY_S, Array, Boundary, Names, Observation, Record, month_of
+from thermoforce_mpc.data import DAY_S, YEAR_S, Boundary, Names, Observation, Record, month_of
 from thermoforce_mpc.model.predictor import PredictorState
 
 
@@ -91,30 +92,47 @@ class MPCState:
         which today's highest counts among the three highest days of the month.
         """
         history = observation.history
-        power_W = history.power_W.sum(axis=0)
         if of != "run":
-            return _peak_of_month(history, power_W, three_days=of == "three_days")
+            return _peak_of_month(history, three_days=of == "three_days")
+        power_W = history.power_W.sum(axis=0)
         if power_W.size and observation.time_s > self.first_s and np.isfinite(power_W[-1]):
             return max(self.peak_W, float(power_W[-1]))
         return self.peak_W
 
 
-def _peak_of_month(history: Record, power_W: Array, *, three_days: bool) -> float:
-    """See `MPCState.peak_after`; `power_W` (n,): mean power of each step."""
-    if not power_W.size:
-        return 0.0
+def highest_of_days_W(history: Record) -> dict[tuple[int, int], float]:
+    """The highest mean power of the building over a step, W, by month and day; days without one are left out.
+
+    Numbers of months and days go on from year to year.
+    """
+    power_W = history.power_W.sum(axis=0)
+    known = np.isfinite(power_W)
+    each = _months_and_days(history)[:-1][known]
+    highest: dict[tuple[int, int], float] = {}
+    for month, day in np.unique(each, axis=0).tolist():
+        highest[month, day] = float(power_W[known][each[:, 1] == day].max())
+    return highest
+
+
+def _months_and_days(history: Record) -> NDArray[np.int64]:
+    """Month and day of each boundary (n + 1, 2)."""
     if history.origin is None:  # days of simulated years count from 0
-        of_day, month = np.floor(history.time_s / DAY_S), month_of(history.time_s)
+        time_s = history.time_s
+        month, day = 12 * np.floor(time_s / YEAR_S) + month_of(time_s), np.floor(time_s / DAY_S)
     else:
         import pandas as pd  # only here
 
         from thermoforce_mpc.data.dataframes import stamps
 
         at = pd.DatetimeIndex(stamps(history.time_s, history.origin))
-        of_day, month = np.asarray(at.day_of_year), np.asarray(at.month)
-    day, today = of_day[:-1], of_day[-1]
-    counts = np.isfinite(power_W) & (month[:-1] == month[-1])
-    highest = {one: float(power_W[counts & (day == one)].max()) for one in np.unique(day[counts])}
+        month, day = 12 * np.asarray(at.year) + at.month, 366 * np.asarray(at.year) + at.day_of_year
+    return np.stack([month, day], axis=1).astype(np.int64)
+
+
+def _peak_of_month(history: Record, *, three_days: bool) -> float:
+    """See `MPCState.peak_after`."""
+    this_month, today = _months_and_days(history)[-1].tolist()
+    highest = {day: W for (month, day), W in highest_of_days_W(history).items() if month == this_month}
     if not three_days:
         return max(highest.values(), default=0.0)
     third = sorted(highest.values())[-3] if len(highest) >= 3 else 0.0

@@ -85,6 +85,7 @@ def test_a_kilowatt_more_costs_what_the_next_step_does():
     peak = read_bill(BILLS / "norway.yaml").peak
     assert peak.per_kW(3.0) == pytest.approx((335 - 195) / 3.0)
     assert peak.per_kW(7.0) == pytest.approx((690 - 335) / 5.0)
+    assert Peak.model_validate({"of": "highest", "steps": [{"per_month": 9.0}]}).per_kW(7.0) == 0.0, "one fee for all"
 
 
 def test_a_simulated_building_pays_by_the_same_bill(tmp_path):

@@ -137,11 +137,10 @@ own_prices_option = click.option(
 )
 
 
-def billed_objective(prices: Path | None, rules: MeasurementMap, peak_kW: float = 0.0) -> dict[str, Any]:
+def billed_objective(prices: Path | None, rules: MeasurementMap) -> dict[str, Any]:
     """Keys of the controller's objective that a bill in `--prices` and the map ask for.
 
     Generation and other loads count where the map has them in its forecast, or the bill pays for what is fed in.
-    `peak_kW`: about what the peak of a month is.
     """
     from controllers.mpc.config import objective_of
     from thermoforce_mpc.scenario.bill import SUFFIXES, read_bill
@@ -149,7 +148,7 @@ def billed_objective(prices: Path | None, rules: MeasurementMap, peak_kW: float 
     others = rules.forecast.load is not None or rules.forecast.generation is not None
     keys: dict[str, Any] = {}
     if prices is not None and prices.suffix in SUFFIXES:
-        keys = objective_of(read_bill(prices), peak_kW)
+        keys = objective_of(read_bill(prices))
     return keys | {"at_the_meter": True} if others else keys
 
 

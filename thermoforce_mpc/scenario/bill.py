@@ -116,6 +116,8 @@ class Peak(StrictModel):
         if self.per_kW_year is not None:
             return self.per_kW_year / _MONTHS_A_YEAR
         ends = [0.0, *(step.up_to_kW for step in self.steps if step.up_to_kW is not None)]
+        if len(ends) == 1:
+            return 0.0
         at = min(int(np.searchsorted(ends, max(peak_kW, self.least_kW), side="right")) - 1, len(ends) - 2)
         return (self.steps[at + 1].per_month - self.steps[at].per_month) / (ends[at + 1] - ends[at])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,7 @@ from click.testing import CliRunner
 from home_by_setpoint import RULES, HomeBySetpoint
 from simple_house import simple_model
 
-from controllers.mpc.config import MPCConfig
+from controllers.mpc.config import MPCConfig, objective_of
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.cli import cli
@@ -20,7 +21,9 @@ from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import read_measurements
+from thermoforce_mpc.scenario.bill import read_bill
 
+BILLS = Path(__file__).parents[3] / "configs" / "bills"
 AT_METER = {"load": "load", "generation": "pv"}
 PLAIN = RULES | {"actuators": {"actuator": {"level": "u"}}, "forecast": AT_METER}
 BILL = {"source": "a contract", "energy": 0.3, "export_per_kWh": 0.05}
@@ -37,21 +40,28 @@ def forecast(home):
     return table.assign(load=400.0, pv=np.where(noon, 3400.0, 0.0))
 
 
-def planned(home, path, bill, *, used=1.0, **objective):
-    path.write_text(yaml.safe_dump(bill))
-    measured = read_measurements(home.measurements(), PLAIN, step_s=3600.0).served()
-    ahead = read_forecast(forecast(home), measured, prices=path).head(24)
+def made(objective):
     options = {"step_s": 3600.0, "horizon_h": 24.0, "free_response": {"name": "persistence"}, "objective": objective}
     options |= {
         "gate": {"enabled": False},
         "watch": {"enabled": False},
         "actuation": {"mode": "modulating", "lowest_level": 0},
     }
-    controller = ThermoForceMPC(simple_model(), MPCConfig.model_validate(options))
-    record = replace(measured.record, power_W=used * measured.record.power_W)
-    plan = controller.plan(Observation(record, ahead))
+    return ThermoForceMPC(simple_model(), MPCConfig.model_validate(options))
+
+
+def seen(home, path, bill, rules=PLAIN):
+    path.write_text(yaml.safe_dump(bill))
+    measured = read_measurements(home.measurements(), rules, step_s=3600.0).served()
+    return Observation(measured.record, read_forecast(forecast(home), measured, prices=path).head(24))
+
+
+def planned(home, path, bill, *, used=1.0, **objective):
+    observation = seen(home, path, bill)
+    record = replace(observation.history, power_W=used * observation.history.power_W)
+    plan = made(objective).plan(replace(observation, history=record))
     assert plan.u.size, plan.why
-    return plan, ahead
+    return plan, observation.boundary
 
 
 def test_what_the_sun_leaves_over_is_used_before_energy_is_bought(home, tmp_path):
@@ -136,6 +146,24 @@ def test_peaks_are_those_of_this_month_and_three_of_distinct_days(home):
     later = replace(record, power_W=power_W, time_s=record.time_s + 4 * 86400.0)  # 2 February
     ahead = replace(observation.boundary, time_s=observation.boundary.time_s + 4 * 86400.0)
     assert state.peak_after(Observation(later, ahead), "month") == 500.0
+
+
+def test_steps_of_a_fee_are_priced_where_the_peaks_of_the_record_are(home, tmp_path):
+    bill = read_bill(BILLS / "norway.yaml")
+    observation, controller = seen(home, tmp_path / "bill.yaml", BILL), made(objective_of(bill))
+    context, record = controller.predictor.context(observation), observation.history
+    for highest_kW, per_kW in ((1.0, (195 - 155) / 2.0), (3.0, (335 - 195) / 3.0), (7.0, (690 - 335) / 5.0)):
+        power_W = np.full((1, record.n_steps), 500.0)
+        power_W[0, [-30, -60, -100]] = 1000.0 * highest_kW
+        problem = controller.instance(context, replace(record, power_W=power_W))
+        assert 3000.0 * problem.weights.peak == pytest.approx(per_kW)
+
+
+def test_a_fee_has_one_price():
+    with pytest.raises(ValueError, match="leave one of them out"):
+        MPCConfig.model_validate({"objective": {"peak_price_per_kW": 1.0, "peak_steps": [{"per_month": 1.0}]}})
+    with pytest.raises(ValueError, match="the last none"):
+        MPCConfig.model_validate({"objective": {"peak_steps": [{"up_to_kW": 2.0, "per_month": 1.0}]}})
 
 
 def test_a_bill_without_energy_adds_its_fees_to_the_prices_of_the_map(home, tmp_path):

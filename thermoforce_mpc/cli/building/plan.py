@@ -113,9 +113,8 @@ def plan(
             f"--forecast {forecast}: covers {there_h:g} h from {record.stamps()[-1]} on, need {hours or _LEAST_H:g}"
         )
     history = record.last(round(_BACK_DAYS * DAY_S / step_s))
-    peak_kW = float(np.nanmax(history.power_W.sum(axis=0), initial=0.0)) / 1000.0
     chosen: dict[str, Any] = {"step_s": step_s, "horizon_h": horizon_h, "whole_runs": True}
-    chosen["objective"] = billed_objective(prices, measured.map, peak_kW)
+    chosen["objective"] = billed_objective(prices, measured.map)
     config = validate(MPCConfig, merge(chosen, parse_overrides(assignments)), "--set")
     if commands_file is not None:
         if not measured.commands and (measured.map.hot_water is None or measured.map.hot_water.command is None):
