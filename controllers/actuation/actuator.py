@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from controllers.checks import ControllerConfigError
-from thermoforce_mpc.data import Array, Block
+from thermoforce_mpc.data import HOUR_S, Array, Block
 from thermoforce_mpc.model.machine.power import (
     SWITCH_FROM,
     LevelCost,
@@ -64,6 +64,13 @@ class ActuationConfig(StrictModel):
     # Compressors are kept from short cycles by 3 to 10 minutes, as their makers ask: the longest of these.
     min_on_s: float = Field(600.0, ge=0, description="duty: minimum on time, s")
     min_off_s: float = Field(600.0, ge=0, description="duty: minimum off time, s")
+    starts_per_hour: int | None = Field(
+        None,
+        ge=1,
+        le=60,
+        description="duty: most starts of a machine in any hour, as its data sheet says; null: as many as minimum on "
+        "and off times leave",
+    )
     # Inverters of heat pumps go down to a quarter or a third of full power, which is the usual range.
     lowest_level: float = Field(
         0.3,
@@ -80,6 +87,11 @@ class ActuationConfig(StrictModel):
                 raise ValueError(f"{name} must be a multiple of block_s ({self.block_s:g} s)")
         return self
 
+    @property
+    def least_cycle_s(self) -> float:
+        """Least mean time from one start to the next, s."""
+        return max(self.min_on_s + self.min_off_s, HOUR_S / self.starts_per_hour if self.starts_per_hour else 0.0)
+
 
 @dataclass(frozen=True)
 class ActuationState:
@@ -87,7 +99,8 @@ class ActuationState:
 
     `on`: on or off; `held_s`: time in that state, s; `owed_s`: on-time carried over to later plans, s; `native`: the
     plant has been under native control since, so the other fields are unknown. `command`: of an actuator that is set by
-    one, the command that has been held for `held_s`; `owed_s` is at full level then.
+    one, the command that has been held for `held_s`; `owed_s` is at full level then. `starts_s`: how long ago it
+    started, each time within the last hour, the last first, s; kept where `starts_per_hour` is limited.
     """
 
     on: bool = False
@@ -95,6 +108,7 @@ class ActuationState:
     owed_s: float = 0.0
     native: bool = False
     command: float | None = None
+    starts_s: tuple[float, ...] = ()
 
 
 # Unknown state: assume it has just switched off, so the full minimum off time applies.
@@ -139,6 +153,13 @@ class Actuation:
         """Whether the minimum on time of a machine in `state` has not passed."""
         return self.switches and state.on and state.held_s < self.config.min_on_s
 
+    def starts_after(self, state: ActuationState, step_s: float, ran_s: float | None = None) -> tuple[float, ...]:
+        """`ActuationState.starts_s` after a step of `step_s` seconds; `ran_s`: time since a start in it, s."""
+        if self.config.starts_per_hour is None:
+            return ()
+        ages_s = [*([] if ran_s is None else [ran_s]), *(age_s + step_s for age_s in state.starts_s)]
+        return tuple(age_s for age_s in ages_s if age_s < HOUR_S)
+
     def half_block(self, step_s: float) -> float:
         """Mean level of half a block over a step, by which blocks round a level up."""
         return 0.5 * self.config.block_s / step_s * self.block_level if self.switches else 0.0
@@ -152,17 +173,32 @@ class Actuation:
                 f" {step_s:g} s; use shorter blocks, or mode: modulating with lowest_level: 0"
             )
 
-    def now(self, state: ActuationState | None, u: Array, step_s: float) -> ActuationState:
+    def now(
+        self, state: ActuationState | None, u: Array, step_s: float, machine_u: Array | None = None
+    ) -> ActuationState:
         """State of the machine at the start of the next step.
 
         It is `state`, except after native control (in the last step, or before the run: `state` None), where it is
-        estimated from the measured levels `u` (n,) of the steps of `step_s` seconds until now.
+        estimated from the measured levels `u` (n,) of the steps of `step_s` seconds until now. `machine_u` (n,): the
+        highest level of all that its machine feeds; None: it feeds this one alone.
         """
         if state is not None and not state.native:
             return state
+        starts_s = self._starts_from_levels(u if machine_u is None else machine_u, step_s)
         if not (u.size and np.isfinite(u[-1])):
-            return ActuationState() if state is None else _UNKNOWN
-        return self._state_from_levels(u, step_s)
+            return replace(ActuationState() if state is None else _UNKNOWN, starts_s=starts_s)
+        return replace(self._state_from_levels(u, step_s), starts_s=starts_s)
+
+    def _starts_from_levels(self, u: Array, step_s: float) -> tuple[float, ...]:
+        """Starts of the last hour in mean levels of past steps: each as late as its step leaves it."""
+        if self.config.starts_per_hour is None:
+            return ()
+        last = u[-(math.ceil(HOUR_S / step_s) + 1) :]
+        on = np.nan_to_num(last) > OFF
+        begun = np.flatnonzero(on[1:] & ~on[:-1]) + 1
+        share = np.minimum(np.nan_to_num(last) / self.block_level, 1.0)
+        ages_s = ((on.size - 1 - begun) + share[begun]) * step_s
+        return tuple(sorted(age_s for age_s in ages_s.tolist() if age_s < HOUR_S))
 
     def _state_from_levels(self, u: Array, step_s: float) -> ActuationState:
         """State estimated from the mean levels of past steps; where ambiguous, the one with the longer wait."""
@@ -241,23 +277,35 @@ class Actuation:
         stays_s = self._time_in_state(wanted_s, longest_s, step_s, state)
         on_s = stays_s if on else step_s - stays_s
         # The remainder exceeds one block only through minimum times; the cap limits its accumulation.
-        cap = max(c.block_s, c.min_on_s, c.min_off_s)
+        cap = max(c.block_s, c.min_on_s, c.min_off_s, self._wait_s(state) if c.starts_per_hour else 0.0)
         owed_s = min(max(wanted_s - on_s, -cap), cap)
         level, level_after = (on_level, 0.0) if on else (0.0, on_level)
         blocks = tuple(Block(u, t) for u, t in ((level, stays_s), (level_after, step_s - stays_s)) if t > 0)
         if stays_s < step_s:
-            return blocks, ActuationState(not on, step_s - stays_s, owed_s)
-        return blocks, ActuationState(on, state.held_s + step_s, owed_s)
+            starts_s = self.starts_after(state, step_s, None if on else step_s - stays_s)
+            return blocks, ActuationState(not on, step_s - stays_s, owed_s, starts_s=starts_s)
+        starts_s = self.starts_after(state, step_s)
+        return blocks, ActuationState(on, state.held_s + step_s, owed_s, starts_s=starts_s)
+
+    def _wait_s(self, state: ActuationState) -> float:
+        """Time for which a machine in `state` may not switch yet, s."""
+        c = self.config
+        if state.on:
+            return max(c.min_on_s - state.held_s, 0.0)
+        most = c.starts_per_hour
+        next_s = HOUR_S - state.starts_s[most - 1] if most and len(state.starts_s) >= most else 0.0
+        return max(c.min_off_s - state.held_s, next_s, 0.0)
 
     def _time_in_state(self, wanted_s: float, longest_s: float, step_s: float, state: ActuationState) -> float:
         """Time before the machine switches, s, for which the on-time of the step is nearest to `wanted_s`.
 
-        It switches at most once per step, at a whole block, and not before the minimum time in its state has passed.
+        It switches at most once per step, at a whole block, and not before the minimum time in its state has passed,
+        nor starts once too often in an hour.
         A run that starts in this step may end the step shorter than its minimum: the next step continues it. Both are
         on for `longest_s` at most, unless the machine runs already and its minimum time is longer.
         """
         c = self.config
-        left_s = max((c.min_on_s if state.on else c.min_off_s) - state.held_s, 0.0)
+        left_s = self._wait_s(state)
         blocks = np.arange(0.0, step_s, c.block_s)
         candidates = [*blocks[blocks >= left_s].tolist(), step_s]
         if not state.on:

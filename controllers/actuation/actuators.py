@@ -166,8 +166,17 @@ class Actuators:
         """
         if states is not None and (until_s is None or abs(until_s - history.time_s[-1]) > CLOCK_TOLERANCE_S):
             states = (ActuationState(native=True),) * len(self.each)
+        machine_u = [
+            np.max(np.nan_to_num(history.u[self.layout.fed_by(m)]), axis=0)
+            for m in range(len(self.layout.names.machines))
+        ]
         return tuple(
-            actuation.now(None if states is None else states[a], history.u[a], history.step_s)
+            actuation.now(
+                None if states is None else states[a],
+                history.u[a],
+                history.step_s,
+                machine_u[self.layout.machine_of[a]],
+            )
             for a, actuation in enumerate(self.each)
         )
 
@@ -198,7 +207,8 @@ class Actuators:
             for a, (blocks, _) in enumerate(realised)
         ]
         for a in self.layout.excluded(acts):
-            realised[a] = (Block(0.0, step_s),), ActuationState(on=False, held_s=step_s)
+            starts_s = self.each[a].starts_after(states[a], step_s)
+            realised[a] = (Block(0.0, step_s),), ActuationState(on=False, held_s=step_s, starts_s=starts_s)
             room.take(a, 0.0)
         exclusions = {a: by for a, by in exclusions.items() if not any(block.u[0] for block in realised[a][0])}
         return ActuatorBlocks(
@@ -358,7 +368,10 @@ class Actuators:
 def _machine_state(states: Sequence[ActuationState]) -> ActuationState:
     """State of a machine from those of its actuators: it runs while one of them is on, since the first came on."""
     running = [state.held_s for state in states if state.on]
-    return ActuationState(bool(running), max(running) if running else min(state.held_s for state in states))
+    held_s = max(running) if running else min(state.held_s for state in states)
+    ages_s = sorted(age_s for state in states for age_s in state.starts_s)
+    starts_s = tuple(age_s for i, age_s in enumerate(ages_s) if i == 0 or age_s - ages_s[i - 1] > _SAME_S)
+    return ActuationState(bool(running), held_s, starts_s=starts_s)
 
 
 def _mean_level(blocks: Sequence[Block]) -> float | None:

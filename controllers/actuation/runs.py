@@ -1,4 +1,6 @@
-"""Levels of a whole plan as machines that are on or off can carry them out, in runs that keep their minimum times.
+"""Levels of a whole plan as machines that are on or off can carry them out, in runs that keep their limits.
+
+Limits are minimum on and off times, and starts an hour.
 
 A plan has mean levels of its steps. Where a step does not hold a minimum on and a minimum off time, its share cannot be
 made of blocks: blocks made step by step, with what they leave carried over (`Actuators.realise`), are where the search
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 
 from controllers.actuation.actuator import Actuation, ActuationState
 from controllers.actuation.actuators import Actuators
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import HOUR_S, Array
 
 # Ends of runs are moved by these shares of the longer minimum time, and new runs put in at every one of the last. Plans
 # of a day in steps of 15 min with 2 h of minimum times then take 6 s (2026-11-28).
@@ -30,10 +32,9 @@ _MOST_TRIES, _GAIN = 3000, 1e-6
 
 
 def needs_runs(actuation: Actuation, step_s: float) -> bool:
-    """Whether a step of `step_s` seconds does not hold a minimum on and a minimum off time of on/off blocks."""
-    c = actuation.config
+    """Whether a step of `step_s` seconds does not hold the least cycle of on/off blocks."""
     return not (actuation.by_rooms or actuation.by_supply or not actuation.switches) and (
-        c.min_on_s + c.min_off_s > step_s
+        actuation.config.least_cycle_s > step_s
     )
 
 
@@ -84,7 +85,10 @@ def _by_blocks(
 
 @dataclass(frozen=True)
 class _Runs:
-    """On/off over `n_steps` steps of `per_step` blocks each; the least blocks `on` and `off`, and those now `held`."""
+    """On/off over `n_steps` steps of `per_step` blocks each; the least blocks `on` and `off`, and those now `held`.
+
+    At most `starts` in any `hour` blocks (None: any number); `before`: how many blocks ago it started, the first first.
+    """
 
     per_step: int
     n_steps: int
@@ -93,6 +97,9 @@ class _Runs:
     running: bool
     held: float
     level: float
+    starts: int | None
+    hour: float
+    before: tuple[float, ...]
 
     @classmethod
     def of(cls, actuation: Actuation, step_s: float, state: ActuationState, n_steps: int) -> _Runs:
@@ -100,7 +107,9 @@ class _Runs:
         per_step = max(1, math.floor(step_s / c.block_s + 1e-6))
         block_s = step_s / per_step
         on, off = (max(1, math.ceil(least_s / block_s - 1e-6)) for least_s in (c.min_on_s, c.min_off_s))
-        return cls(per_step, n_steps, on, off, state.on, state.held_s / block_s + 1e-6, actuation.block_level)
+        held, before = state.held_s / block_s + 1e-6, tuple(age_s / block_s for age_s in reversed(state.starts_s))
+        of_hour = c.starts_per_hour, HOUR_S / block_s - 1e-6, before
+        return cls(per_step, n_steps, on, off, state.on, held, actuation.block_level, *of_hour)
 
     def levels(self, on: NDArray[np.bool_]) -> Array:
         """Mean levels of the steps (N,)."""
@@ -139,7 +148,7 @@ class _Runs:
         return on.ravel()
 
     def _keeps(self, on: NDArray[np.bool_]) -> bool:
-        """Whether every run keeps the minimum times; the last one goes on beyond the plan."""
+        """Whether every run keeps the minimum times, the last one goes on beyond the plan, and starts their number."""
         ends = np.flatnonzero(np.diff(on)) + 1
         starts = np.concatenate([[0], ends])
         lengths = np.diff(np.append(starts, on.size)).astype(float)
@@ -148,7 +157,15 @@ class _Runs:
         elif self.held < (self.on if self.running else self.off):
             return False
         least = np.where(on[starts], self.on, self.off)
-        return bool((lengths[:-1] >= least[:-1]).all())
+        if not (lengths[:-1] >= least[:-1]).all():
+            return False
+        if self.starts is None:
+            return True
+        begun = [
+            *(-ago for ago in self.before),
+            *(start for start in starts if on[start] and (start or not self.running)),
+        ]
+        return all(later - first >= self.hour for first, later in zip(begun, begun[self.starts :], strict=False))
 
     def _others(self, on: NDArray[np.bool_]) -> Iterator[NDArray[np.bool_]]:
         """Neighbours of a sequence: ends of runs moved, runs left out, and runs put in."""

@@ -231,9 +231,9 @@ class MPCConfig(StrictModel):
     objective: ObjectiveConfig = ObjectiveConfig()
     whole_runs: bool = Field(
         False,
-        description="plan an on/off machine in runs that keep its minimum on and off times over all of the horizon, "
-        "where a step does not hold both (`tf-mpc plan` does); else the plan has shares of steps, and blocks keep the "
-        "times from step to step",
+        description="plan an on/off machine in runs that keep its minimum on and off times and starts an hour over all "
+        "of the horizon, where a step does not hold such a cycle (`tf-mpc plan` does); else the plan has shares of "
+        "steps, and blocks keep them from step to step",
     )
     free_response: FreeResponseConfig = FreeResponseConfig()
     actuation: ActuationConfig = ActuationConfig()

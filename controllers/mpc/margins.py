@@ -149,11 +149,11 @@ def reserve_K(operator: OperatorParameters, actuation: Actuation, card: ModelCar
 
 
 def _swing_K(operator: OperatorParameters, actuation: Actuation) -> float:
-    """Half the swing of the zone under on/off blocks, K: on and off for as long as the minimum times ask."""
+    """Half the swing of the zone under on/off blocks, K: on and off for as long as minimum times and starts ask."""
     if not actuation.switches:
         return 0.0
     c, step_s = actuation.config, operator.step_s
-    cycle_s = max(2 * c.block_s, c.min_on_s / _SHARE, c.min_off_s / (1.0 - _SHARE))
+    cycle_s = max(2 * c.block_s, c.min_on_s / _SHARE, c.min_off_s / (1.0 - _SHARE), c.least_cycle_s)
     return 0.5 * float(_rise_K(operator, 1)[0]) * actuation.block_level * _SHARE * (1.0 - _SHARE) * cycle_s / step_s
 
 

@@ -55,6 +55,35 @@ def test_blocks_fill_the_step_and_respect_minimum_times(levels, block_s, step_s,
     assert all(run * block_s >= 900.0 for run in runs[1:])
 
 
+@pytest.mark.parametrize(("most", "step_s"), [(1, 600.0), (2, 600.0), (1, 900.0)])
+def test_no_hour_has_more_starts_than_are_allowed(most, step_s):
+    def starts(**options):
+        machine = Machine(block_s=300.0, min_on_s=300.0, min_off_s=300.0, **options)
+        on, begun = False, []
+        for k, u in enumerate([0.5] * 36):
+            at = k * step_s
+            for block in machine.realise(u, step_s):
+                if block.u[0] and not on:
+                    begun.append(at)
+                on, at = bool(block.u[0]), at + block.duration_s
+        return begun, machine.state
+
+    free, _ = starts()
+    assert min(later - first for first, later in zip(free, free[most:], strict=False)) < HOUR, "without a limit"
+    kept, state = starts(starts_per_hour=most)
+    assert min(later - first for first, later in zip(kept, kept[most:], strict=False)) >= HOUR
+    assert len(kept) > 2, "it goes on starting"
+    assert [36 * step_s - begun for begun in reversed(kept) if 36 * step_s - begun < HOUR] == list(state.starts_s)
+
+
+def test_a_limit_of_starts_that_follows_from_minimum_times_changes_nothing():
+    levels = [0.1, 0.4, 0.7, 0.2, 0.9, 0.5] * 4
+    one, other = (
+        Machine(block_s=300.0, min_on_s=900.0, min_off_s=600.0, **more) for more in ({}, {"starts_per_hour": 3})
+    )
+    assert [one.realise(u, 900.0) for u in levels] == [other.realise(u, 900.0) for u in levels]
+
+
 def test_shares_too_small_to_realise_are_owed_until_they_are_large_enough():
     actuation = Machine(block_s=300.0, min_on_s=600.0, min_off_s=600.0)
     given_s = [sum(b.duration_s for b in actuation.realise(0.03, HOUR) if b.u[0]) for _ in range(40)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -130,6 +131,28 @@ def sharing(shares: tuple[float, ...], part_levels: bool) -> Actuators:
     config = ActuationConfig(block_s=300.0, min_on_s=600.0, min_off_s=600.0)
     of = replace(layout(len(shares), (0,) * len(shares)), shares=shares)
     return Actuators(of, [Actuation(config, part_levels=part_levels)] * len(shares))
+
+
+def test_starts_an_hour_are_those_of_the_machine():
+    """Each of two valves in turn: one start of the machine each half hour."""
+    limited = switched(2, (0, 0), min_on_s=300.0, min_off_s=300.0, starts_per_hour=1)
+    states, on, begun = (ActuationState(held_s=3600.0),) * 2, False, []
+    for k in range(16):
+        acted = limited.realise([0.5 * (k % 4 == 0), 0.5 * (k % 4 == 2)], STEP_S, states)
+        states, at = acted.states, k * STEP_S
+        for block in acted.together():
+            if any(block.u) and not on:
+                begun.append(at)
+            on, at = any(block.u), at + block.duration_s
+    assert len(begun) > 2
+    assert min(np.diff(begun)) >= 3600.0
+
+
+def test_a_valve_that_opens_beside_another_starts_no_machine():
+    limited = switched(2, (0, 0), starts_per_hour=2)
+    u = np.array([[0.0, 1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0, 0.0]])
+    seen = [limited.now(None, SimpleNamespace(u=u[:, :n], step_s=STEP_S)) for n in (4, 5)]
+    assert [[state.starts_s for state in states] for states in seen] == [[(2700.0,)] * 2, [()] * 2]
 
 
 def running(actuators: int) -> tuple[ActuationState, ...]:

@@ -21,11 +21,13 @@ from controllers.rules.native import NativeController
 from controllers.rules.pi import PIConfig, PIController
 from controllers.rules.thermostat import Thermostat, ThermostatState
 from controllers.safety.fallback_policy import FallbackConfig
+from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
+from thermoforce_mpc.state_file import StateFormat
 
 
 def mpc(**options) -> ThermoForceMPC:
@@ -199,6 +201,42 @@ def after(u: list[float]) -> tuple[np.ndarray, float]:
 @pytest.mark.parametrize("state", [None, ActuationState(native=True)], ids=["a run begins", "after native control"])
 def test_what_native_control_did_is_seen_in_the_history(u, on, held_s, state):
     assert Actuation(ActuationConfig()).now(state, *after(u)) == ActuationState(on, held_s)
+
+
+@pytest.mark.parametrize(
+    ("u", "starts_s"),
+    [
+        ([1.0, 1.0, 1.0, 1.0, 1.0], ()),
+        ([0.0, 1.0, 0.0, 0.5, 1.0], (1350.0,)),  # the first was an hour ago
+        ([1.0, 0.0, 1.0, 0.0, 0.2], (180.0, 2700.0)),
+        ([0.0, 0.0, 0.4, 0.0, np.nan], (2160.0,)),  # as late as it can have been
+    ],
+)
+def test_starts_of_the_last_hour_are_seen_in_the_history(u, starts_s):
+    limited = Actuation(ActuationConfig(starts_per_hour=2))
+    assert limited.now(None, *after(u)).starts_s == pytest.approx(starts_s)
+    assert Actuation(ActuationConfig()).now(None, *after(u)).starts_s == ()
+
+
+def test_limits_of_starts_hold_over_a_restart(tmp_path):
+    """It was started 20 minutes ago, and stopped: the state in its file says so."""
+    limits = {"mode": "duty", "block_s": 300.0, "min_on_s": 300.0, "min_off_s": 300.0, "starts_per_hour": 1}
+    config = MPCConfig(step_s=None, horizon_h=3.0, actuation=limits)
+    house = SimpleHouse(T_start_C=15.0)
+    house.reset(10 * DAY_S, 2 * DAY_S)
+    record, weather = house.past(HOUR_S), house.forecast(6 * HOUR_S, HOUR_S)
+    first = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse()).plan(Observation(record, weather))
+    stopped = ActuationState(on=False, held_s=600.0, starts_s=(1200.0,))
+    kept = StateFormat(STATE_CLASSES)
+    kept.write(tmp_path / "state.npz", replace(first.state, actuation=(stopped,)))
+    later = Observation(
+        replace(record, time_s=record.time_s + HOUR_S), replace(weather, time_s=weather.time_s + HOUR_S)
+    )
+    again = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
+    plan = again.plan(later, kept.read(tmp_path / "state.npz"))
+    assert plan.u[0, 0] == pytest.approx(1.0), "it is cold"
+    assert [(block.u[0], block.duration_s) for block in plan.blocks] == [(0.0, 2400.0), (1.0, 1200.0)]
+    assert plan.state.actuation[0].starts_s == (1200.0,)
 
 
 LONG = {"mode": "duty", "min_on_s": 7200.0, "min_off_s": 7200.0}

@@ -10,8 +10,11 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
+from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
+from controllers.actuation.actuators import Actuators
+from controllers.actuation.runs import in_runs
 from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.data import HOUR_S, Observation
+from thermoforce_mpc.data import HOUR_S, Layout, Observation
 
 HOURS = 4
 
@@ -73,3 +76,27 @@ def test_runs_lie_in_cheap_hours():
 
 def test_steps_that_hold_both_times_stay_shares():
     np.testing.assert_array_equal(planned(least_h=0.5).u, planned(whole=False, least_h=0.5).u)
+
+
+@pytest.mark.parametrize("ago_s", [1800.0, 3300.0])
+def test_starts_an_hour_are_kept_over_the_plan_and_towards_those_before(ago_s):
+    """One an hour, where five minutes on and five off would be six."""
+    ask = np.full((1, 18), 0.5)
+
+    def starts_s(**limits):
+        config = ActuationConfig(block_s=300.0, min_on_s=300.0, min_off_s=300.0, **limits)
+        actuators = Actuators(Layout.single("heating"), [Actuation(config)])
+        state = ActuationState(held_s=1200.0, starts_s=(ago_s,) if limits else ())
+        # Heat is wanted evenly: no long run, and no long pause.
+        levels = in_runs(actuators, ask, 600.0, [state], [], lambda u: float(np.abs(np.cumsum(u - ask)).max()))
+        on, blocks = False, []
+        for level in levels[0]:
+            share = round(level * 2)
+            blocks += [True] * share + [False] * (2 - share) if on else [False] * (2 - share) + [True] * share
+            on = blocks[-1]
+        return [300.0 * k for k, now in enumerate(blocks) if now and not (k and blocks[k - 1])]
+
+    assert np.diff(starts_s()).min() < 3600.0
+    kept = starts_s(starts_per_hour=1)
+    assert len(kept) > 1
+    assert np.diff([-ago_s, *kept]).min() >= 3600.0

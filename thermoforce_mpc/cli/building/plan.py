@@ -80,9 +80,10 @@ def plan(
     saves against leaving the building alone. Of others the level is. With hot_water in the map the tank is planned too.
 
     A level between 0 and 1 of a machine that is only on or off means that share of the step. Where a step does not hold
-    its minimum on and off times (actuation.min_on_s, min_off_s), levels are those of runs that keep them, also towards
-    the last levels of the record. An actuator whose model may not act has no level ("own control", null in JSON, empty
-    in CSV), nor have rooms that it alone serves a temperature, or its machine a power.
+    its minimum on and off times (actuation.min_on_s, min_off_s) or its share of the starts an hour
+    (actuation.starts_per_hour), levels are those of runs that keep them, also towards the last levels of the record. An
+    actuator whose model may not act has no level ("own control", null in JSON, empty in CSV), nor have rooms that it
+    alone serves a temperature, or its machine a power.
 
     Exit code 4 where the model is not competent, 1 where readings, forecast or solver give no plan: leave the building
     to its own control then.
