@@ -6,7 +6,7 @@ Inside, temperatures are in °C. Where a device has °F, its command is read, se
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -32,6 +32,8 @@ class Command(StrictModel):
     of_zone: ClassVar[float | None] = None
     of_outdoor: ClassVar[float | None] = None
     name_in_words: ClassVar[str] = "a command"
+    # Whether it rises by kelvins of the water that a machine makes for the rooms.
+    of_flow: ClassVar[bool] = False
 
     kind: str
     column: str = Field(description="column with what was set, in the unit of the command")
@@ -59,6 +61,14 @@ class Command(StrictModel):
     def values(self, low: float, high: float) -> Array:
         """What can be set from `low` to `high` (n,), rising; the nearest one where there is none between."""
 
+    @abstractmethod
+    def tried(self, before: float, T_zone_C: Sequence[float], bounds_C: Sequence[tuple[float, float]]) -> float | None:
+        """Another value than `before` for a short trial, that may be set and is near it; None where there is none.
+
+        `T_zone_C`, `bounds_C`: temperatures of the rooms that it acts on, °C, and their comfort bounds, NaN where there
+        is none; less heat is tried first where one is above its own (`is_warm`).
+        """
+
     def allows(self, value: float) -> bool:
         """Whether `value` may be set at any time."""
         return bool(np.isfinite(value))
@@ -69,7 +79,7 @@ class Command(StrictModel):
 
     @abstractmethod
     def in_words(self, value: float) -> str:
-        """A command with its unit."""
+        """A command, or what else its column holds, with its unit."""
 
     def most_change(self, seconds: float) -> float:
         """Largest change from one value to the next, of which the first was held for `seconds` s."""
@@ -80,12 +90,26 @@ class Command(StrictModel):
         return float("inf")
 
 
+def is_warm(T_zone_C: Sequence[float], bounds_C: Sequence[tuple[float, float]]) -> bool:
+    """Whether one of the rooms is above its upper bound."""
+    return any(upper < T for T, (_, upper) in zip(T_zone_C, bounds_C, strict=True))
+
+
+def first_of(values: Sequence[float], before: float, falls: bool) -> float | None:
+    """The first of `values`, where `falls` the first that does not rise from `before` if there is one; None of none."""
+    return next(iter(sorted(values, key=lambda one: one > before) if falls else values), None)
+
+
 class SwitchCommand(Command):
     """A command that is on (1) or off (0)."""
 
     def values(self, low: float, high: float) -> Array:
         """See `Command.values`."""
         return np.array([0.0, 1.0])
+
+    def tried(self, before: float, T_zone_C: Sequence[float], bounds_C: Sequence[tuple[float, float]]) -> float | None:
+        """See `Command.tried`."""
+        return 0.0 if before >= 0.5 else 1.0
 
     def allows(self, value: float) -> bool:
         """See `Command.allows`."""
@@ -98,6 +122,9 @@ class SwitchCommand(Command):
 
 class StepwiseCommand(Command):
     """A command that is a number in steps of its resolution."""
+
+    # By how much a trial moves it, °C, K or its unit, in the order of preference; a step of it at least.
+    trial_changes: ClassVar[tuple[float, ...]] = (1.0, -1.0)
 
     resolution: float = Field(0.5, gt=0, description="step between two commands")
     minimum: float | None = Field(None, description="lowest command")
@@ -127,6 +154,16 @@ class StepwiseCommand(Command):
             around = around[[self.allows(value) for value in around]]
             return around[[int(np.argmin(np.abs(around - 0.5 * (low + high))))]]
         return self._at_steps(np.arange(first, min(last, first + _MOST_VALUES) + 1.0))
+
+    def tried(self, before: float, T_zone_C: Sequence[float], bounds_C: Sequence[tuple[float, float]]) -> float | None:
+        """See `Command.tried`."""
+        return first_of(self._moved(before), before, is_warm(T_zone_C, bounds_C))
+
+    def _moved(self, before: float) -> list[float]:
+        """`before` changed by each of `trial_changes`, as far as that may be set."""
+        steps = [np.copysign(max(1.0, round(abs(one) / self.step)), one) for one in self.trial_changes]
+        values = [float(self.nearest(before, one)) for one in steps]
+        return [one for one in values if self.allows(one) and self.allows(before)]
 
     def nearest(self, value: Any, steps: float = 0.0) -> Array:
         """The commands nearest to `value` (n,), or those so many steps of its resolution above."""
@@ -168,6 +205,8 @@ class TemperatureCommand(StepwiseCommand):
     usual_C: ClassVar[tuple[float, float]]
     possible_C: ClassVar[tuple[float, float]]
     usual_steps: ClassVar[tuple[float, float]] = (1.0, 1.0)
+    # A reading so far below and above what is possible is of another unit, K.
+    another_unit_K: ClassVar[tuple[float, float]] = (5.0, 10.0)
 
     unit: Literal["°C", "°F"] = Field("°C", description="unit of the column, of what is set, and of these numbers")
     resolution: float = Field(1.0, gt=0, description="step between two commands; default: 1, of a set-point in °C 0.5")
@@ -199,6 +238,11 @@ class TemperatureCommand(StepwiseCommand):
     def told_in(self) -> str:
         """See `Command.told_in`."""
         return self.unit
+
+    def is_another_unit(self, value: float) -> bool:
+        """Whether `value`, °C, cannot have been set."""
+        (least, most), (below, above) = self.possible_C, self.another_unit_K
+        return not least - below < value < most + above
 
     def as_told(self, value: Any) -> Any:
         """See `Command.as_told`."""

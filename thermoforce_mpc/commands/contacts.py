@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
 
-from thermoforce_mpc.commands.command import SAME, Command, SwitchCommand
+from thermoforce_mpc.commands.command import SAME, Command, SwitchCommand, is_warm
 from thermoforce_mpc.data import Array
 
 _SG_STATES = {1: "blocked", 2: "normal", 3: "recommended", 4: "ordered"}
@@ -40,6 +41,11 @@ class SGReady(Command):
         allowed = np.array(self.states, dtype=np.float64)
         inside = allowed[(allowed >= low - SAME) & (allowed <= high + SAME)]
         return inside if inside.size else allowed[[int(np.argmin(np.abs(allowed - 0.5 * (low + high))))]]
+
+    def tried(self, before: float, T_zone_C: Sequence[float], bounds_C: Sequence[tuple[float, float]]) -> float | None:
+        """See `Command.tried`."""
+        order = (2.0, 1.0, 3.0) if is_warm(T_zone_C, bounds_C) else (3.0, 2.0, 1.0)
+        return next((one for one in order if one != round(before) and self.allows(one)), None)
 
     def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
         """See `Command.limits`."""

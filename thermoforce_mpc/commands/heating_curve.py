@@ -15,6 +15,7 @@ class CurveOffset(StepwiseCommand):
     """Offset of the heating curve, in K or in the steps of the device."""
 
     name_in_words: ClassVar[str] = "the offset of the heating curve"
+    of_flow: ClassVar[bool] = True
 
     kind: Literal["curve_offset"]
     resolution: float = Field(1.0, gt=0, description="step between two offsets")
@@ -41,6 +42,8 @@ class FlowTemperature(TemperatureCommand):
     usual_C: ClassVar[tuple[float, float]] = (20.0, 45.0)
     possible_C: ClassVar[tuple[float, float]] = (5.0, 90.0)
     name_in_words: ClassVar[str] = "the flow temperature"
+    of_flow: ClassVar[bool] = True
+    trial_changes: ClassVar[tuple[float, ...]] = (2.0, -2.0)
 
     kind: Literal["flow_temperature"]
     beyond_K: float = Field(5.0, ge=0, le=30, description="largest difference from what it usually is, K")

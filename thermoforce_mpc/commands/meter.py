@@ -227,7 +227,7 @@ def learn_meter(command: Command, seen: MeterRecord) -> MeterEffect | None:
             expected[of.stop - 1] = 1.0
             continue
         share = _LESS if states.size and states[i] < usual else _MORE
-        if not states.size and command.told_in == "K":
+        if not states.size and command.of_flow:
             expected[of.start + 1], share = _PER_K[0] * unit, _PER_K[1] * unit
         stays = np.array([1.0, 0.0, *[1.0] * len(_LAGS_S)])
         prior[of, of] = np.outer(stays, stays) / (_STAYS * mean_W) ** 2

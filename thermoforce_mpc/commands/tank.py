@@ -14,13 +14,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Discriminator, Tag
 
 from thermoforce_mpc.commands.command import Command, SwitchCommand, TemperatureCommand
+from thermoforce_mpc.commands.kinds import told_apart
 from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, HotWaterPlan, Plan
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.series import stretches
@@ -96,15 +96,11 @@ class TankCharge(SwitchCommand):
         return "charge the tank" if value >= 0.5 else "tank left to the device"
 
 
-AnyTankCommand = Annotated[
-    Annotated[TankTarget, Tag("tank_target")] | Annotated[TankCharge, Tag("tank_charge")],
-    Discriminator(
-        lambda value: value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None),
-        custom_error_type="tank_command_kind",
-        custom_error_message="kind: expected tank_target or tank_charge",
-    ),
-]
-"""What can be set at a tank, told apart by its key `kind`."""
+if TYPE_CHECKING:
+    AnyTankCommand = Command
+else:
+    AnyTankCommand = told_apart((TankTarget, TankCharge))
+    """What can be set at a tank, told apart by its key `kind`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,9 +16,7 @@ from typing import Any
 
 import pandas as pd
 
-from thermoforce_mpc.commands.command import Command, StepwiseCommand
-from thermoforce_mpc.commands.contacts import Enable, SGReady
-from thermoforce_mpc.commands.setpoint import Setpoint
+from thermoforce_mpc.commands.command import is_warm
 from thermoforce_mpc.connections.sole import Sets, sole_control
 from thermoforce_mpc.connections.watchdog import Watchdog
 from thermoforce_mpc.errors import raise_if_terminated
@@ -28,11 +26,6 @@ from thermoforce_mpc.live.control import Clock, until_taken
 from thermoforce_mpc.measurements.points import LivePoint
 
 _LOG = logging.getLogger(__name__)
-# By how much a command is moved, in its unit, at least one step of it: what a room or its machine can be seen to answer
-# to, and nobody minds for an hour.
-_AWAY = {"setpoint": (1.0, -1.0, 2.0, -2.0), "curve_offset": (1.0, -1.0), "flow_temperature": (2.0, -2.0)}
-# A set-point is moved across the temperature of its room by so much, K, where that is no farther away.
-_CLEARLY_K, _NEAR_K = 0.5, 4.0
 # Shortest trial, s, and that of a level, for which most machines have a least time on or off.
 LEAST_S, _LEVEL_S = 300.0, 900.0
 # Beyond the trial's end a command holds for so long, s: what puts it back takes its time.
@@ -158,16 +151,15 @@ def _planned(
         return replace(plan, refused=wrong[0])
     if not math.isfinite(before) and command is not None:
         return replace(plan, refused=f"what it is now is not known ({told.problem if told else 'no column'})")
-    T_C = [point.last for point, _ in rooms]
-    is_warm = any(upper < T for T, (_, upper) in zip(T_C, (bounds for _, bounds in rooms), strict=True))
+    in_rooms = [point.last for point, _ in rooms], [bounds for _, bounds in rooms]
     if command is None:
         before = before if math.isfinite(before) else 0.0
         value = 0.0 if before >= 0.5 else 1.0
-        if value > before and is_warm:
+        if value > before and is_warm(*in_rooms):
             return replace(plan, refused="a room is above its upper bound and the machine is off: try it when it runs")
         least_s, most_s = _LEVEL_S, math.inf
     else:
-        found = _tried_value(command, before, T_C, [bounds for _, bounds in rooms], is_warm)
+        found = command.tried(before, *in_rooms)
         if found is None:
             return replace(plan, refused=f"no other value near {command.in_words(before)} is allowed by the map")
         value, least_s, most_s = found, max(60.0 * command.hold_min, LEAST_S), command.longest_s(found)
@@ -181,45 +173,6 @@ def _planned(
         plan, before=before, value=value, seconds=seconds, raises=value > before, before_words=say(before),
         value_words=say(value),
     )  # fmt: skip
-
-
-def _tried_value(
-    command: Command, before: float, T_C: Sequence[float], bounds: Sequence[tuple[float, float]], is_warm: bool
-) -> float | None:
-    """Another value near `before` that the map allows: one that a thermostat must answer to, else more, else less."""
-    if isinstance(command, SGReady):
-        order = (3.0, 2.0, 1.0) if not is_warm else (2.0, 1.0, 3.0)
-        return next((one for one in order if one != round(before) and command.allows(one)), None)
-    if isinstance(command, Enable):
-        return 0.0 if before >= 0.5 else 1.0
-    if not isinstance(command, StepwiseCommand):
-        return None
-    away = [max(1.0, round(abs(one) / command.step)) * math.copysign(1.0, one) for one in _AWAY[command.kind]]
-    values = [float(command.nearest(before, steps)) for steps in away]
-    values = [one for one in values if command.allows(one) and command.allows(before)]
-    if isinstance(command, Setpoint):
-        lower = max((low for low, _ in bounds if math.isfinite(low)), default=-math.inf)
-        upper = min((high for _, high in bounds if math.isfinite(high)), default=math.inf)
-        values = [one for one in values if lower - command.beyond_K <= one <= upper + command.beyond_K]
-        crossing = _crossing(command, before, T_C[0], lower, upper)
-        values = values if crossing is None else [crossing, *values]
-    if is_warm:
-        values.sort(key=lambda one: one > before)
-    return values[0] if values else None
-
-
-def _crossing(command: Setpoint, before: float, T_C: float, lower: float, upper: float) -> float | None:
-    """The set-point inside the comfort bounds nearest to the room's temperature, of its other side: a thermostat at
-    `before` answers to it. None where there is none, or the room is far away.
-    """
-    if not abs(T_C - before) <= _NEAR_K:
-        return None
-    rises = before < T_C
-    first = T_C + math.copysign(_CLEARLY_K, 1.0 if rises else -1.0)
-    value = float(command.nearest(first))
-    if (value < first) is rises and value != first:
-        value = float(command.nearest(first, 1.0 if rises else -1.0))
-    return value if lower <= value <= upper and command.allows(value) and value != before else None
 
 
 def tried(

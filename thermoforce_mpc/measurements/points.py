@@ -13,7 +13,6 @@ import pandas as pd
 
 from thermoforce_mpc.commands.command import TemperatureCommand
 from thermoforce_mpc.commands.kinds import AnyCommand
-from thermoforce_mpc.commands.setpoint import Setpoint
 from thermoforce_mpc.commands.tank import TANK_NAME, AnyTankCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.data.limits import SignalRule
@@ -190,11 +189,11 @@ def _problem(point: LivePoint, rule: SignalRule, raw: Array, command: AnyCommand
 
 
 def _problem_of_command(point: LivePoint, command: AnyCommand | AnyTankCommand) -> str:
-    if isinstance(command, Setpoint) and not 0.0 < point.last < 40.0:
+    if isinstance(command, TemperatureCommand) and command.is_another_unit(point.last):
         sent = float(command.as_told(point.last))
         unit = likelier(np.array([sent]), command.unit, "temperature", command.possible_C)
         hint = f"in {unit} it were one: unit: '{unit}'" if unit else "check column and unit"
-        return f"{sent:.4g} {command.unit} is no set-point of a room; {hint}"
+        return f"{sent:.4g} {command.unit} cannot be {command.name_in_words}; {hint}"
     return ""
 
 

@@ -17,7 +17,6 @@ import numpy as np
 from thermoforce_mpc.commands.command import StepwiseCommand
 from thermoforce_mpc.commands.kinds import AnyCommand
 from thermoforce_mpc.commands.loop import CommandRecord
-from thermoforce_mpc.commands.setpoint import Setpoint
 from thermoforce_mpc.data import Array, Layout, Record
 from thermoforce_mpc.measurements.checks.common import Remark, fitted
 
@@ -86,7 +85,7 @@ def command_remarks(
             continue
         if (remark := _no_command(record, layout, name, command, set_to[name].at)) is not None:
             found.append(remark)
-        elif isinstance(command, Setpoint):
+        elif command.of_zone == -1.0:
             of_rooms.setdefault(layout.home[a], (name, set_to[name].at))
     for one, other in combinations(of_rooms, 2):
         straight = [_apart_K(record, zone, of_rooms[zone][1]) for zone in (one, other)]

@@ -12,7 +12,7 @@ import pandas as pd
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from thermoforce_mpc.commands.command import Command, TemperatureCommand
-from thermoforce_mpc.commands.kinds import AnyCommand
+from thermoforce_mpc.commands.kinds import KINDS, AnyCommand, names_of
 from thermoforce_mpc.commands.tank import AnyTankCommand
 from thermoforce_mpc.data import J_PER_KWH, ZERO_C_K, Array, Layout, Names
 from thermoforce_mpc.data.limits import ZONE_C
@@ -286,9 +286,7 @@ class MappedActuator(StrictModel):
     share: float = Field(
         0.0, ge=0, le=1, description="share of its machine's capacity at full level; 0: as its power tells of each"
     )
-    command: AnyCommand | None = Field(
-        None, description="what can be set in its place: setpoint, curve_offset, flow_temperature, sg_ready or enable"
-    )
+    command: AnyCommand | None = Field(None, description=f"what can be set in its place: {names_of(KINDS)}")
 
     @model_validator(mode="after")
     def _heats_by_command(self) -> MappedActuator:
