@@ -88,6 +88,21 @@ def test_what_may_not_be_acted_on_has_no_value(files):
     assert not (files / "none.json").exists()
 
 
+def test_a_command_that_is_left_alone_has_no_value(files, tmp_path):
+    """Nothing is saved where energy costs nothing and any temperature will do."""
+    free = pd.read_csv(files / "tomorrow.csv").assign(price=0.0, low=10.0, high=30.0)
+    free.to_csv(tmp_path / "tomorrow.csv", index=False)
+    out = ["--commands", tmp_path / "commands.csv", "--out", tmp_path / "plan.json"]
+    result = run(files, "--forecast", tmp_path / "tomorrow.csv", *out)
+    assert result.exit_code == 0, result.output
+    assert "not better than leaving the building alone" in result.output
+    (row,) = json.loads((tmp_path / "plan.json").read_text())["commands"]
+    assert row["value"] is None
+    (line,) = pd.read_csv(tmp_path / "commands.csv", keep_default_na=False).to_dict("records")
+    assert line["value"] == ""
+    assert {row["text"], line["text"]} == {"its own control"}
+
+
 def test_commands_that_the_map_does_not_name_are_refused(files, tmp_path):
     rules = RULES | {"actuators": {"actuator": {"level": "u"}}}
     (tmp_path / "map.yaml").write_text(yaml.safe_dump(rules))

@@ -35,14 +35,17 @@ def test_what_a_plan_saves_is_lived_through_without_moving_the_house():
     assert 0.02 * cost < cooler < cost
 
 
-def test_a_house_that_was_left_alone_costs_no_more_and_the_width_of_bands_stands_beside_what_they_hold():
+def test_a_house_that_was_left_alone_is_not_cheaper_and_the_width_of_bands_stands_beside_what_they_hold():
     def row(saved, in_band, band, note=""):
         told = {"by": KINDS[0], "note": note, "saved": saved, "saved_direct": None, "colder_Kh": 0.0}
         return told | {"in_band": in_band, "judged": 4.0, "band": band}
 
     rows = [row(0.0, 0.5, 0.1), row(-0.01, 1.0, 0.3), row(0.1, 1.0, 0.2), {"by": KINDS[0], "note": "refused: short"}]
-    found = {one.name: one.value for one in targets(rows)}
-    assert found["set-points: share of houses that cost more than left alone"] == pytest.approx(1.0 / 3.0)
+    told = {one.name: one for one in targets(rows)}
+    found = {name: one.value for name, one in told.items()}
+    cheaper = told["set-points: share of houses that cost less than left alone"]
+    assert (cheaper.value, cheaper.holds) == (0.25, False)
+    assert {one.name: one for one in targets([row(0.1, 1.0, 0.2)] * 9 + rows[:1])}[cheaper.name].holds
     assert found["set-points: share of houses of which nothing could be learned"] == 0.25
     assert found["share of plans whose saving lay in the 90 % band that they gave"] == pytest.approx(10.0 / 12.0)
     assert found["median width of these bands, as a share of the cost left alone"] == pytest.approx(0.2)
