@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -118,24 +119,26 @@ def run_case(case: PanelCase) -> dict[str, Any]:
     began = time.perf_counter()
     try:
         place = built(case)
-        place = replace(place, period=replace(place.period, scored_s=_DAYS * DAY_S))
-        ran = follow(place, None)
-        claims = {rule.name: found for rule in RULES if (found := rule.claims(ran))}
-        if place.fixed:
-            claims.pop("fixed part", None)
-        house = getattr(place.plant, "house", None)
-        if not case.fault and isinstance(house, DrawnHouse) and ran.gave_all(house):
-            claims.pop("shared machine at its limit", None)
-        again = [
-            rule for rule in RULES if rule.can_be_off and (rule.name in claims or rule.name == rule_of(case.fault))
-        ]
-        without = {rule.name: _figures(follow(place, rule)) for rule in again}
-        cost, K_h = _figures(ran)
-        idle = sum(not step.plan.u.size for step in ran.result.steps)
-        outcome = without_right_claims(WeekOutcome(case, cost, K_h, idle, claims, without))
+        with closing(place.plant):
+            outcome = _week(case, replace(place, period=replace(place.period, scored_s=_DAYS * DAY_S)))
     except Exception as error:  # recorded as failure of this case; the others continue
         outcome = WeekOutcome(case, failed=f"{type(error).__name__}: {error}")
     return asdict(replace(outcome, seconds=time.perf_counter() - began))
+
+
+def _week(case: PanelCase, place: BuiltCase) -> WeekOutcome:
+    ran = follow(place, None)
+    claims = {rule.name: found for rule in RULES if (found := rule.claims(ran))}
+    if place.fixed:
+        claims.pop("fixed part", None)
+    house = getattr(place.plant, "house", None)
+    if not case.fault and isinstance(house, DrawnHouse) and ran.gave_all(house):
+        claims.pop("shared machine at its limit", None)
+    again = [rule for rule in RULES if rule.can_be_off and (rule.name in claims or rule.name == rule_of(case.fault))]
+    without = {rule.name: _figures(follow(place, rule)) for rule in again}
+    cost, K_h = _figures(ran)
+    idle = sum(not step.plan.u.size for step in ran.result.steps)
+    return without_right_claims(WeekOutcome(case, cost, K_h, idle, claims, without))
 
 
 def without_right_claims(outcome: WeekOutcome) -> WeekOutcome:

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import atexit
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.chaos.fmu.building import build_house
 from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.faults.faulty_plant import FaultyPlant
 from thermoforce_mpc.boundary.weather import CONTINENTAL, MARITIME, synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.plants.drawn_houses import GRID_S, WEEKS
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, PointEmulator
+from thermoforce_mpc.plants.energyplus.zone import EnergyPlusPlant
+from thermoforce_mpc.plants.fmu import FmuPlant
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, physics
 from thermoforce_mpc.plants.random_houses.draw import House
 from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
@@ -26,6 +33,8 @@ _SEASONS = ("16", "44", "108", "290")
 _AIR = ((-4.0, 400.0), (3.0, 600.0), (12.0, 800.0), (24.0, 800.0))
 # Windows of BOPTEST's test cases.
 _HEAT_WINDOWS, _COOL_WINDOWS = ("peak_heat_day", "typical_heat_day"), ("peak_cool_day", "typical_cool_day")
+# Zones of EnergyPlus and their first days.
+_ZONES = (("energyplus:heating_chicago", 12), ("energyplus:cooling_phoenix", 190))
 # A fault begins so long after the run, s; a day of it.
 _AFTER_S = 2.0 * DAY_S
 # Another load on the meter by day, W; sun on a sensor, K; hours until which a machine stands.
@@ -132,6 +141,28 @@ def _by_points(name: str, days: tuple[str, ...]) -> Callable[[PanelCase], BuiltC
     return of
 
 
+def _zone(case: PanelCase) -> BuiltCase:
+    """A zone of EnergyPlus (extra [energyplus]): heating in Chicago and cooling in Phoenix in turn, then days later."""
+    name, first_day = _ZONES[case.number % len(_ZONES)]
+    testcase = load_testcase(name)
+    plant = EnergyPlusPlant(testcase)
+    return BuiltCase(plant, testcase, plant.period(str(first_day + 7 * (case.number // len(_ZONES)))))
+
+
+def _fmu(case: PanelCase) -> BuiltCase:
+    """The embedded heat pump as an FMU (extra [fmu]) with a synthetic year of its own, one season after another."""
+    plant = FmuPlant(_house_file(), load_testcase("bestest_hydronic_heat_pump"))
+    day = int(_SEASONS[case.number % len(_SEASONS)]) + 7 * (case.number // len(_SEASONS)) + 3
+    return BuiltCase(plant, plant.testcase, plant.period(str(day)), fixed=True)
+
+
+@cache
+def _house_file() -> Path:
+    folder = tempfile.TemporaryDirectory()
+    atexit.register(folder.cleanup)
+    return build_house(Path(folder.name))
+
+
 KINDS: dict[str, Callable[[PanelCase], BuiltCase]] = {
     "generated house": _drawn,
     "embedded": _embedded,
@@ -143,6 +174,8 @@ KINDS: dict[str, Callable[[PanelCase], BuiltCase]] = {
     ),
     "bestest_hydronic": _by_points("bestest_hydronic", ("peak_heat_day", "typical_heat_day")),
     "house of rooms": _rooms("house"),
+    "EnergyPlus zone": _zone,
+    "FMU": _fmu,
 }
 """Plants by kind; generated houses are drawn twice as often as the rest."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from dataclasses import asdict, replace
 from types import SimpleNamespace
 
@@ -11,14 +12,24 @@ import pytest
 
 from benchmarks.detectors import bench
 from benchmarks.detectors.air_unit import LightOffice
-from benchmarks.detectors.bench import WeekOutcome, claim_rows, rule_of, rule_rows, run_detectors_bench, targets
-from benchmarks.detectors.panel import FAULTS, KINDS, PanelCase, built, clean, faulty
+from benchmarks.detectors.bench import (
+    WeekOutcome,
+    claim_rows,
+    rule_of,
+    rule_rows,
+    run_case,
+    run_detectors_bench,
+    targets,
+)
+from benchmarks.detectors.panel import FAULTS, KINDS, BuiltCase, PanelCase, built, clean, faulty
 from benchmarks.detectors.rules import RULES, ControlledWeek
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Period, PlantInfo
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.loop.probing import Probed, Probing
 from thermoforce_mpc.plants.embedded import PointEmulator
+from thermoforce_mpc.plants.energyplus.engine import is_available
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.settings import StrictModel
 
 NAMES = [rule.name for rule in RULES]
@@ -209,3 +220,25 @@ def test_no_two_weeks_of_a_plant_are_alike(kind, monkeypatch):
     places = [built(PanelCase(kind, number, 5)) for number in (1, 5, 9)]
     begun = {(place.period.start_s, place.plant.reset(place.period.start_s, 0.0).T_out_C) for place in places}
     assert len(begun) == 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["EnergyPlus zone", "FMU"])
+def test_plants_of_other_programs_have_a_week_of_their_own_each(kind):
+    if kind == "EnergyPlus zone" and not is_available():
+        pytest.skip("EnergyPlus (extra [energyplus]) is not installed")
+    begun = set()
+    for number in range(6):
+        place = built(PanelCase(kind, number, 5))
+        with closing(place.plant):
+            begun.add((place.testcase.name, place.period.start_s))
+    assert len(begun) == 6
+
+
+def test_the_plant_of_a_week_is_closed_also_where_the_week_fails(monkeypatch):
+    closed = []
+    plant = SimpleNamespace(close=lambda: closed.append(1))
+    place = BuiltCase(plant, load_testcase("bestest_hydronic_heat_pump"), Period("16", 16 * DAY_S))
+    monkeypatch.setitem(KINDS, "embedded", lambda case: place)
+    assert run_case(PanelCase("embedded", 0, 1))["failed"]
+    assert closed
