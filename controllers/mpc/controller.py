@@ -283,7 +283,8 @@ class ThermoForceMPC(ActuatedController):
         state = yield from self._watch(readings, state)
         situation = Situation(readings.observation, readings.zones, state.watch)
         overrides, joined_in = self._shared.open(decide(self._overrides, situation))
-        state = self._learn(readings, state)
+        before, state = state.margins, self._learn(readings, state)
+        limits = self._formulation.margins.news(before, state.margins)
         if len(overrides) == len(self._fallbacks):
             plan = self._realisation.stand_back(overrides, state)
         else:
@@ -300,7 +301,7 @@ class ThermoForceMPC(ActuatedController):
                 ways = self._tank.begin(*begin, observation.tank_C, observation.tank_charges, state.tank)
                 result = yield from self._with_tank(result, instance, ways, forecast.planner.evaluator, solve)
             plan = self._realise(result, readings, overrides, situation)
-        return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
+        return self._watched.record_request(readings.observation, plan.with_news(*readings.news, limits))
 
     def _clean(self, observation: Observation, state: MPCState) -> Computation[tuple[Readings, MPCState]]:
         """What is believed; a model that may not act says nothing of readings."""

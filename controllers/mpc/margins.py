@@ -431,6 +431,11 @@ _BEFORE_H = 12.0
 _OFFSET_K = 0.3
 
 
+def _side(unused: float) -> int:
+    """Whether so large a share of a capacity is left unused (1), is none (0) or is more than it (-1)."""
+    return int(np.sign(round(unused, 2)))
+
+
 @dataclass(frozen=True)
 class Margins:
     """What a run has learned.
@@ -517,6 +522,26 @@ class MarginRules:
             self._learned_unused(operator, before.unused, observation.history, seen_C - planned_C),
             before.innovations.after(seen_C - planned_C, self._change_K(operator, good, observation), self._step_s),
         )
+
+    def news(self, before: Margins, after: Margins) -> str:
+        """What the last step taught of the capacity of machines that plans did not count with before, or do not any
+        more, in words; '' where nothing of whole percents.
+        """
+        told = []
+        for machine, was, share in zip(self._layout.names.machines, before.unused, after.unused, strict=True):
+            if (side := _side(share)) == _side(was):
+                continue
+            gave = (
+                f"it gave {-share:.0%} more than the capacity of the record: plans count on that"
+                if side < 0
+                else f"it did not give all that was asked for at its limit: plans leave {share:.0%} of it unused"
+                if side > 0
+                else "it gives what is asked for again: plans count on all of it"
+                if _side(was) > 0
+                else "it is at its limit where the record says: plans count on no more"
+            )
+            told.append(f"{machine}: {gave}")
+        return "; ".join(told)
 
     def bounds(
         self,

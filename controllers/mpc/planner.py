@@ -21,7 +21,6 @@ from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.sqp import SQPSolver
 from controllers.optimisation.statement.terms import Terms
 from thermoforce_mpc.data import HOUR_S, Layout
-from thermoforce_mpc.model.card import UNTOLD_SD
 from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
 from thermoforce_mpc.model.machine.power import level_costs
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -183,16 +182,11 @@ _Factors = tuple[tuple[float, float] | None, ...]
 
 
 def known_part(model: ThermalModel, operator: BuildingOperator) -> BuildingOperator:
-    """The operator with the part of effects between zones that is known: plans count on no heat that may not come.
-
-    All of an effect whose relative standard deviation is at most `UNTOLD_SD`, or not said; none at twice that.
-    """
+    """The operator with the part of effects between zones that plans count on (`ThermalModel.counted_on`)."""
 
     def known(z: int, a: int, pair: OperatorParameters) -> OperatorParameters:
-        sd = model.relative_sd(z, a)
-        if operator.home[a] == z or not sd > UNTOLD_SD:
-            return pair
-        return replace(pair, gains=pair.gains * max(2.0 - sd / UNTOLD_SD, 0.0))
+        share = model.counted_on(z, a)
+        return pair if share == 1.0 else replace(pair, gains=pair.gains * share)
 
     return operator.map_pairs(known)
 

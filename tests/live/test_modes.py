@@ -22,6 +22,7 @@ from thermoforce_mpc.live.building import real_run
 from thermoforce_mpc.live.probing import ProbingPlan, probe_building, probing_key
 from thermoforce_mpc.live.shadow import ShadowBook
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.records.live_journal import LiveJournal
 from thermoforce_mpc.report.live_view import LiveRun
 from thermoforce_mpc.scenario.scenario import ProbingSpec
@@ -215,9 +216,11 @@ def files(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_advice_is_written_and_nothing_is_set(files):
+def test_advice_is_written_and_nothing_is_set(files, monkeypatch):
+    monkeypatch.setattr(ThermalModel, "claims", property(lambda self: ("another load",)))
     done = CliRunner().invoke(cli, [*WORDS, *PLANNED, "--mode", "advise"])
     assert done.exit_code == 0, str(done.exception)
+    assert "Found: another load\n" in done.output
     assert not (files / "levels.json").exists()
     advice = json.loads((files / "control" / "advice.json").read_text())
     assert sum(block["seconds"] for block in advice["blocks"]) == 3600.0

@@ -82,15 +82,13 @@ def _identify(
         found = f"Model{of}: order {operator.order} ({hours}), {operator.parameters_in_words}, "
         found += f"steady gain {operator.steady_gains_K.sum():.1f} K"
         display.say(found if verdict is None else f"{found}. {verdict.sentence()}")
-        if zone.card.sun_on_sensor is not None:
-            display.say(f"Sun on the sensor{of}: {zone.card.sun_on_sensor.in_words()}")
-        for note in (note for note in zone.card.notes if "watch.blocked_hours" in note or "watch.hour_effects" in note):
-            display.say(f"Hours{of}: {note}")
         if verdict is None and zone.card.unfit:
             display.say(zone.card.unfit)
         elif verdict is not None and not verdict.competent:
             lines = [f"The model{of} is {verdict.in_words()}", *(f"  {advice}" for advice in verdict.advice)]
             display.say("\n".join(lines))
+    for claim in model.claims:
+        display.say(f"Found: {claim}")
     folder = source.folder if isinstance(source, SavedModel) else None
     return IdentifiedModel(model, {"model": folder, "source": model.cards[0].source} | origin(model))
 

@@ -16,9 +16,10 @@ from thermoforce_mpc.data import HOUR_S, SINGLE, Array, Boundary, Layout, Names,
 from thermoforce_mpc.data.limits import EFFECT_K
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ArtifactError, DataError
-from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.card import UNTOLD_SD, ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, HourEffects, HourSeen, said
 from thermoforce_mpc.model.machine.change import UNKNOWN, Share, share_of_change
 from thermoforce_mpc.model.machine.other_load import own_W
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -182,6 +183,48 @@ class ThermalModel:
         card, ending = self.card_of(z, a)
         mean_K, sd_K = (card.uncertainty.get(f"step_response_24h{of}_K{ending}", np.nan) for of in ("", "_sd"))
         return float(sd_K / max(abs(mean_K), 1e-9))
+
+    def counted_on(self, z: int, a: int) -> float:
+        """The share of the effect of actuator `a` on zone `z` that is known: plans count on no heat that may not come.
+
+        All of one on its home zone, and of one between zones whose relative standard deviation is at most `UNTOLD_SD`
+        or not said; none at twice that.
+        """
+        sd = self.relative_sd(z, a)
+        if self.operator.home[a] == z or not sd > UNTOLD_SD:
+            return 1.0
+        return max(2.0 - sd / UNTOLD_SD, 0.0)
+
+    @property
+    def claims(self) -> tuple[str, ...]:
+        """What was found of sensors, meters, hours and neighbours that changes what is planned, in words."""
+        names, told = self.names, list[str]()
+        for z, sun in enumerate(self.sun_on_sensors):
+            if sun is not None:
+                told.append(sun.in_words() if len(names.zones) == 1 else f"{names.zones[z]}: {sun.in_words()}")
+        for machine, power in zip(names.machines, self.power, strict=True):
+            if power is not None and power.foreign is not None:
+                told.append(f"power of {machine}: {power.foreign.in_words()}")
+        for a, card in enumerate(self.cards):
+            if card.foreign_heat is not None:
+                told.append(f"heat of {names.actuators[a]}: {card.foreign_heat.in_words()}")
+            told += [names.of_actuator(a, hours) for hours in self._hours(a)]
+        for z, zone in enumerate(names.zones):
+            for a, actuator in enumerate(names.actuators):
+                if self.operator.pairs[z][a] is not None and (share := self.counted_on(z, a)) < 1.0:
+                    told.append(
+                        f"{zone}: what {actuator} does to it is known to ± {self.relative_sd(z, a):.0%} only: plans "
+                        f"count on {share:.0%} of it"
+                    )
+        return tuple(told)
+
+    def _hours(self, a: int) -> list[str]:
+        """Hours of the day in which acting does less, in words."""
+        card, operator = self.cards[a], self.operator.of_actuator(a)
+        hours = [card.blocked_hours, *[card.blocked_cooling_hours] * (operator.heat_input.u_min < 0.0)]
+        effects = HourEffects(operator.sign, tuple(HourSeen(*one) for one in card.hour_effects))
+        blocked = said(tuple(BlockedHours.known(each, 0.0) for each in hours)) if any(hours) else ""
+        return [text for text in (blocked, effects.in_words()) if text]
 
     def own_heat(self, record: Record) -> Record:
         """`record` with the heat of the actuators alone: without the foreign loads on their meters."""

@@ -25,6 +25,7 @@ from thermoforce_mpc.identification.probing.operation import OperationFinding
 from thermoforce_mpc.identification.validation import competence
 from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.measurements.load import read_measurements
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.report.display import RunDisplay
 
@@ -329,6 +330,8 @@ def test_what_a_plan_rests_on_stands_in_whole_sentences(folder, model, monkeypat
     lines = [line.strip() for line in tf_mpc(folder, "plan", *words, "--hours", "6").output.splitlines()]
     assert "levels of a rule act (5.93 over the horizon (24 h); comfort +1.20)" in lines
     assert "the least total (heat 0.30 more; peak)" in lines
+    monkeypatch.setattr(ThermalModel, "claims", property(lambda self: ("another load",)))
+    assert "Found: another load" in tf_mpc(folder, "plan", *words, "--hours", "6").output.splitlines()
 
 
 def test_a_plan_refuses_what_does_not_belong_together(folder, model):

@@ -108,15 +108,40 @@ def test_the_limit_follows_the_outdoor_temperature_and_what_was_lacking():
     full_W, most_W = 5000.0 - 100.0 * T_C, (5000.0 / 0.8 + 5000.0 / 0.6) / 2
     lacking = [most_W - 0.5 * 0.7 * full_W, 0.5 * 0.7 * full_W]
     observation = seen(plant, mpc, [1.0, 0.7], lacking)
-    kept = mpc.plan(observation, first.state).state.margins.unused
+    limited = mpc.plan(observation, first.state)
+    kept = limited.state.margins.unused
     assert kept.tolist() == pytest.approx([0.12])
+    assert limited.news == "boiler: it did not give all that was asked for at its limit: plans leave 12% of it unused"
     enough = [0.9 * most_W - 0.7 * full_W, 0.7 * full_W]
-    assert mpc.plan(seen(plant, mpc, [1.0, 0.7], enough), first.state).state.margins.unused.tolist() == [0.0]
+    whole = mpc.plan(seen(plant, mpc, [1.0, 0.7], enough), first.state)
+    assert whole.state.margins.unused.tolist() == [0.0]
+    assert whole.news == "", "nothing began, nothing ended"
 
     context = mpc.predictor.context(observation)
     problem = mpc.instance(context, observation.history, replace(first.state.margins, unused=kept))
     ahead_C = observation.boundary.T_out_C[:-1]
     np.testing.assert_allclose(problem.capacity[0], 0.88 / (1.0 - ahead_C / 50.0), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("before", "given", "said"),
+    [
+        (0.01, 0.9, "boiler: it gives what is asked for again: plans count on all of it"),
+        (0.05, 0.9, ""),
+        (0.0, 1.2, "boiler: it gave 10% more than the capacity of the record: plans count on that"),
+        (-0.1, 1.2, ""),
+    ],
+)
+def test_a_limit_that_ends_and_more_than_was_seen_are_said_when_they_do(before, given, said):
+    plant, mpc = TwoHouses(shared=True), metered()
+    plant.reset(10 * 86400.0, 2 * 86400.0)
+    first = mpc.plan(seen(plant, mpc, [0.5, 0.5], [2500.0, 2500.0])).state
+    first = replace(first, margins=replace(first.margins, unused=np.array([before])))
+    plant.advance([1.0, 0.4], HOUR_S)
+    full_W = 5000.0 - 100.0 * float(plant.houses[0].past(HOUR_S).T_out_C[-2])
+    most_W = (5000.0 / 0.8 + 5000.0 / 0.6) / 2
+    heat_W = [given * most_W - 0.7 * full_W, 0.7 * full_W]
+    assert mpc.plan(seen(plant, mpc, [1.0, 0.7], heat_W), first).news == said
 
 
 def test_a_plan_for_more_than_the_machine_gives_is_not_followed_whatever_solver_it_is_from():

@@ -267,6 +267,8 @@ class _Run:
         self.say(f"{does} {names} by connection {self.connection}; log: {self.out}/log.jsonl")
         people = People(self.out / "people.json", self.rules.time.zone)
         self.say(f"Actuation: {mpc.actuation_in_words}")
+        for claim in thermal.claims:
+            self.say(f"Found: {claim}")
         told = _told(self.say, commands)
         if not acts and not dry:
             book = ShadowBook(self.out, thermal, mpc, commands, key) if mode == "shadow" else None

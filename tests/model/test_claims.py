@@ -1,0 +1,55 @@
+"""What a model believes beyond the plain laws of a building, and changes plans, is said before it acts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+from two_houses import two_model
+
+from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.experiment.identifying import SavedModel
+from thermoforce_mpc.experiment.run_models import identify_all
+from thermoforce_mpc.model.machine.other_load import OtherLoad
+from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.report.display import RunDisplay
+
+OTHER = OtherLoad((500.0,) * 24, 0.0, 5.0, (-20.0, 30.0), 10.0)
+SUN = SunOnSensor(2.0, 0.3, 0.99, 180.0, 120.0, 50.0, 43_200.0)
+
+
+def believing() -> ThermalModel:
+    """Two houses: blocked hours, sun and foreign heat in the one, another load on its boiler, and an unsure effect."""
+    plain = two_model()
+    (own, _), (_, other) = plain.operator.pairs
+    across = replace(own, gains=0.3 * own.gains)
+    operator = replace(plain.operator, pairs=((own, None), (across, other)))
+    unsure = {"step_response_24h_K[radiator]": 2.0, "step_response_24h_sd_K[radiator]": 1.5}
+    bath, hall = plain.cards
+    cards = (
+        replace(bath, sun_on_sensor=SUN, foreign_heat=OTHER, blocked_hours=(2, 3)),
+        replace(hall, uncertainty=unsure),
+    )
+    boiler, pump = plain.power
+    return replace(plain, operator=operator, cards=cards, power=(replace(boiler, foreign=OTHER), pump))
+
+
+def test_each_claim_is_said_with_what_it_changes():
+    sun, power, heat, hours, neighbour = believing().claims
+    assert sun == f"bath: {SUN.in_words()}"
+    assert power.startswith("power of boiler: the meter holds another load: 500 W on average")
+    assert heat.startswith("heat of radiator: the meter holds another load")
+    assert hours.startswith("radiator: nothing comes from 2:00 to 4:00, whatever is asked for")
+    assert neighbour == "hall: what radiator does to it is known to ± 75% only: plans count on 50% of it"
+    assert two_model().claims == ()
+
+
+def test_a_run_says_them_of_the_model_that_it_begins_with(monkeypatch, capsys):
+    model = believing()
+    monkeypatch.setattr(SavedModel, "load", lambda self: model)
+    asks = SimpleNamespace(name="mpc", chosen=None, model_from=SavedModel("model", HOUR_S))
+    identify_all([asks], plant=None, display=RunDisplay())  # type: ignore[list-item, arg-type]
+    said = capsys.readouterr().out
+    for claim in model.claims:
+        assert f"Found: {claim}\n" in said
