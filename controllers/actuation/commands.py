@@ -14,6 +14,7 @@ import numpy as np
 
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand
+from thermoforce_mpc.commands.meter import share_on
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.data.clock import PLAN_STEP_S
 
@@ -44,8 +45,7 @@ class CommandedLoop:
     """A loop over the N steps of a plan: its command with the limits of each step, and the outdoor temperature.
 
     `low`, `high`, `usual` (N,): limits of the command and what it is when left alone; `T_out_C` (N,): mean of the step;
-    `age_s`: how long ago `learned.last` was read, s; `off`: commands with which the machine is off, so that no heat
-    comes, however open its valve is; none where levels are made of the water, which tells what it still gives.
+    `age_s`: how long ago `learned.last` was read, s; `off`: see `off_commands`.
     """
 
     learned: LearnedCommand
@@ -59,8 +59,7 @@ class CommandedLoop:
 
     def is_on(self, values: Array) -> Array:
         """Share of a step in which the machine may run, with commands (S, n) in its parts, (S,)."""
-        is_off = np.abs(values[..., None] - np.array(self.off)) <= SAME
-        return np.asarray(1.0 - is_off.any(axis=-1).mean(axis=-1))
+        return share_on(values, self.off)
 
     def begin(self) -> CommandState:
         """What is set where no plan acted in the last step: as it was read, or later what it usually is."""

@@ -9,7 +9,7 @@ under the commands of the record's week.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
@@ -26,7 +26,14 @@ from controllers.optimisation.plan_model import Evaluator
 from controllers.optimisation.problem import MPCProblem, Weights
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand, behind_levels
-from thermoforce_mpc.commands.meter import MeterEffect, MeterRecord, beyond_sd, chance_sd, learn_meter
+from thermoforce_mpc.commands.meter import (
+    MeterEffect,
+    MeterRecord,
+    beyond_sd,
+    chance_sd,
+    learn_meter,
+    off_commands,
+)
 from thermoforce_mpc.data import (
     HOUR_S,
     J_PER_KWH,
@@ -152,7 +159,7 @@ class BuildingCommands:
                 *learned.command.limits(boundary.lower_C[z, 1:], boundary.upper_C[z, 1:], usual)
             )
             meter = self._meters.get(learned.machine)
-            off = () if meter is None or learned.loop.of_water else meter.off_states
+            off = off_commands(learned, meter)
             loops[a] = CommandedLoop(learned, low, high, usual, T_out_C, boundary.step_s, age_s, off)
         groups: dict[str | int, list[int]] = {}
         for a, learned in self._learned.items():
@@ -175,10 +182,10 @@ class BuildingCommands:
         )
 
 
-def meters_of(model: ThermalModel, learned: Mapping[int, LearnedCommand]) -> dict[str, MeterEffect]:
+def meters_of(model: ThermalModel, learned: Iterable[LearnedCommand]) -> dict[str, MeterEffect]:
     """What the commands of machines do on their meters beside what levels take, by the machine's name."""
     out: dict[str, MeterEffect] = {}
-    for one in learned.values():
+    for one in learned:
         if not one.machine or one.machine in out or one.record is None or one.set_to is None:
             continue
         record, m = one.record, model.names.machines.index(one.machine)
@@ -568,8 +575,8 @@ class CommandedPlan:
             loop, meter, law = self.loops[one.first], one.meter, law_W[:, one.m]
             state, usual = loop.begin(), self._usual_row(one.first)
             values = held.get(one.first, usual[None])
-            held_now = state.value, state.held_s
-            course = meter.course(values, usual, loop.step_s / loop.parts, loop.parts, law, self.hour, held_now)
+            now = meter.begin(state.value, float(usual[0]), state.held_s, float(self.hour[0]))
+            course = meter.course(values, usual, loop.step_s / loop.parts, loop.parts, law, self.hour, now)
             of = effects[i] if effects else meter.mean[None]
             each_kWh = meter.power_W(course, of, law, self.hour) * self.problem.step_s / J_PER_KWH
             price = self.problem.price_per_kWh[one.m]

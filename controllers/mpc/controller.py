@@ -143,7 +143,7 @@ class ThermoForceMPC(ActuatedController):
         actuations = [choice.actuation for choice in choices]
         super().__init__(name, model.operator.step_s, n_steps, layout, actuations, c.fallback, by_number)
         cards = [zone.card for zone in zone_models]
-        self._commands = BuildingCommands(layout, by_number, cards, meters_of(model, by_number))
+        self._commands = BuildingCommands(layout, by_number, cards, meters_of(model, by_number.values()))
         if hot_water is not None:
             check_names("hot_water.machine", [hot_water.machine], "machine", layout.names.machines)
         self.hot_water = hot_water

@@ -37,7 +37,8 @@ def month(seed=1, ordinary=27, trials=3):
 def day(values, meter, effects=None):
     """Power of a day with `values` by hour (24,), W, and what follows it, Wh."""
     law_W = np.full((1, 24), 350.0)
-    course = meter.course(np.asarray(values)[None], np.full(24, 2.0), 3600.0, 1, law_W, HOURS, (2.0, 86400.0))
+    now = meter.begin(2.0, 2.0, 86400.0, 0.0)
+    course = meter.course(np.asarray(values)[None], np.full(24, 2.0), 3600.0, 1, law_W, HOURS, now)
     effects = meter.mean[None] if effects is None else effects
     return (law_W + meter.power_W(course, effects, law_W, HOURS))[0], float(effects[0] @ course.after_h[:, 0])
 
@@ -98,7 +99,8 @@ def test_warmer_water_takes_a_share_of_the_power():
     meter = learn_meter(CurveOffset(kind="curve_offset", column="offset"), seen)
     law_W = np.full((2, 24), 800.0)
     told = np.stack([np.zeros(24), np.full(24, 3.0)])
-    course = meter.course(told, np.zeros(24), 3600.0, 1, law_W, HOURS, (0.0, 86400.0))
+    now = meter.begin(0.0, 0.0, 86400.0, 0.0)
+    course = meter.course(told, np.zeros(24), 3600.0, 1, law_W, HOURS, now)
     more_W = np.diff(meter.power_W(course, meter.mean[None], law_W, HOURS), axis=0)[0]
     assert more_W.mean() == pytest.approx(72.0, rel=0.2)
 

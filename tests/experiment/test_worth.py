@@ -10,14 +10,18 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
+from home_by_curve import SG_RULES, HomeByCurve, curve_model
 from simple_house import GAIN_K, POLE, outdoor_C, simple_model
 
+from controllers.mpc.commanding import meters_of
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.commands.contacts import SGReady
 from thermoforce_mpc.commands.heating_curve import CurveOffset
 from thermoforce_mpc.commands.loop import LearnedCommand, LoopMap
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Block, Boundary, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.experiment.worth import worth
+from thermoforce_mpc.measurements.load import learned_commands, read_measurements
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.whatif.identified_house import IdentifiedHouse
@@ -224,6 +228,76 @@ def test_what_is_not_known_widens_the_band_and_colder_rooms_are_warmed_again() -
     assert colder.raised_K == 0.5
 
 
+# Hot water that people take, W, by hour of the day, from the meter of the machine that heats the room.
+_HABIT_W = np.where(np.isin(np.arange(24), [7, 19]), 1500.0, 50.0)
+_CONTACT = SGReady(kind="sg_ready", column="contact")
+
+
+def _by_contact(state: Array) -> Record:
+    """The simple house at half level but where its machine is blocked (1), which puts off hot water too."""
+    record = _run(np.where(state == 1.0, 0.0, 0.5))
+    power_W, waits_W = record.power_W[0].copy(), 0.0
+    for k, one in enumerate(state):
+        waits_W += _HABIT_W[k % 24]
+        power_W[k], waits_W = (12.0, waits_W) if one == 1.0 else (power_W[k] + waits_W, 0.0)
+    return replace(record, power_W=power_W[None])
+
+
+def _states() -> Array:
+    """Ordinary operation, and three days in which the machine is blocked for some hours."""
+    state = np.full(_HOURS, 2.0)
+    state[_FIRST - 72 : _FIRST] = np.repeat(np.random.default_rng(6).choice([1.0, 2.0], 36, p=[0.4, 0.6]), 2)
+    return state
+
+
+def _contact(record: Record, state: Array) -> LearnedCommand:
+    states, spread = np.array([1.0, 2.0]), np.zeros(2)
+    half = np.full(2, 0.5)
+    loop = LoopMap(0.0, states, states, 0.0, 0.0, states, half, spread, spread, 0.0, 1.0, 14.0)
+    usual = np.full(7 * 24, 2.0)
+    return LearnedCommand(_CONTACT, loop, 2.0, DAY_S, usual, record.time_s[-1], _ORIGIN, "machine", "", record, state)
+
+
+class _Blocked:
+    """Blocks the machine for two hours in the morning and two in the evening."""
+
+    name, step_s, horizon_s = "blocked", HOUR_S, 6 * HOUR_S
+
+    def plan(self, observation: Observation, state: object = None) -> Plan:
+        told = _told(observation.time_s)
+        return Plan((Block((None,), HOUR_S, (told,)),), PlanStatus.SOLVED, "blocked when it is dear")
+
+
+def _told(time_s: float) -> float:
+    return 1.0 if time_s % DAY_S / HOUR_S in (6, 7, 18, 19) else 2.0
+
+
+def test_commands_are_counted_as_plans_count_them() -> None:
+    """What had to wait while a machine was blocked was left out: only levels had a price."""
+    was, told = _states(), _states()
+    told[_FIRST:] = [_told(k * HOUR_S) for k in range(_FIRST, _HOURS)]
+    record, truth = _by_contact(was), _by_contact(told)
+    conditions, learned = _conditions(record), {"actuator": _contact(record, was)}
+    asked = {"start_s": _FIRST * HOUR_S, "days": 1.0, "draws": 2, "commands": learned}
+    found = worth(_model(0.1), record, conditions, _Blocked(), **asked)
+    part = slice(_FIRST, _FIRST + 24)
+    np.testing.assert_allclose(found.planned.u[0], truth.u[0, part], atol=1e-9)
+    meter = meters_of(_model(0.1), learned.values())["machine"]
+    both, law_W = np.stack([was, told]), np.stack([_model(0.1).power_by_law_of(0, one) for one in (record, truth)])
+    hour = np.arange(_HOURS) % 24.0
+    course = meter.course(both, np.full(_HOURS, 2.0), HOUR_S, 1, law_W, hour, meter.begin(2.0, 2.0, HOUR_S, 0.0))
+    beside_W = meter.power_W(course, meter.mean[None], law_W, hour)
+    as_planned_W = record.power_W[0] + np.diff(law_W + beside_W, axis=0)[0]
+    np.testing.assert_allclose(found.planned.power_W[0], as_planned_W[part], atol=1.0)
+    price = conditions.price_per_kWh[0, part]
+    cost_was, cost, true = (
+        float(W @ price) / 1000.0 for W in (record.power_W[0, part], found.planned.power_W[0], truth.power_W[0, part])
+    )
+    assert cost_was - cost == pytest.approx(cost_was - true, rel=0.15)
+    assert cost_was - true > 0.2 * cost_was
+    assert found.low < found.saved < found.high
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -298,3 +372,54 @@ def test_worth_command(tmp_path: Path) -> None:
     assert code == 0, text
     assert "bill.yaml: peak: not counted" in text.replace("\n", "")
     assert json.loads(out.read_text())["worth"]["cost_was"] == pytest.approx(1.5 * bought, rel=1e-3)
+
+
+def test_what_had_to_wait_comes_where_another_house_goes_on() -> None:
+    was, model, begin = _states(), _model(0.1), _FIRST + 4
+    record = _by_contact(was)
+    learned = {"actuator": _contact(record, was)}
+    known = {"commands": learned, "meters": meters_of(model, learned.values())}
+    whole = IdentifiedHouse(model, record, _conditions(record), **known)
+    whole.reset(begin * HOUR_S, 0.0)
+    for k in range(begin, begin + 6):
+        whole.advance(None, HOUR_S / 4, (_told(k * HOUR_S),))  # parts of a step are one step
+        whole.advance(None, 3 * HOUR_S / 4, (_told(k * HOUR_S),))
+        if k == begin + 3:
+            before = whole.state
+    later = IdentifiedHouse(model, record, _conditions(record), **known, before=before)
+    later.reset((begin + 4) * HOUR_S, 0.0)
+    for k in range(begin + 4, begin + 6):
+        later.advance(None, HOUR_S, (_told(k * HOUR_S),))
+    np.testing.assert_allclose(later.beside_W[:, begin + 4 : begin + 6], whole.beside_W[:, begin + 4 : begin + 6], 0.1)
+    assert later.beside_W[0, begin + 4] > 1000.0
+
+
+class _ChargedAtNight:
+    """Recommends the machine of `n` actuators to run from 2 to 4 h, and blocks it from 18 to 20 h."""
+
+    name, step_s, horizon_s = "by night", HOUR_S, 6 * HOUR_S
+
+    def plan(self, observation: Observation, state: object = None) -> Plan:
+        hour = observation.time_s % DAY_S / HOUR_S
+        told = 3.0 if 2 <= hour < 4 else 1.0 if 18 <= hour < 20 else 2.0
+        return Plan((Block((None,) * 2, HOUR_S, (told,) * 2),), PlanStatus.SOLVED, "by night")
+
+
+def test_commands_of_a_map_are_counted_on_the_meter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a record tells of states of SG-Ready is in what they would have cost; left alone, nothing is."""
+    home = HomeByCurve(days=10, trials=3, contacts=True)
+    model, cards = curve_model(home), []
+    for _, _, pair in model.operator.each():
+        day_K = float((pair.gains * (1.0 - pair.poles**24) / (1.0 - pair.poles)).sum())
+        cards.append(ModelCard("exact", uncertainty={"step_response_24h_K": day_K, "step_response_24h_sd_K": 0.5}))
+    model = replace(model, cards=tuple(cards))
+    measured = read_measurements(home.measurements(), SG_RULES, step_s=HOUR_S).served()
+    learned = learned_commands(measured)
+    asked = {"start_s": float(measured.record.time_s[-25]), "days": 1.0, "draws": 2, "commands": learned}
+    counted = worth(model, measured.record, measured.conditions, _ChargedAtNight(), **asked)
+    monkeypatch.setattr("thermoforce_mpc.experiment.worth.meters_of", lambda model, learned: {})
+    by_levels = worth(model, measured.record, measured.conditions, _ChargedAtNight(), **asked)
+    np.testing.assert_allclose(by_levels.planned.u, counted.planned.u)
+    more_W = counted.planned.power_W[0] - by_levels.planned.power_W[0]
+    assert (more_W[2:4] > 20.0).all(), "warmer water than the rooms' levels tell"
+    assert counted.cost > by_levels.cost + 0.1

@@ -206,6 +206,15 @@ class LearnedCommand:
         part_s = 7.0 * DAY_S / self.usual.size
         return np.asarray(self.usual[np.floor(time_s / part_s + 1e-6).astype(np.intp) % self.usual.size])
 
+    def set_at(self, time_s: Array) -> Array:
+        """What was set at `time_s` (N,), s, of a machine's command; the usual one where its record does not say."""
+        out = self.usual_at(time_s)
+        if self.record is not None and self.set_to is not None:
+            at = np.floor((time_s - self.record.time_s[0]) / self.record.step_s + 1e-6).astype(np.intp)
+            was = self.set_to[np.clip(at, 0, self.set_to.size - 1)]
+            out = np.where((at >= 0) & (at < self.set_to.size) & np.isfinite(was), was, out)
+        return out
+
 
 def learn_command(
     command: Command,

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.commands.command import Command, StepwiseCommand
+from thermoforce_mpc.commands.command import SAME, Command, StepwiseCommand
+from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.data.series import first_order
 
@@ -72,16 +73,28 @@ class MeterRecord:
 
 
 @dataclass(frozen=True, eq=False)
+class MeterState:
+    """What of commands in S courses is still to follow: `lagged` (2, K, S) of each signal within hours and later, as a
+    share; `waits_Wh` (J, S): what had to wait, by state in which the machine is off.
+    """
+
+    lagged: Array
+    waits_Wh: Array
+
+
+@dataclass(frozen=True, eq=False)
 class MeterCourse:
     """Commands by what they move: `columns` (p, S, N) of each effect over steps, `after_h` (p, S) after the last.
 
-    `is_on` (S, N): share of each step in which the machine may run; `off_W` (S, N): mean power of the rest.
+    `is_on` (S, N): share of each step in which the machine may run; `off_W` (S, N): mean power of the rest. `after`:
+    what a course goes on from.
     """
 
     columns: Array
     after_h: Array
     is_on: Array
     off_W: Array
+    after: MeterState
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +126,13 @@ class MeterEffect:
         """Effects (S, p) by standard normal numbers (S, p)."""
         return np.asarray(self.mean + z @ self.root.T)
 
+    def begin(self, value: float, usual: float, held_s: float, hour: float) -> MeterState:
+        """Where a course (S = 1) begins at `hour` of the clock: `value` was set for `held_s`, s."""
+        was = _signals(np.full((1, 1), value), np.full(1, usual), self.states, self.unit)[..., 0]
+        lagged = np.stack([was * (1.0 - float(np.exp(-held_s / lag_s))) for lag_s in _LAGS_S])
+        waits_W = _above_least(self.base_W)[int(hour) % 24]
+        return MeterState(lagged, was[np.isfinite(self.off_W)] * waits_W * min(held_s, _LONGEST_S) / HOUR_S)
+
     def course(
         self,
         values: Array,
@@ -121,29 +141,34 @@ class MeterEffect:
         parts: int,
         law_W: Array,
         hour: Array,
-        held: tuple[float, float],
+        before: MeterState,
     ) -> MeterCourse:
         """What commands `values` (S or 1, P) do in parts of `part_s` s, `parts` of them a step.
 
-        `usual` (P,): when left alone; `law_W` (S, N): of the levels; `hour` (N,) of the clock; `held`: what was set
-        until now, and how long, s.
+        `usual` (P,): when left alone; `law_W` (S, N): of the levels; `hour` (N,) of the clock; `before`: see `begin`.
         """
         signals = _signals(values, usual, self.states, self.unit)
-        was = _signals(np.full((len(values), 1), held[0]), usual[:1], self.states, self.unit)[..., 0]
         waits_W = _above_least(self.base_W)[np.repeat(np.floor(hour).astype(np.intp) % 24, parts)]
         is_off = np.isfinite(self.off_W)
-        follow, after_h = _following(signals, waits_W, is_off, part_s, (was, held[1]))
+        follow, end = _following(signals, waits_W, is_off, part_s, before)
         x, *follow = [one.reshape(*one.shape[:-1], -1, parts).mean(axis=-1) for one in (signals, *follow)]
         is_on = 1.0 - np.einsum("ksn,k->sn", x, is_off.astype(np.float64))
         columns = np.stack(np.broadcast_arrays(x, x * (law_W + self.level_W), *follow), axis=1)
         columns[~is_off] *= is_on
         columns[is_off, :-1] *= is_on  # what waited follows only while the machine may run
         shape = columns.shape[2:]
-        nothing = np.zeros((len(signals), 2, shape[0]))
-        last = [np.broadcast_to(end, (len(signals), shape[0])) for end in after_h]
-        after = np.concatenate([nothing, np.stack(last, axis=1)], axis=1)
+        columns = columns.reshape(-1, *shape)
+        after_h = np.broadcast_to(self.after_h(end), columns.shape[:2])
         off_W = np.einsum("ksn,k->sn", x, np.nan_to_num(self.off_W))
-        return MeterCourse(columns.reshape(-1, *shape), after.reshape(-1, shape[0]), is_on, off_W)
+        return MeterCourse(columns, after_h, is_on, off_W, end)
+
+    def after_h(self, end: MeterState) -> Array:
+        """For how long each effect goes on after courses that end so, h (p, S); of what had to wait, Wh."""
+        shares = zip(end.lagged, _LAGS_S, strict=True)
+        last = [lagged * lag_s / HOUR_S * (1.0 - np.exp(-_AFTER_S / lag_s)) for lagged, lag_s in shares]
+        last[-1][np.isfinite(self.off_W)] = end.waits_Wh
+        nothing = np.zeros_like(last[0])
+        return np.stack([nothing, nothing, *last], axis=1).reshape(-1, nothing.shape[-1])
 
     def power_W(self, course: MeterCourse, effects: Array, law_W: Array, hour: Array) -> Array:
         """Power beside the law (S, N) at hours of the clock `hour` (N,), by `effects` (S or 1, p).
@@ -153,6 +178,20 @@ class MeterEffect:
         W = np.einsum("psn,sp->sn", course.columns, np.broadcast_to(effects, (len(law_W), effects.shape[-1])))
         base_W = self.base_W[np.floor(hour).astype(np.intp) % 24]
         return np.maximum(course.is_on * (law_W + base_W) + W + course.off_W, 0.0) - law_W
+
+
+def off_commands(learned: LearnedCommand, meter: MeterEffect | None) -> tuple[float, ...]:
+    """Commands with which the machine is off, so that no heat comes, however open its valve is.
+
+    None where levels are made of the water, which tells what it still gives.
+    """
+    return () if meter is None or learned.loop.of_water else meter.off_states
+
+
+def share_on(values: Array, off: tuple[float, ...]) -> Array:
+    """Share of a step in which the machine may run, with commands (S, n) in its parts, (S,); `off`: `off_commands`."""
+    is_off = np.abs(values[..., None] - np.array(off)) <= SAME
+    return np.asarray(1.0 - is_off.any(axis=-1).mean(axis=-1))
 
 
 def beyond_sd(moved: float, cost: float, by_chance: float) -> float:
@@ -206,13 +245,9 @@ def learn_meter(command: Command, seen: MeterRecord) -> MeterEffect | None:
     base_W = np.array(
         [left_W[others & (hours == h)].mean() if (others & (hours == h)).any() else level_W for h in range(24)]
     )
-    follow, _ = _following(
-        signals[:, None],
-        _above_least(base_W)[hours],
-        np.isfinite(off_W),
-        seen.step_s,
-        (np.zeros((len(signals), 1)), 0.0),
-    )
+    is_off = np.isfinite(off_W)
+    nothing = MeterState(np.zeros((len(_LAGS_S), len(signals), 1)), np.zeros((int(is_off.sum()), 1)))
+    follow, _ = _following(signals[:, None], _above_least(base_W)[hours], is_off, seen.step_s, nothing)
     columns = np.stack([signals, signals * law_W, *(one[:, 0] for one in follow)], axis=1).reshape(-1, value.size)
     outdoors = seen.T_out_C - np.mean(seen.T_out_C[known])
     design = np.vstack([columns, (hours == np.arange(24)[:, None]).astype(np.float64), outdoors[None]]).T[known]
@@ -268,28 +303,28 @@ def _above_least(by_hour_W: Array) -> Array:
 
 
 def _following(
-    signals: Array, waits_W: Array, is_off: NDArray[np.bool_], step_s: float, was: tuple[Array, float]
-) -> tuple[list[Array], list[Array]]:
-    """What follows `signals` (K, S, n) within hours and later, (K, S, n) each, and for how long after the last step, h
-    (K, S). Of states in which the machine is off the second is the power of what waited, W, and Wh.
+    signals: Array, waits_W: Array, is_off: NDArray[np.bool_], step_s: float, before: MeterState
+) -> tuple[list[Array], MeterState]:
+    """What follows `signals` (K, S, n) within hours and later, (K, S, n) each, and where they end.
 
-    `waits_W` (n,): what people use by habit; `was`: signals (K, S) until now, and for how long, s.
+    Of states in which the machine is off the second is the power of what waited, W. `waits_W` (n,): what people use by
+    habit.
     """
     means, ends = [], []
-    for lag_s in _LAGS_S:
-        mean, end = _lagged(signals, step_s, lag_s, was[0] * (1.0 - float(np.exp(-was[1] / lag_s))))
+    for lag_s, lagged in zip(_LAGS_S, before.lagged, strict=True):
+        mean, end = _lagged(signals, step_s, lag_s, lagged)
         means.append(mean)
-        ends.append(end * lag_s / HOUR_S * (1.0 - np.exp(-_AFTER_S / lag_s)))
+        ends.append(end)
     hours, shares = step_s / HOUR_S, 1.0 - float(np.exp(-step_s / _LATER_S))
     off, later = signals[is_off], np.empty(signals[is_off].shape)
-    stored_Wh = was[0][is_off] * waits_W[0] * min(was[1], _LONGEST_S) / HOUR_S
+    stored_Wh = np.broadcast_to(before.waits_Wh, off.shape[:-1])
     for k in range(signals.shape[-1]):
         x = off[..., k]
         comes_Wh = (1.0 - x) * shares * stored_Wh
         later[..., k] = comes_Wh / hours
         stored_Wh = stored_Wh - comes_Wh + x * np.maximum(waits_W[k], 0.0) * hours
-    means[-1][is_off], ends[-1][is_off] = later, stored_Wh
-    return means, ends
+    means[-1][is_off] = later
+    return means, MeterState(np.stack(ends), stored_Wh)
 
 
 def _lagged(signals: Array, step_s: float, lag_s: float, before: Array) -> tuple[Array, Array]:

@@ -13,12 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from controllers.mpc.commanding import meters_of
 from controllers.safety.overrides import SharedCommands
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.commands.loop import LearnedCommand
+from thermoforce_mpc.commands.meter import beyond_sd, chance_sd
 from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, NORMAL_95, Array, Boundary, Period, Record
+from thermoforce_mpc.data.dataframes import clock_s, table
 from thermoforce_mpc.data.dataframes import stamps as stamps_at
-from thermoforce_mpc.data.dataframes import table
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.machine.change import Share, weight_of_demand
@@ -203,6 +205,14 @@ def worth(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """What commands take on meters beside levels, more than as they were: `kWh` (M, n) in n steps, `later_kWh` (M,)."""
+
+    kWh: Array
+    later_kWh: Array
+
+
 class Houses:
     """Houses that a model of a record's house cannot exclude, the likeliest first, to be lived through it again.
 
@@ -232,6 +242,13 @@ class Houses:
         # record does not tell; and standard errors of what other valves open together cost.
         of_law = np.column_stack([rng.standard_normal(draws), rng.random(draws), rng.standard_normal(draws)])
         self._unknown = np.vstack([[0.0, 0.5, 0.0], of_law])
+        # What commands do on meters beside levels, in each house, and standard errors of that beyond it.
+        found = meters_of(model, (commands or {}).values())
+        drawn = [
+            {name: replace(one, mean=one.drawn(rng.standard_normal(one.mean.size))) for name, one in found.items()}
+            for _ in range(draws)
+        ]
+        self._meters, self._beyond = [found, *drawn], np.append(0.0, rng.standard_normal(draws))
 
     def lived(
         self,
@@ -259,6 +276,7 @@ class Houses:
             effects=self._effects[k],
             less_per_K=self._less_per_K[k],
             commands=self._commands,
+            meters=self._meters[k],
             error=error,
             forecasts=forecasts,
             before=before,
@@ -266,10 +284,12 @@ class Houses:
         was = replace(record.slice(first, first + n), u=house.u[:, first : first + n])
         was = replace(was, power_W=house.power_W[:, first : first + n])
         house.reset(period.start_s, 0.0)
-        began_Kh = house.warmth_Kh
+        began_Kh, began_kWh = house.warmth_Kh, house.later_kWh
         result = run_closed_loop(house, self._controller, period, state=state)
         lived, price = house.lived(period.start_s), conditions.price_per_kWh[:, first : first + n]
-        counted = self._counted(k, lived, was, price, house.warmth_Kh - began_Kh)
+        beside_kWh = house.beside_W[:, first : first + n] * record.step_s / J_PER_KWH
+        beside = _Beside(beside_kWh, house.later_kWh - began_kWh)
+        counted = self._counted(k, lived, was, price, house.warmth_Kh - began_Kh, beside)
         return Lived(
             lived,
             was,
@@ -282,12 +302,13 @@ class Houses:
         )
 
     def _counted(
-        self, k: int, record: Record, was: Record, price: Array, warmer_Kh: Array
+        self, k: int, record: Record, was: Record, price: Array, warmer_Kh: Array, beside: _Beside
     ) -> tuple[float, float, float]:
         """What house `k` saved under plans, what it cost and its energy; `warmer_Kh` (Z,): of its rooms at the end.
 
-        Heat that is stored then need not be given later: it fades with each mode's time constant, and a kelvin for an
-        hour costs what it did in the record. What meters hold beside the levels, such as hot water, warms no room.
+        What commands do on meters is no heat of the rooms. Heat that is stored then need not be given later: it fades
+        with each mode's time constant, and a kelvin for an hour costs what it did in the record. What meters hold
+        beside the levels, such as hot water, warms no room.
         """
         hours, layout = record.step_s / HOUR_S, self._model.layout
         of_law, of_demand, of_valves = self._unknown[k]
@@ -295,6 +316,7 @@ class Houses:
         for m, share in enumerate(self.shares):
             fed = [layout.home[a] for a in layout.fed_by(m)]
             before, after = (one.power_W[m] * hours / 1000.0 for one in (was, record))
+            after = after - beside.kWh[m]
             cost_was, cost_law = float(before @ price[m]), float(after @ price[m])
             lost_K = [max(float(np.nanmean(one.T_zone_C[fed, 1:] - one.T_out_C[1:])), 0.0) for one in (was, record)]
             over_K = max(lost_K[0], 1.0)
@@ -309,9 +331,20 @@ class Houses:
             mean_price = cost_was / max(float(before.sum()), 1e-9)
             an_hour_kWh = rooms_kWh / max(record.n_steps * hours, 1e-9)
             stored_kWh = float(warmer_Kh[fed].mean()) * an_hour_kWh / over_K
-            saved += cost_was - planned + stored_kWh * mean_price
-            cost, energy = cost + planned, energy + float(after.sum()) * factor
+            of_commands, later = float(beside.kWh[m] @ price[m]), float(beside.later_kWh[m]) * mean_price
+            planned += of_commands
+            saved += cost_was - planned + stored_kWh * mean_price - later
+            saved += self._beyond[k] * self._beyond_sd(m, of_commands + later, record, price[m])
+            cost, energy = cost + planned, energy + float(after.sum()) * factor + float(beside.kWh[m].sum())
         return saved, cost, energy
+
+    def _beyond_sd(self, m: int, moved: float, record: Record, price: Array) -> float:
+        """Standard error of what commands do on the meter of machine `m`, currency, of which `moved` is said."""
+        meter = self._meters[0].get(self._model.names.machines[m])
+        if meter is None or moved == 0.0:
+            return 0.0
+        hour = clock_s(record.time_s[:-1], record.origin) / HOUR_S % 24.0
+        return beyond_sd(moved, 0.0, chance_sd(meter.scatter_W, price, hour, record.step_s))
 
     def _of_levels_kWh(self, m: int, was: Record) -> float:
         """What levels took of the energy of machine `m`, kWh, by the law; where there is none, all of it."""

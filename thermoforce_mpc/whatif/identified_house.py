@@ -2,8 +2,8 @@
 
 What the weather, sun and people did to the rooms is in the record once the forced part is taken off; other levels put
 another forced part in its place. Power is what was measured, and what the law of power says that the other levels
-change. Left alone, the house is the record. Where water carries the heat, a level gives less to a room that is warmer
-than it was.
+change, and other commands beside them. Left alone, the house is the record. Where water carries the heat, a level gives
+less to a room that is warmer than it was.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.commands.loop import LearnedCommand, behind_levels
+from thermoforce_mpc.commands.meter import MeterEffect, MeterState, off_commands, share_on
 from thermoforce_mpc.data import (
     HOUR_S,
     Array,
@@ -35,6 +36,7 @@ from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.shell import Releasing, check_levels, day_period, forecast_times
 from thermoforce_mpc.version import VERSION
+from thermoforce_mpc.whatif.on_meter import CommandOnMeter
 
 # Times that are nearer than this are one, s.
 _CLOCK_S = 1e-6
@@ -45,12 +47,14 @@ _HEAT_RANGE = (0.0, 2.0)
 @dataclass(frozen=True, eq=False)
 class HouseState:
     """Where a house stands: its `record` until then, and by how much its forced states are more than they were then,
-    `more_K` (Z, A, r), K. `behind` (A,): x of the last step of loops that answer commands, see `LoopMap`.
+    `more_K` (Z, A, r), K. `behind` (A,): x of the last step of loops that answer commands, see `LoopMap`. `on_meters`:
+    of each machine's command, see `CommandOnMeter.at`.
     """
 
     record: Record
     more_K: Array
     behind: Array
+    on_meters: tuple[MeterState, ...]
 
 
 class IdentifiedHouse(Releasing):
@@ -59,6 +63,7 @@ class IdentifiedHouse(Releasing):
     Attributes:
         steps: number of the record's steps.
         u, power_W: levels (A, n) and power (M, n) of each step lived through so far, else as they were.
+        beside_W: of it what commands do on meters beside levels, more than as they were (M, n).
         forced_K: forced states now (Z, A, r), K.
     """
 
@@ -71,6 +76,7 @@ class IdentifiedHouse(Releasing):
         effects: Array | None = None,
         less_per_K: Array | None = None,
         commands: Mapping[str, LearnedCommand] | None = None,
+        meters: Mapping[str, MeterEffect] | None = None,
         error: ForecastError | None = None,
         forecasts: Mapping[float, Boundary] | None = None,
         before: HouseState | None = None,
@@ -78,10 +84,11 @@ class IdentifiedHouse(Releasing):
         """`conditions`: bounds and prices at the record's boundaries.
 
         `effects` (Z, A): what actuators do to zones in this house, as a multiple of what the model says. `less_per_K`
-        (A,): share by which the heat of a level falls per K that its zone is warmer than it was, 1/K. `commands`:
-        loops that answer commands, by actuator. `error`: of its weather forecasts; None: what was measured later.
-        `forecasts`: those that were given then, by their begin in whole s, in the place of both. `before`: where the
-        house stands when it is reset to the end of that record, instead of as it was.
+        (A,): share by which the heat of a level falls per K that its zone is warmer than it was, 1/K. `commands`: loops
+        that answer commands, by actuator; `meters`: what they do on meters beside levels, by machine. `error`: of its
+        weather forecasts; None: what was measured later. `forecasts`: those that were given then, by their begin in
+        whole s, in the place of both. `before`: where the house stands when it is reset to the end of that record,
+        instead of as it was.
 
         Raises `DataError` where a zone or the weather was never measured, or `conditions` are of other times.
         """
@@ -108,6 +115,7 @@ class IdentifiedHouse(Releasing):
         self.steps = whole.n_steps
         machines = range(len(whole.names.machines))
         self._law_was = np.array([model.power_by_law(m, whole.u, whole.T_out_C[:-1]) for m in machines])
+        self._on_meters = self._commands_on_meters(meters or {})
         self._power_was = self._known_power(whole)
         self.reset(float(whole.time_s[0]), 0.0)
 
@@ -130,7 +138,8 @@ class IdentifiedHouse(Releasing):
         self._k = round(at)
         self._now_s = float(self._was.time_s[self._k])
         self.forced_K = self._forced_was[:, :, self._k].copy()
-        self.u, self.power_W = self._was.u.copy(), self._power_was.copy()
+        self.u, self.power_W, self.beside_W = self._was.u.copy(), self._power_was.copy(), 0.0 * self._power_was
+        self._meter_states = [one.at(self._k) for one in self._on_meters]
         self._T_C = self._free_C + self._forced_was.sum(axis=(1, 3))
         self._part_s, self._owed_J = 0.0, np.zeros(len(self.power_W))
         last = max(self._k - 1, 0)
@@ -143,6 +152,8 @@ class IdentifiedHouse(Releasing):
         """Take over what was lived through before; what its record does not hold stays as it was."""
         n = min(self._k, before.record.n_steps)
         self.forced_K, self._behind = self.forced_K + before.more_K, before.behind.copy()
+        if [one.lagged.shape for one in before.on_meters] == [one.lagged.shape for one in self._meter_states]:
+            self._meter_states = list(before.on_meters)  # not of commands that were learned anew since
         self._T_C[:, self._k - n : self._k + 1] = before.record.T_zone_C[:, before.record.n_steps - n :]
         for row, values in ((self.u, before.record.u), (self.power_W, before.record.power_W)):
             row[:, self._k - n : self._k] = values[:, before.record.n_steps - n :]
@@ -150,7 +161,8 @@ class IdentifiedHouse(Releasing):
     @property
     def state(self) -> HouseState:
         """Where the house stands now."""
-        return HouseState(self._lived(0, self._k), self.forced_K - self._forced_was[:, :, self._k], self._behind)
+        more_K = self.forced_K - self._forced_was[:, :, self._k]
+        return HouseState(self._lived(0, self._k), more_K, self._behind, tuple(self._meter_states))
 
     def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
         """See `RoomSetpointPlant.advance`: with a command the loop that was learned answers.
@@ -165,8 +177,8 @@ class IdentifiedHouse(Releasing):
         while left_s > _CLOCK_S:
             seconds = min(left_s, self._was.step_s - self._part_s)
             level, behind = self._levels(block.u, block.command)
-            power_W = self._power(level, seconds)
-            self._go_on(level, behind, power_W, seconds)
+            power_W, beside_W = self._power(level, block.command, seconds)
+            self._go_on(level, behind, power_W, beside_W, seconds)
             u_sum, power_sum, left_s = u_sum + level * seconds, power_sum + power_W * seconds, left_s - seconds
         return self._measured(u_sum / duration_s, power_sum / duration_s)
 
@@ -209,6 +221,14 @@ class IdentifiedHouse(Releasing):
         more_K = self.forced_K - self._forced_was[:, :, self._k]
         return np.asarray((more_K * hours).sum(axis=(1, 2)))
 
+    @property
+    def later_kWh(self) -> Array:
+        """What commands until now leave to come on the meter of each machine, more than as they were, kWh (M,)."""
+        out = np.zeros(len(self.power_W))
+        for one, state in zip(self._on_meters, self._meter_states, strict=True):
+            out[one.m] = one.later_kWh(state)
+        return out
+
     def kpis(self) -> dict[str, float]:
         """None: what was lived through is in `lived`."""
         return {}
@@ -236,7 +256,7 @@ class IdentifiedHouse(Releasing):
                 raise InputError(f"command of '{self._was.names.actuators[a]}': it has none")
             loop, T_C = self._loops[a].loop, self._rooms_C(self._k)[a]
             behind[a] = loop.behind(told, T_C, T_out_C, self._behind[a])
-            level[a] = loop.opened(T_C) * behind[a]
+            level[a] = loop.opened(T_C) * behind[a] * float(share_on(np.full((1, 1), told), self._off.get(a, ()))[0])
         return np.clip(level, np.array(self.model.layout.u_min), 1.0), behind
 
     def _behind_levels(self, u: Array, loops: Mapping[int, LearnedCommand], k: int) -> Array:
@@ -248,26 +268,47 @@ class IdentifiedHouse(Releasing):
         """The home zone of each actuator (A,) with the forced states of now over the free part of step `k`, °C."""
         return np.asarray((self._free_C[:, k] + self.forced_K.sum(axis=(1, 2)))[list(self.model.operator.home)])
 
-    def _power(self, level: Array, seconds: float) -> Array:
-        """Power of each machine (M,) at levels (A,): as it was, and what other levels change by the law.
+    def _commands_on_meters(self, meters: Mapping[str, MeterEffect]) -> list[CommandOnMeter]:
+        """What commands of machines do on `meters`; each is told by the first of its actuators that has it."""
+        machines, out = self._was.names.machines, dict[str, CommandOnMeter]()
+        self._off = {a: off_commands(one, meters.get(one.machine)) for a, one in self._loops.items()}
+        for a, one in self._loops.items():
+            if one.machine in meters and one.machine not in out:
+                m = machines.index(one.machine)
+                out[one.machine] = CommandOnMeter(a, m, one, meters[one.machine], self._was, self._law_was[m])
+        return list(out.values())
+
+    def _power(self, level: Array, command: tuple[CommandValue | None, ...], seconds: float) -> tuple[Array, Array]:
+        """Power of each machine (M,) at levels (A,) under commands (A,): as it was, and what other levels change by the
+        law, and other commands beside them, which is given for itself too (M,).
 
         What lies below 0, since the law said more of what was than the meter, is taken off later: where only that were
         cut off, all that the meter said beyond the law would be paid twice.
         """
         T_out_C = self._was.T_out_C[self._k : self._k + 1]
         law = np.array([self.model.power_by_law(m, level[:, None], T_out_C)[0] for m in range(len(self.power_W))])
-        power_W = self._power_was[:, self._k] + (law - self._law_was[:, self._k]) - self._owed_J / seconds
+        law_was, beside_W = self._law_was[:, self._k], np.zeros(len(law))
+        for i, one in enumerate(self._on_meters):
+            told = command[one.first]
+            value = None if isinstance(told, tuple) else told
+            both = float(law_was[one.m]), float(law[one.m])
+            (was_W, now_W), self._meter_states[i] = one.lived(self._k, value, both, seconds, self._meter_states[i])
+            beside_W[one.m] = now_W - was_W
+        power_W = self._power_was[:, self._k] + (law - law_was) + beside_W - self._owed_J / seconds
         self._owed_J = np.maximum(-power_W, 0.0) * seconds
-        return np.maximum(power_W, 0.0)
+        return np.maximum(power_W, 0.0), beside_W
 
     def _known_power(self, whole: Record) -> Array:
         """Power as it was (M, n), by the law where it was not measured; raises `DataError` where a machine has none."""
         for name, law in zip(whole.names.machines, self.model.power, strict=True):
             if law is None:
                 raise DataError(f"the power of '{name}' was not measured: what other levels cost cannot be said")
-        return np.where(np.isfinite(whole.power_W), whole.power_W, self._law_was)
+        by_law = self._law_was.copy()
+        for one in self._on_meters:
+            by_law[one.m] += one.was_W
+        return np.where(np.isfinite(whole.power_W), whole.power_W, by_law)
 
-    def _go_on(self, level: Array, behind: Array, power_W: Array, seconds: float) -> None:
+    def _go_on(self, level: Array, behind: Array, power_W: Array, beside_W: Array, seconds: float) -> None:
         operator, k, step_s = self._resampled(seconds), self._k, self._was.step_s
         share = self._part_s / step_s
         free_now = (1.0 - share) * self._free_C[:, k] + share * self._free_C[:, k + 1]
@@ -286,7 +327,7 @@ class IdentifiedHouse(Releasing):
         heat *= np.clip(1.0 - self._less_per_K * warmer_K, *_HEAT_RANGE)
         self.forced_K = operator.advance(self.forced_K, operator.modulated(heat, x, self.forced_K))
         weight = seconds / step_s
-        for row, values in ((self.u, level), (self.power_W, power_W)):
+        for row, values in ((self.u, level), (self.power_W, power_W), (self.beside_W, beside_W)):
             row[:, k] = values * weight if self._part_s == 0.0 else row[:, k] + values * weight
         self._behind_part = self._behind_part + behind * weight
         self._part_s += seconds
