@@ -27,7 +27,9 @@ from places import ROOT
 from simulated_building import RULES, START, SimulatedBuilding, files_of_now, mpc
 from waiting import LONG_S, wait_for
 
+from controllers.rules.thermostat import Thermostat, ThermostatConfig
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.cli.live.control import in_words
 from thermoforce_mpc.connections.sole import set_by, sole_control
 from thermoforce_mpc.data import Block
 from thermoforce_mpc.errors import ConfigError, PlantError, Terminated, terminated_by
@@ -81,6 +83,19 @@ def test_readings_that_cannot_be_had_give_the_building_back_until_there_are_some
     assert "gateway is down" in told[3].plan.why
     assert [levels["actuator"] for at, levels, _ in house.written if 3 * HOUR <= at - START < 6 * HOUR] == [None] * 3
     assert "no decision" in caplog.text
+
+
+def test_a_step_without_a_decision_names_every_actuator():
+    """With one of two names or with none of them nobody could say what `advise` advises."""
+    house = SimulatedBuilding(when("measurements", 1, 2, OSError("gateway is down")))
+    house.write = lambda levels, seconds: None
+    rules = RULES | {"actuators": {"north": {"level": "u"}, "south": {"level": "u"}}}
+    told = []
+    thermostat = Thermostat(ThermostatConfig(step_s=3600.0), MeasurementMap.model_validate(rules).layout)
+    building = LiveBuilding(house, MeasurementMap.model_validate(rules), 3600.0)
+    control(building, thermostat, clock=house, steps=3, told=told.append)
+    assert [decision.plan.status for decision in told] == ["rule", "native", "rule"]
+    assert "north own control for 60 min; south own control for 60 min" in in_words(told[1])
 
 
 def test_the_last_forecast_stands_in_for_one_that_is_missing():

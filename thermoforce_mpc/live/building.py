@@ -26,7 +26,7 @@ from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.tank import TANK_NAME, LearnedTank
-from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Record
+from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.clock import in_celsius
 from thermoforce_mpc.errors import DataError, InputError, NoForecast, PlantError, StorageError
 from thermoforce_mpc.execution.progress import duration
@@ -111,9 +111,14 @@ class LiveBuilding:
         self.now: pd.Timestamp | None = None
 
     @property
+    def all_names(self) -> Names:
+        """Names of zones, actuators and machines."""
+        return self._rules.names if self._measured is None else self._measured.record.names
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the actuators that are set."""
-        return self._rules.names.actuators if self._measured is None else self._measured.record.names.actuators
+        return self.all_names.actuators
 
     @property
     def step_s(self) -> float:

@@ -277,7 +277,7 @@ class _Building:
         _LOG.warning("no decision at %s: %s", self._at, raised, exc_info=None if expected else raised)
         why = f"the building's own control: {raised if expected else f'{type(raised).__name__}: {raised}'}"
         native = Block.native(len(self._building.names), self._controller.step_s)
-        plan = Plan((native,), PlanStatus.NATIVE, why)
+        plan = Plan((native,), PlanStatus.NATIVE, why, names=self._building.all_names)
         return Decided(index, None, None, plan, (native,), before=state, after=state)
 
     def act(self, decided: Decided) -> object:
