@@ -89,6 +89,15 @@ def test_a_fixed_part_on_the_meter_counts_more_than_heat_guessed_from_temperatur
     assert choose(law(1000, 2000), None, limited).actuation.modulates, "full level gives little more than a half"
 
 
+def test_a_fixed_part_needs_a_start():
+    """An electric heater that its water holds back at full level: 20 kW per level below, and a law that bends down."""
+    bent = law(2300, 13300)
+    proportional = [LevelCost(0.25, 1.02, 0.1, 1.0, 0.1), LevelCost(0.5, 1.02, 0.1, 1.0, 0.1)]
+    assert choose(bent, None, proportional).actuation.modulates
+    starts = [LevelCost(0.25, 1.3, 0.1, 1.0, 0.1), LevelCost(0.5, 1.02, 0.1, 1.0, 0.1)]
+    assert "15 % of full power" in choose(bent, None, starts).why
+
+
 def test_the_return_water_says_what_part_load_costs_in_the_same_water():
     """Trials at part load were in cooler water, which hides a fixed loss that is on the meter."""
     costs, heat = [cost(0.5, 1.02), cost(0.25, 1.4)], HeatInput(heat=law(400, 9600))

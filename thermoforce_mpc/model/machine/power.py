@@ -458,6 +458,17 @@ def at_its_limit(costs: Sequence[LevelCost]) -> bool:
     )
 
 
+def start_share(costs: Sequence[LevelCost]) -> float:
+    """The share of full power by which power jumps as the machine starts: that of the two lowest levels which were
+    tried, their line drawn to level 0. Below 0 where power rises more than in proportion; 0 without a level.
+    """
+    if not costs:
+        return 0.0
+    tried = sorted((one.level, one.cost * one.heat * one.level) for one in costs)
+    (u1, power1), (u2, power2) = [*tried, (1.0, 1.0)][:2]
+    return (power1 * u2 - power2 * u1) / (u2 - u1)
+
+
 @dataclass(frozen=True)
 class PowerShape:
     """Power over the level, as shares of that at full level: `fixed` while on, `per_u` of u and `curve` of u²."""
