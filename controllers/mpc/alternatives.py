@@ -30,7 +30,8 @@ _CENT = 0.005
 _PARTS = {
     "energy": "energy costs {}",
     "discomfort": "discomfort counts {}",
-    "peak, cap": "power beyond its peak or cap costs {}",
+    "peak": "power beyond its peak costs {}",
+    "cap": "power beyond its cap costs {}",
     "other": "other terms cost {}",
 }
 

@@ -22,7 +22,7 @@ from controllers.actuation.commands import CommandedLoop, CommandState, Turns
 from controllers.mpc.command_search import Knob, better_commands
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.state import MPCState
-from controllers.optimisation.plan_model import Evaluator
+from controllers.optimisation.plan_model import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem, Weights
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand, behind_levels
@@ -288,15 +288,14 @@ class CommandedPlan:
         left = [a for a in self.loops if a in self.left_alone]
         values: dict[int, Array] = {}
         if knobs:
-            numbers, dearest = evaluator.numbers(self.problem), self._dearest(evaluator)
+            dearest = self._dearest(evaluator)
 
             def cost(rows: Array) -> Array:
                 held = {a: rows[:, i] for i, (members, _) in enumerate(knobs) for a in members}
                 found = self._brought(u, held | {a: self._usual_row(a)[None] for a in left}, len(rows))
-                brought = [evaluator.evaluate(numbers, levels) for levels in found.levels]
-                each = np.array([one.cost for one in brought])
-                beside = self._on_meters(held, np.stack([one.power_W for one in brought]), dearest.per_kWh)
-                each = each + beside.cost + beside.after + _CAUTION * beside.sd
+                at_meter = self._at_meter(evaluator, found.levels, held, dearest.per_kWh)
+                beside = at_meter.beside
+                each = at_meter.cost + beside.after + _CAUTION * beside.sd
                 changes = (np.abs(np.diff(rows, axis=2)) > SAME).sum(axis=(1, 2))
                 # Less heat than there would be is missing after the plan; more of it earns nothing.
                 more_K = found.forced_K - self._alone.forced_K
@@ -414,10 +413,17 @@ class CommandedPlan:
         z = np.vstack([np.zeros(A + 3), rng.standard_normal((_DRAWS, A + 3))])
         uniform = rng.random(len(z))
         gain = np.exp(np.clip(z[:, :A] * self.spread, -1.0, 1.0))
-        numbers, step_h = evaluator.numbers(problem), problem.step_s / HOUR_S
+        step_h = problem.step_s / HOUR_S
         away_K: Array = self.free_K * _lasting((len(z), *self.free_K.shape), problem.step_s, rng)
         with_plan, alone = (self._brought(plan.u, held, len(z), gain, z[:, A], away_K) for held in (own, usual))
-        found = [[evaluator.evaluate(numbers, u) for u in one.levels] for one in (with_plan, alone)]
+        # What commands do on the meter beside levels, by effects that differ too.
+        drawn = [one.meter.drawn(_standard(len(z), one.meter.mean.size, rng)) for one in self.beside]
+        per_kWh = self._dearest(evaluator).per_kWh
+        with_meter, alone_meter = (
+            self._at_meter(evaluator, one.levels, held, per_kWh, drawn)
+            for one, held in ((with_plan, own), (alone, usual))
+        )
+        found = [with_meter.law, alone_meter.law]
         cost, cost_alone = (np.array([one.energy_cost.sum() for one in of]) for of in found)
         energy, energy_alone = (np.array([one.power_W.sum() for one in of]) / 1000.0 * step_h for of in found)
         # The energy of the rooms' demand: what is lost to outdoors follows their temperature, whatever the levels.
@@ -432,20 +438,16 @@ class CommandedPlan:
         of_parts = np.add.reduceat(change, np.arange(0, change.size, max(1, round(COMPARED_H / step_h))))
         more, less = np.maximum(of_parts, 0.0).sum(), np.maximum(-of_parts, 0.0).sum()
         by_levels = power_spread * (less * z[:, A + 1] - more * z[:, A + 2])
-        # What commands do on the meter beside that; what follows after the plan counts as heat that is stored does.
-        drawn = [one.meter.drawn(_standard(len(z), one.meter.mean.size, rng)) for one in self.beside]
-        law_W = [np.stack([one.power_W for one in of]) for of in found]
-        per_kWh = self._dearest(evaluator).per_kWh
-        beside, beside_alone = (
-            self._on_meters(held, law, per_kWh, drawn) for held, law in zip((own, usual), law_W, strict=True)
-        )
+        # What follows after the plan counts as heat that is stored does.
+        beside, beside_alone = with_meter.beside, alone_meter.beside
         of_levels = cost_alone - self._idle_cost(evaluator)
         cost, energy = cost + beside.cost, energy + beside.kWh
         cost_alone, energy_alone = cost_alone + beside_alone.cost, energy_alone + beside_alone.kWh
         dearest = _MeanCost(cost_alone, of_levels, self._used(alone.levels), energy_alone)
         worth = _worth(self.operator, problem, with_plan.forced_K - alone.forced_K, dearest)
         worth = worth - beside.after + beside_alone.after
-        saved = cost_alone - cost + worth + by_levels
+        off_peak = alone_meter.peak - with_meter.peak
+        saved = cost_alone - cost + worth + by_levels + off_peak
         moved = (beside.cost + beside.after - beside_alone.cost - beside_alone.after)[0]
         by_chance = self._chance_sd({a for a in planned if not np.array_equal(own[a], usual[a])}, scatter_W)
         if by_chance is not None:
@@ -456,24 +458,33 @@ class CommandedPlan:
         low, high = np.quantile(saved[1:], _QUANTILES) - np.median(saved[1:])
         # A plan is the best of many by a model that errs, so that less comes true than that says, the more it errs
         # (Smith and Winkler 2006): what is expected, with what plans save at all as the prior.
-        prior, error = _SAVES * float(of_levels[0]), float(high - low) / _SDS
+        # Of peaks no prior is known but what is said.
+        prior = float(np.hypot(_SAVES * of_levels[0], off_peak[0]))
+        error = float(high - low) / _SDS
         kept = prior**2 / max(prior**2 + error**2, 1e-12)
         expected, not_kept = kept * float(saved[0]), (1.0 - kept) * float(saved[0])
         low, high = (expected + float(np.sqrt(kept)) * float(one) for one in (low, high))
 
         outside = [self.boundary.outside_K(one.T_bounds_C[:, 1:]).sum(axis=1) * step_h for one in (with_plan, alone)]
         comfort = float((problem.weights.comfort * (outside[1] - outside[0])).sum())
+        kept_caps = float(alone_meter.cap[0] - with_meter.cap[0])
+        peak, peak_alone = float(with_meter.peak[0]), float(alone_meter.peak[0])
         return PlannedSaving(
             saved=expected,
             low=min(low, expected),
             high=max(high, expected),
-            cost=float(cost[0]) + not_kept,
-            cost_alone=float(cost_alone[0]),
+            cost=float(cost[0]) + not_kept + peak,
+            cost_alone=float(cost_alone[0]) + peak_alone,
             energy_kWh=float(energy[0]),
             energy_alone_kWh=float(energy_alone[0]),
             outside_Kh=float(outside[0].sum()),
             outside_alone_Kh=float(outside[1].sum()),
-            gain=expected + comfort - float((self._held_cost(with_plan.T_C) + self._worse_cost(with_plan.T_C))[0]),
+            gain=expected
+            + comfort
+            + kept_caps
+            - float((self._held_cost(with_plan.T_C) + self._worse_cost(with_plan.T_C))[0]),
+            peak=peak,
+            peak_alone=peak_alone,
         )
 
     def _chance_sd(self, moved: Collection[int], scatter_W: Sequence[Array]) -> float | None:
@@ -548,9 +559,9 @@ class CommandedPlan:
     def _dearest(self, evaluator: Evaluator) -> _MeanCost:
         """What the building costs when it is left alone."""
         levels = self._alone.levels
-        brought = evaluator.brings(self.problem, levels[0])
         usual = {one.first: self._usual_row(one.first)[None] for one in self.beside}
-        more = self._on_meters(usual, brought.power_W[None], 0.0)
+        at_meter = self._at_meter(evaluator, levels, usual, 0.0)
+        (brought,), more = at_meter.law, at_meter.beside
         kWh = brought.power_W.sum() * self.problem.step_s / J_PER_KWH + more.kWh
         cost = brought.energy_cost.sum()
         of_levels = np.array([cost - self._idle_cost(evaluator)])
@@ -560,6 +571,29 @@ class CommandedPlan:
         """What is on the meters at no level, currency: it is no cost of heat."""
         nothing = np.zeros((len(self.spread), self.problem.n_steps))
         return float(evaluator.brings(self.problem, nothing).energy_cost.sum())
+
+    def _at_meter(
+        self,
+        evaluator: Evaluator,
+        levels: Array,
+        held: Mapping[int, Array],
+        per_kWh: Array | float,
+        effects: Sequence[Array] = (),
+    ) -> _AtMeter:
+        """What levels (S, A, N) under commands `held` cost by the statement, see `_on_meters`."""
+        numbers = evaluator.numbers(self.problem)
+        law = whole = [evaluator.evaluate(numbers, u) for u in levels]
+        beside = self._on_meters(held, np.stack([one.power_W for one in law]), per_kWh, effects)
+        if self.beside and evaluator.sees_the_meter:
+            whole = [
+                evaluator.evaluate(evaluator.beside(numbers, W), u) for u, W in zip(levels, beside.power_W, strict=True)
+            ]
+            bought = [one.parts["energy"] - by.parts["energy"] for one, by in zip(whole, law, strict=True)]
+            beside = replace(beside, cost=beside.cost + np.array(bought))
+        peak, cap = (np.array([one.parts[part] for one in whole]) for part in ("peak", "cap"))
+        moved = [one.parts["peak"] + one.parts["cap"] for one in law]
+        cost = np.array([one.cost for one in law]) - moved + peak + cap + beside.cost
+        return _AtMeter(law, beside, cost, peak, cap)
 
     def _on_meters(
         self, held: Mapping[int, Array], law_W: Array, per_kWh: Array | float, effects: Sequence[Array] = ()
@@ -571,6 +605,7 @@ class CommandedPlan:
         """
         S = len(law_W)
         cost, kWh, after, variance = np.zeros(S), np.zeros(S), np.zeros(S), np.zeros(S)
+        power_W = np.zeros((S, self.problem.n_steps))
         for i, one in enumerate(self.beside):
             loop, meter, law = self.loops[one.first], one.meter, law_W[:, one.m]
             state, usual = loop.begin(), self._usual_row(one.first)
@@ -578,14 +613,16 @@ class CommandedPlan:
             now = meter.begin(state.value, float(usual[0]), state.held_s, float(self.hour[0]))
             course = meter.course(values, usual, loop.step_s / loop.parts, loop.parts, law, self.hour, now)
             of = effects[i] if effects else meter.mean[None]
-            each_kWh = meter.power_W(course, of, law, self.hour) * self.problem.step_s / J_PER_KWH
+            beside_W = meter.power_W(course, of, law, self.hour)
+            each_kWh = beside_W * self.problem.step_s / J_PER_KWH
+            power_W += beside_W
             price = self.problem.price_per_kWh[one.m]
             cost += each_kWh @ price
             kWh += each_kWh.sum(axis=1)
             after += np.einsum("ps,sp->s", course.after_h, np.broadcast_to(of, (S, of.shape[-1]))) / 1000.0 * per_kWh
             moved = course.columns @ price * self.problem.step_s / J_PER_KWH + course.after_h * per_kWh / 1000.0
             variance += ((moved.T @ meter.root) ** 2).sum(axis=1)
-        return _OnMeters(cost, kWh, after, np.sqrt(variance))
+        return _OnMeters(cost, kWh, after, np.sqrt(variance), power_W)
 
     def _used(self, levels: Array) -> Array:
         """Levels (S, A, N) by what their actuators take of the power, (S,)."""
@@ -854,12 +891,27 @@ def _zone_C(problem: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
 @dataclass(frozen=True, eq=False)
 class _OnMeters:
     """What S buildings take on meters beside what levels do: currency and kWh (S,), and after the plan; `sd` of both
-    costs by what is not known of effects."""
+    costs by what is not known of effects; mean `power_W` (S, N) over each step."""
 
     cost: Array
     kWh: Array
     after: Array
     sd: Array
+    power_W: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _AtMeter:
+    """What S buildings cost (S,), currency, all in all, and of it the `peak` and power above a `cap`.
+
+    `law`: what levels alone bring; `beside`: what commands do beside them, with what it changes of what is bought.
+    """
+
+    law: Sequence[Evaluation]
+    beside: _OnMeters
+    cost: Array
+    peak: Array
+    cap: Array
 
 
 @dataclass(frozen=True, eq=False)

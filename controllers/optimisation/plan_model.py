@@ -80,6 +80,17 @@ class Evaluator:
         """The parameters of an instance: those of the structure, then those of gains that these do not hold."""
         return self._numbers.of(problem)
 
+    @property
+    def sees_the_meter(self) -> bool:
+        """Whether it counts what all machines take together: what is bought, its peak, or what is above a cap."""
+        s = self.structure
+        return bool(s.peak or s.capped or s.exchange)
+
+    def beside(self, p: Array, power_W: Array) -> Array:
+        """Parameters `p` with `power_W` (N,) on the meter beside what levels take: not its energy at the machine's own
+        price, which is the caller's, but what is bought above a surplus, a peak or a cap."""
+        return self._numbers.beside(p, power_W)
+
     def brings(self, problem: MPCProblem, u: Array, own: Array | None = None) -> Evaluation:
         """Evaluate levels `u` (A, N), with `own` variables of the user, in an instance."""
         return self.evaluate(self.numbers(problem), u, own)

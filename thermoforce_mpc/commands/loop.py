@@ -615,8 +615,9 @@ def saving_in_words(saving: PlannedSaving) -> str:
         what = f"Costs {-s.saved:.2f} more than leaving it alone (90 % band {-s.high:.2f} to {-s.low:.2f} more)"
     else:
         what = f"Whether it saves against leaving it alone is not certain: {s.saved:.2f} {band}"
+    peak = f" (of which a higher peak {s.peak:.2f}, {s.peak_alone:.2f})" if max(s.peak, s.peak_alone) >= 0.005 else ""
     return (
-        f"{what}: cost {s.cost:.2f} instead of {s.cost_alone:.2f}, energy {s.energy_kWh:.1f} instead of "
+        f"{what}: cost {s.cost:.2f} instead of {s.cost_alone:.2f}{peak}, energy {s.energy_kWh:.1f} instead of "
         f"{s.energy_alone_kWh:.1f} kWh, outside the bounds {s.outside_Kh:.1f} instead of {s.outside_alone_Kh:.1f} K·h, "
         "and what is stored at the end. By the same model under the commands of the record's weeks."
     )

@@ -50,8 +50,9 @@ class PlannedSaving:
     """What a plan in commands saves against the building left alone, by the same model, over the horizon.
 
     `saved`: currency, with its 90 % band `low` to `high` and what is stored at the end; `cost` and `energy_kWh` of the
-    plan and `alone`; `outside_Kh`: K·h outside the comfort bounds in all zones. `gain`: `saved` with what the
-    difference in comfort counts in the plan.
+    plan and `alone`; `outside_Kh`: K·h outside the comfort bounds in all zones. `gain`: `saved` with what differences
+    in comfort, and in power above a cap, count in the plan. `peak`: what of `cost` is for power above the highest so
+    far.
     """
 
     saved: float
@@ -64,6 +65,8 @@ class PlannedSaving:
     outside_Kh: float
     outside_alone_Kh: float
     gain: float
+    peak: float = 0.0
+    peak_alone: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

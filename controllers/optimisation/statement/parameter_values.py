@@ -77,6 +77,13 @@ class Numbers:
         at, rows, columns = self._places[name]
         return vector[at : at + rows * columns]
 
+    def beside(self, vector: Array, power_W: Array) -> Array:
+        """The vector with `power_W` (control steps,) on the meter beside what levels take."""
+        out, beside_W = vector.copy(), self._mean(power_W[None])[0]
+        for name in ("reached", "surplus", "limit"):
+            self.part(out, name)[:] -= beside_W
+        return out
+
     def of(self, p: MPCProblem) -> Array:
         """The parameters of an instance; those of the last one are kept, since it is asked several times in a step.
 

@@ -50,7 +50,7 @@ from thermoforce_mpc.model.operator.parameters import N_FEATURES
 
 Parameters = Mapping[str, ca.SX]
 # What the cost is made of, currency: `other` is the curvature and the user's terms.
-PARTS = ("energy", "discomfort", "peak, cap", "other")
+PARTS = ("energy", "discomfort", "peak", "cap", "other")
 
 
 @dataclass(frozen=True)
@@ -120,10 +120,10 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
         energy += q["dearer"] * POWER_UNIT_W * alg.at_least("bought", total - q["surplus"] / POWER_UNIT_W)
     parts["energy"] = ca.sum2(energy)
     if s.peak:
-        parts["peak, cap"] += q["weights"][1] * POWER_UNIT_W * alg.highest("peak", total - q["reached"] / POWER_UNIT_W)
+        parts["peak"] = q["weights"][1] * POWER_UNIT_W * alg.highest("peak", total - q["reached"] / POWER_UNIT_W)
     if s.capped:
         over_cap = alg.at_least("over_cap", total - q["limit"] / POWER_UNIT_W)
-        parts["peak, cap"] += q["weights"][2] * POWER_UNIT_W * ca.dot(lengths, over_cap)
+        parts["cap"] = q["weights"][2] * POWER_UNIT_W * ca.dot(lengths, over_cap)
     for term in s.terms:
         plan = PlanExpressions(alg, u, q["T_free"] + forced, power, slack, q["last_u"], s.step_s)
         term(plan)

@@ -52,7 +52,7 @@ def test_none_is_much_cheaper_than_the_plan_of_those_that_keep_the_bounds(single
 
 def test_the_parts_add_up_to_what_was_minimised_and_the_plan_has_the_least(single):
     _, _, _, found = single
-    assert {"energy", "discomfort", "peak, cap", "other"} == set(found.courses[0].parts)
+    assert {"energy", "discomfort", "peak", "cap", "other"} == set(found.courses[0].parts)
     for course in found.courses:
         assert course.total == pytest.approx(sum(course.parts.values()))
     chosen, *others = found.courses

@@ -17,10 +17,11 @@ from controllers.mpc.config import MPCConfig, objective_of
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.commands.loop import saving_in_words
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.forecast import read_forecast
-from thermoforce_mpc.measurements.load import read_measurements
+from thermoforce_mpc.measurements.load import learned_commands, read_measurements
 from thermoforce_mpc.scenario.bill import read_bill
 
 BILLS = Path(__file__).parents[3] / "configs" / "bills"
@@ -40,14 +41,14 @@ def forecast(home):
     return table.assign(load=400.0, pv=np.where(noon, 3400.0, 0.0))
 
 
-def made(objective):
+def made(objective, commands=None):
     options = {"step_s": 3600.0, "horizon_h": 24.0, "free_response": {"name": "persistence"}, "objective": objective}
     options |= {
         "gate": {"enabled": False},
         "watch": {"enabled": False},
         "actuation": {"mode": "modulating", "lowest_level": 0},
     }
-    return ThermoForceMPC(simple_model(), MPCConfig.model_validate(options))
+    return ThermoForceMPC(simple_model(), MPCConfig.model_validate(options), commands=commands or {})
 
 
 def seen(home, path, bill, rules=PLAIN):
@@ -164,6 +165,23 @@ def test_a_fee_has_one_price():
         MPCConfig.model_validate({"objective": {"peak_price_per_kW": 1.0, "peak_steps": [{"per_month": 1.0}]}})
     with pytest.raises(ValueError, match="the last none"):
         MPCConfig.model_validate({"objective": {"peak_steps": [{"up_to_kW": 2.0, "per_month": 1.0}]}})
+
+
+def test_commands_that_lower_the_peak_of_the_month_alone_are_worth_it(home, tmp_path):
+    """Energy costs nothing: what is saved is the peak of the morning's set-point."""
+    free = BILL | {"energy": 0.0, "export_per_kWh": 0.0}
+    peaks = {"peak_price_per_kW": 50.0, "peak_of": "month", "peak_least_kW": 1.5}
+    observation = seen(home, tmp_path / "bill.yaml", free, RULES)
+    record = replace(observation.history, power_W=0.3 * observation.history.power_W)
+    commands = learned_commands(read_measurements(home.measurements(), RULES, step_s=3600.0).served())
+    plan = made(peaks, commands).plan(replace(observation, history=record))
+    saving = plan.saving
+    assert saving.peak_alone > 50.0
+    assert saving.peak < 0.7 * saving.peak_alone
+    assert saving.saved == pytest.approx(saving.peak_alone - saving.peak, rel=0.3)
+    assert saving.gain > 0.0
+    assert any(one.value is not None for one in plan.settings[0])
+    assert f"(of which a higher peak {saving.peak:.2f}, {saving.peak_alone:.2f})" in saving_in_words(saving)
 
 
 def test_a_bill_without_energy_adds_its_fees_to_the_prices_of_the_map(home, tmp_path):

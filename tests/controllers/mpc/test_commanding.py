@@ -14,6 +14,7 @@ from controllers.actuation.actuator import ActuationState
 from controllers.mpc.commanding import BuildingCommands
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
+from controllers.optimisation.problem import Exchange, PowerCap
 from thermoforce_mpc.commands.meter import MeterEffect
 from thermoforce_mpc.data import HOUR_S, Observation
 from thermoforce_mpc.measurements.forecast import read_forecast
@@ -43,6 +44,10 @@ def parts(home):
     own = {a: replace(learned[name], machine="") for a, name in enumerate(ROOMS)}
     commands = BuildingCommands(measured.layout, own, model.cards, {})
     return commands, context.boundary, mpc.instance(context, seen.history), mpc
+
+
+def commands_of(home):
+    return learned_commands(read_measurements(home.measurements(), RULES, step_s=HOUR_S).served())
 
 
 def begun(parts, left_alone=(), unknown=(), **changes):
@@ -222,6 +227,38 @@ def test_rooms_are_next_to_never_colder_than_left_alone_for_what_that_saves(part
     commanded = plan.realise(np.zeros((2, problem.n_steps)), STATES, mpc.evaluator)
     assert np.maximum(alone_C - brought(parts, commanded.u), 0.0).sum() < 0.05
     assert plan.saving(commanded, mpc.evaluator, 0.0).gain > 0.0
+
+
+def test_what_is_on_the_meter_beside_levels_is_bought_above_a_surplus_and_adds_to_the_peak(home, parts):
+    """The surplus is less than levels take: 1 kW of hot water in each hour costs what is bought, not what is fed in."""
+    _, boundary, problem, mpc = parts
+    learned = {a: commands_of(home)[name] for a, name in enumerate(ROOMS)}
+    objective = {"at_the_meter": True, "peak_price_per_kW": 10.0}
+    options = mpc.config.model_dump() | {"objective": objective}
+    evaluator = ThermoForceMPC(mpc.model, MPCConfig.model_validate(options), commands=commands_of(home)).evaluator
+    n = problem.n_steps
+    at_meter = replace(
+        problem,
+        price_per_kWh=np.full((1, n), 0.05),
+        exchange=Exchange(np.full(n, -200.0), np.full(n, 0.25)),
+        power_cap=PowerCap(np.full(n, 1e7), 1.0),
+        weights=replace(problem.weights, peak=0.01),
+    )
+    cost, peak = [], []
+    for base_W in (0.0, 1000.0):
+        base = MeterEffect(
+            np.empty(0), 0.0, 1.0, np.full(1, np.nan), np.zeros(4), np.zeros((4, 4)), 0.0, np.full(24, base_W),
+            np.empty((0, 24)),
+        )  # fmt: skip
+        of_home = BuildingCommands(mpc.model.layout, learned, mpc.model.cards, {"heat_pump": base})
+        plan = of_home.begin(mpc.planning_operator, at_meter, boundary, [], None).without
+        levels = plan.realise(np.zeros((2, n)), STATES, evaluator)
+        assert evaluator.brings(at_meter, levels.u).power_W.sum(axis=0).min() > 200.0
+        saving = plan.saving(levels, evaluator, 0.0)
+        cost.append(saving.cost_alone - saving.peak_alone)
+        peak.append(saving.peak_alone)
+    assert cost[1] - cost[0] == pytest.approx(0.30 * n)
+    assert peak[1] - peak[0] == pytest.approx(10.0)
 
 
 def test_the_less_is_known_the_less_is_promised(parts):
