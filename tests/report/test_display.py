@@ -5,18 +5,24 @@ from __future__ import annotations
 import io
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
+from click.testing import CliRunner
 from rich.console import Console
 from simple_house import SimpleHouse
 
 from controllers.registry import build_controller
+from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.experiment import measured_model, run_models
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.loop.probing import ProbingProgress
+from thermoforce_mpc.measurements import load
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.report import display
-from thermoforce_mpc.report.display import LoopDisplay, ProbingDisplay
+from thermoforce_mpc.report.display import LoopDisplay, ProbingDisplay, RunDisplay
 
 KPIS = {"cost_tot": 0.5, "tdis_tot": 1.0}
 
@@ -79,6 +85,57 @@ def test_until_a_plant_has_warmed_up_it_is_said_that_it_does(monkeypatch):
     assert begins == "Probing for 3 days and identifying"
     assert "the plant warms up under its own control before the probing: " in lines[0]
     assert len(console.file.getvalue().splitlines()) <= len(lines) + 1, "once it has, nothing more is said of that"
+
+
+class Gated:
+    """Of a contestant that is controlled without a model where none is found."""
+
+    has_gate = True
+
+
+def slowly(*_: object, **__: object) -> None:
+    """What takes a while, and finds nothing."""
+    time.sleep(0.3)
+    raise DataError("nothing was found")
+
+
+def identified_in_a_run(monkeypatch, folder):
+    def found(task, plant, on_record, **_: object) -> None:
+        on_record(None)
+        slowly()
+
+    monkeypatch.setattr(run_models, "run_identification", found)
+    task = SimpleNamespace(in_words=lambda keep: "Probing")
+    run_models.identify_all([SimpleNamespace(name="mpc", chosen=Gated(), model_from=task)], None, RunDisplay())
+
+
+def identified_from_measurements(monkeypatch, folder):
+    monkeypatch.setattr(measured_model, "model_of_measurements", slowly)
+    CliRunner().invoke(cli, ["identify", "--data", "a.csv", "--map", "a.yaml", "--out", str(folder / "model")])
+
+
+def checked(monkeypatch, folder):
+    monkeypatch.setattr(load, "read_measurements", slowly)
+    (folder / "a.csv").touch()
+    CliRunner().invoke(cli, ["data", "check", str(folder / "a.csv"), "--map", "a.yaml"])
+
+
+@pytest.mark.parametrize(
+    ("phase", "said"),
+    [
+        (identified_in_a_run, "a model is identified: "),
+        (identified_from_measurements, "the measurements are read and a model is identified: "),
+        (checked, "the measurements are read: "),
+    ],
+)
+def test_a_phase_that_takes_long_is_said(phase, said, monkeypatch, tmp_path):
+    lines: list[str] = []
+    monkeypatch.setattr(display, "SAID_AFTER_S", 0.1)
+    monkeypatch.setattr(Console, "print", lambda self, text, **_: lines.append(str(text)))
+    phase(monkeypatch, tmp_path)
+    of_phase = [line for line in lines if line.endswith(" so far")]
+    assert of_phase
+    assert all(line.startswith(said) for line in of_phase)
 
 
 def test_a_loop_that_fails_has_no_line_of_what_it_found(result):

@@ -69,7 +69,14 @@ def _identify(
             display.say(f"Loaded {source.folder} ({model.cards[0].source})")
         else:
             with display.probing(source.in_words(keep)) as progress:
-                model = run_identification(source, plant, on_progress=progress, keep=keep, say=display.say)
+                model = run_identification(
+                    source,
+                    plant,
+                    lambda _: progress.then("a model is identified"),
+                    on_progress=progress,
+                    keep=keep,
+                    say=display.say,
+                )
     except DataError as error:
         if not chosen.has_gate:
             raise

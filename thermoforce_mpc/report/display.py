@@ -49,7 +49,8 @@ KPI_COLUMNS = {
 class _Line:
     """A line that is written over, on a terminal that is not quiet; elsewhere lines at growing distances in time.
 
-    `before`: what goes on until the first progress, said in the meantime, since a plant that warms up tells nothing.
+    `before`: what goes on until the first progress, or until `then`, said in the meantime, since a plant that warms up
+    tells nothing.
     """
 
     def __init__(self, console: Console, quiet: bool, begins: str = "", before: str = "") -> None:
@@ -63,19 +64,29 @@ class _Line:
         if self._console.is_terminal and not self._quiet:
             self._live = Live(Text(self._begins), console=self._console, refresh_per_second=8, transient=True)
             self._live.__enter__()
-        if self._before and not self._quiet:
-            threading.Thread(target=self._say_before, name="progress", daemon=True).start()
+        self._tell_of(self._before)
         return self
+
+    def then(self, text: str) -> None:
+        """What goes on from here, which tells nothing itself."""
+        self._progressed.set()
+        self._began, self._next_said_s, self._progressed = time.monotonic(), SAID_AFTER_S, threading.Event()
+        self._tell_of(text)
+
+    def _tell_of(self, text: str) -> None:
+        if text and not self._quiet:
+            args = text, self._progressed
+            threading.Thread(target=self._say_until, args=args, name="progress", daemon=True).start()
 
     def __exit__(self, *exception: object) -> None:
         self._progressed.set()
         if self._live:
             self._live.__exit__(None, None, None)
 
-    def _say_before(self) -> None:
+    def _say_until(self, text: str, progressed: threading.Event) -> None:
         """Until there is progress: what goes on, and for how long already."""
-        while not self._progressed.wait(max(self._began + self._next_said_s - time.monotonic(), _LEAST_WAIT_S)):
-            self._show(f"{self._before}: {duration(time.monotonic() - self._began)} so far")
+        while not progressed.wait(max(self._began + self._next_said_s - time.monotonic(), _LEAST_WAIT_S)):
+            self._show(f"{text}: {duration(time.monotonic() - self._began)} so far")
 
     def _show(self, line: str, also: bool = True) -> None:
         """Show a line of progress; where it cannot be overwritten, only when one is due, and where `also`."""
@@ -212,6 +223,10 @@ class RunDisplay:
             self.say(text)
             return nullcontext()
         return self.console.status(text)
+
+    def phase(self, text: str) -> _Line:
+        """A context: where it takes long, it is said now and then that `text` goes on."""
+        return _Line(self.console, self.quiet, before=text)
 
     def probing(self, begins: str) -> ProbingDisplay:
         """Progress display of a probing, a context and the callback of `identify_on`; `begins` says what is done."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -83,9 +82,11 @@ def check(files: tuple[str, ...], map_file: Path, plot: Path, fit: bool, json_fi
     from thermoforce_mpc.measurements.load import read_measurements
 
     display = RunDisplay()
-    measured = read_measurements(files, map_file)
+    with display.phase("the measurements are read"):
+        measured = read_measurements(files, map_file)
     show_measurements(measured, display.console)
-    doubts = show_remarks(measured, display.console)
+    with display.phase("the measurements are looked at for what does not fit"):
+        doubts = show_remarks(measured, display.console)
     tells = show_findings(measured, display, doubts) if fit else {}
     with written(plot) as aside:
         names = ", ".join(Path(name).name for name in measured.understood.files[:3])
@@ -291,8 +292,7 @@ def show_findings(measured: Measurements, display: RunDisplay, doubts: Sequence[
     display.say("Effect of acting, found by a linear model:")
     if note:
         display.say(f"  {note}")
-    several = len(served.layout.home) > 1  # takes seconds for each
-    with display.working(f"  fitted to {counted(len(served.layout.home), 'actuator')}") if several else nullcontext():
+    with display.phase(f"  fitted to {counted(len(served.layout.home), 'actuator')}"):
         found = findings(record, served.layout)
     gaps = gaps_in_words(measured) if not all(finding.competent for finding in found) else ""
     for words, of in _by_text((finding.words, finding.actuator) for finding in found).items():

@@ -104,7 +104,12 @@ def identify(**options: Any) -> None:
     with closing(experiment.plant.build()) as plant:
         display.say(f"Plant: {plant.info.kind} {plant.info.testcase}\nWeather: {plant.info.weather}")
         with display.probing(task.in_words()) as progress:
-            model = run_identification(task, plant, records.append, progress, say=display.say)
+
+            def probed(record: Record) -> None:
+                records.append(record)
+                progress.then("a model is identified")
+
+            model = run_identification(task, plant, probed, progress, say=display.say)
     _finish(model, records[0], out, display, overwrite=options["overwrite"])
 
 
@@ -128,7 +133,8 @@ def _from_measurements(options: dict[str, Any]) -> None:
         display.say(line)
 
     try:
-        model, record = model_of_measurements(files, map_file, days=days, config=config, say=say)
+        with display.phase("the measurements are read and a model is identified"):
+            model, record = model_of_measurements(files, map_file, days=days, config=config, say=say)
     except DataError as error:
         if not said:  # the tables were not read: no probing mends that
             raise
