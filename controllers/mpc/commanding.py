@@ -154,7 +154,7 @@ class BuildingCommands:
         loops, T_out_C = {}, 0.5 * (boundary.T_out_C[:-1] + boundary.T_out_C[1:])
         for a, learned in self._learned.items():
             time_s = learned.from_origin_s(boundary.time_s[:-1], origin)
-            z, usual, age_s = self._layout.home[a], learned.usual_at(time_s), float(time_s[0]) - learned.last_s
+            z, usual, age_s = self._layout.home[a], learned.usual_at(time_s, T_out_C), float(time_s[0]) - learned.last_s
             low, high = learned.within_seen(
                 *learned.command.limits(boundary.lower_C[z, 1:], boundary.upper_C[z, 1:], usual)
             )
@@ -191,9 +191,9 @@ def meters_of(model: ThermalModel, learned: Iterable[LearnedCommand]) -> dict[st
         record, m = one.record, model.names.machines.index(one.machine)
         law_W = model.power_by_law_of(m, record)
         begins_s = record.time_s[:-1]
-        usual = one.usual_at(one.from_origin_s(begins_s, record.origin))
         hour = clock_s(begins_s, record.origin) / HOUR_S % 24.0
         T_out_C = 0.5 * (record.T_out_C[1:] + record.T_out_C[:-1])
+        usual = one.usual_at(one.from_origin_s(begins_s, record.origin), T_out_C)
         seen = MeterRecord(one.set_to, usual, law_W, record.power_W[m], T_out_C, hour, record.step_s)
         if (found := learn_meter(one.command, seen)) is not None:
             out[one.machine] = found

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.commands.contacts import SGReady
-from thermoforce_mpc.commands.heating_curve import CurveOffset
+from thermoforce_mpc.commands.heating_curve import CurveOffset, FlowTemperature
 from thermoforce_mpc.commands.loop import CommandRecord, learn_command
 from thermoforce_mpc.commands.setpoint import Setpoint
 from thermoforce_mpc.data import DAY_S, HOUR_S
@@ -219,5 +219,24 @@ def test_water_of_a_blocked_machine_goes_on_to_heat_though_thermostats_scatter_t
 def test_the_usual_command_is_that_of_the_same_time_of_the_week():
     found = learned(p_band)
     later = (30 * 24 + np.arange(24)) * HOUR_S
-    assert found.usual_at(later).tolist() == [18.0] * 6 + [21.0] * 16 + [18.0] * 2
+    assert found.usual_at(later, 0.0 * later).tolist() == [18.0] * 6 + [21.0] * 16 + [18.0] * 2
     assert (found.last, found.held_s) == (18.0, 2 * HOUR_S)
+
+
+def test_a_flow_temperature_that_is_left_alone_goes_by_the_weather():
+    """In a colder week than those of the record the median of its weeks is water that is too cold."""
+    rng = np.random.default_rng(8)
+    weather = 3.0 + 4.0 * np.sin(HOURS / (3.0 * DAY_S)) + 3.0 * np.sin(2.0 * np.pi * HOURS / DAY_S)
+    curve = np.round(39.0 - 0.6 * weather)
+    tried = np.where(np.arange(N + 1) >= N - 72, np.repeat(rng.choice([-3.0, 0.0, 3.0], N // 4 + 1), 4)[: N + 1], 0.0)
+    flow, T = curve + tried, 21.0 + 0.2 * rng.standard_normal(N + 1)
+    over_K = flow[:-1] - 0.5 * (T[1:] + T[:-1])
+    command = FlowTemperature(kind="flow_temperature", column="x")
+    found = learn_command(
+        command, CommandRecord(flow, flow[:-1], over_K=over_K), T, weather, over_K / 30.0, HOURS, "flow"
+    )
+    later, cold = HOURS[-1] + HOUR_S * np.arange(24), np.full(24, -8.0)
+    np.testing.assert_allclose(found.usual_at(later, cold), 39.0 + 0.6 * 8.0, atol=1.0)
+    assert set(found.usual_at(later, cold) % 1.0) == {0.0}
+    effect = found.loop.level(40.0, 21.0, 3.0, 0.5) - found.loop.level(35.0, 21.0, 3.0, 0.5)
+    assert float(effect) == pytest.approx(5.0 / 30.0, abs=0.01)

@@ -109,9 +109,10 @@ def test_the_usual_command_is_of_the_same_day_though_seconds_count_from_another_
     measured = read_measurements(home.measurements(), RULES, step_s=3600.0).served()
     learned, record = learned_commands(measured)["actuator"], measured.record
     hours = float(record.time_s[-1]) + 3600.0 * np.arange(48)
+    weather = np.zeros(hours.size)
     before = record.origin - pd.Timedelta("366D") + pd.Timedelta("5h")
     again = learned.from_origin_s(hours + (record.origin - before).total_seconds(), before)
-    np.testing.assert_array_equal(learned.usual_at(again), learned.usual_at(hours))
+    np.testing.assert_array_equal(learned.usual_at(again, weather), learned.usual_at(hours, weather))
     then = replace(record, time_s=record.time_s + (record.origin - before).total_seconds(), origin=before)
     ahead = read_forecast(home.forecast(), measured)
     shifted = replace(ahead, time_s=ahead.time_s + (record.origin - before).total_seconds())

@@ -16,7 +16,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from connected_home import SENSORS, TimedHome, rules_of
-from home_by_curve import RULES, SG_RULES, HomeByCurve
+from home_by_curve import ENABLE_RULES, FLOW_RULES, RULES, SG_RULES, HomeByCurve
 from waiting import wait_for
 
 from thermoforce_mpc.cli import cli
@@ -385,8 +385,16 @@ def by_setpoint():
         (by_setpoint, "its set-point from 19 °C to 22 °C for 30 min"),
         (lambda: (HomeByCurve(5, 3), RULES), "the offset of the heating curve from +2 K to +3 K for 30 min"),
         (
-            lambda: (HomeByCurve(5, 3, contacts=True), SG_RULES),
+            lambda: (HomeByCurve(5, 3, set_by="sg_ready"), SG_RULES),
             "SG-Ready from 2 (normal) to 3 (recommended) for 10 min",
+        ),
+        (
+            lambda: (HomeByCurve(5, 3, set_by="flow_temperature"), FLOW_RULES),
+            "the flow temperature from 41 °C flow to 43 °C flow for 30 min",
+        ),
+        (
+            lambda: (HomeByCurve(5, 3, set_by="enable"), ENABLE_RULES),
+            "an enable contact from enabled to off for 30 min",
         ),
     ],
 )

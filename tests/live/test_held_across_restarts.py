@@ -64,7 +64,7 @@ def killed(home, at_h):
 @pytest.mark.slow
 def test_what_is_blocked_is_so_for_two_hours_at_most_also_across_restarts(tmp_path, monkeypatch):
     monkeypatch.setattr("home_by_curve.price", lambda at: 3.0 if 14 <= at.hour < 20 else 0.1)
-    home = HomeByCurve(days=14, contacts=True)
+    home = HomeByCurve(days=14, set_by="sg_ready")
     for hours in (14.6, 15.7, 17.2):  # in dear hours, when the device is blocked
         controlled(home, tmp_path, kill_at_h=hours)
     controlled(home, tmp_path, steps=4)
@@ -94,7 +94,7 @@ class AlwaysSets:
 
 def test_a_command_is_held_for_the_rest_of_its_time_and_no_longer_and_that_is_what_is_said(tmp_path):
     """Killed 3 min after it was set and started again at once: it stays for 7 min, and not for the whole step."""
-    home, said = HomeByCurve(days=1, contacts=True), []
+    home, said = HomeByCurve(days=1, set_by="sg_ready"), []
     for value, kill_at_h in ((3.0, 0.05), (1.0, None)):
         with killed(home, kill_at_h):
             control(

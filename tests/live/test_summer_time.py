@@ -117,7 +117,7 @@ def test_habits_of_weeks_of_winter_time_hold_on_the_clock_of_summer():
     learned = learned_commands(read_measurements(home.measurements(), rules(), step_s=3600.0, now=home.at).served())
     summer = pd.date_range("2026-06-01", periods=48, freq="1h", tz=ZONE)
     at_s = (summer - pd.Timestamp("2026-01-01", tz=ZONE)).total_seconds().to_numpy()
-    assert learned["actuator"].usual_at(at_s).tolist() == [own_setpoint_C(at) for at in summer]
+    assert learned["actuator"].usual_at(at_s, 0.0 * at_s).tolist() == [own_setpoint_C(at) for at in summer]
     elsewhere = learned["actuator"].from_origin_s(at_s + 3600.0, pd.Timestamp("2026-01-01", tz="UTC"))
     np.testing.assert_array_equal(elsewhere, at_s + 7200.0)
 

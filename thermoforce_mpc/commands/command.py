@@ -34,6 +34,8 @@ class Command(StrictModel):
     name_in_words: ClassVar[str] = "a command"
     # Whether it rises by kelvins of the water that a machine makes for the rooms.
     of_flow: ClassVar[bool] = False
+    # Whether it goes by the outdoor temperature when it is left alone.
+    follows_weather: ClassVar[bool] = False
 
     kind: str
     column: str = Field(description="column with what was set, in the unit of the command")

@@ -43,6 +43,7 @@ class FlowTemperature(TemperatureCommand):
     possible_C: ClassVar[tuple[float, float]] = (5.0, 90.0)
     name_in_words: ClassVar[str] = "the flow temperature"
     of_flow: ClassVar[bool] = True
+    follows_weather: ClassVar[bool] = True
     trial_changes: ClassVar[tuple[float, ...]] = (2.0, -2.0)
 
     kind: Literal["flow_temperature"]

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.commands.command import SAME, Command
+from thermoforce_mpc.commands.command import SAME, Command, StepwiseCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Plan, PlannedSaving, Record
 from thermoforce_mpc.errors import DataError
 
@@ -47,6 +47,8 @@ _DRAWS, _SEED = 30, 64
 _NO_HEAT_K, _OPEN, _LEAST_OPEN = 1.0, 0.9, 24
 # A level below it, or a share of the usual one, is that of a valve that is shut.
 _SHUT = 0.05
+# Least standard deviation of the outdoor temperature at the same hours, K, that tells what goes by it.
+_LEAST_WEATHER_K = 1.0
 # Least share of the scatter of the level that the map must explain: below it, the loop follows something else. Means of
 # an hour at least are compared: within it, a machine that a thermostat switches is on and off with any command.
 _LEAST_R2, _COMPARED_S = 0.2, HOUR_S
@@ -158,7 +160,8 @@ class LearnedCommand:
     """A command with its map, and what was set until now.
 
     `last`: the command (NaN: not known) at `last_s`, s, held for `held_s`; `usual` (n,): what it is when left alone, at
-    the times of a week, in equal parts, from `origin` on. Seconds count from there; None: from where a plan's do.
+    the times of a week, in equal parts, from `origin` on, at 0 °C outdoors where it is `usual_per_K` more per K there.
+    Seconds count from there; None: from where a plan's do.
     `machine`: name of the machine of whose actuators all are set by this one command; '': the actuator's own.
     `untold`: why the record does not tell what it does to this actuator, '' where it does. `record`, `set_to` (n,):
     what it was learned from, where the command is a machine's, and what was set over its steps.
@@ -173,6 +176,7 @@ class LearnedCommand:
     origin: pd.Timestamp | None = None
     machine: str = ""
     untold: str = ""
+    usual_per_K: float = 0.0
     record: Record | None = None
     set_to: Array | None = None
 
@@ -197,18 +201,24 @@ class LearnedCommand:
             return time_s
         return np.asarray(time_s + (origin - self.origin).total_seconds())
 
-    def usual_at(self, time_s: Array) -> Array:
-        """What the command is when it is left alone, at `time_s` (N,), s, by the clock of the zone of `origin`."""
+    def usual_at(self, time_s: Array, T_out_C: Array) -> Array:
+        """What the command is when it is left alone, at `time_s` (N,), s, by the clock of the zone of `origin`, and
+        outdoor temperatures (N,), °C.
+        """
         if self.origin is not None:
             from thermoforce_mpc.data.dataframes import clock_s
 
             time_s = clock_s(time_s, self.origin)
         part_s = 7.0 * DAY_S / self.usual.size
-        return np.asarray(self.usual[np.floor(time_s / part_s + 1e-6).astype(np.intp) % self.usual.size])
+        usual = np.asarray(self.usual[np.floor(time_s / part_s + 1e-6).astype(np.intp) % self.usual.size])
+        if self.usual_per_K == 0.0:
+            return usual
+        usual = usual + self.usual_per_K * T_out_C
+        return self.command.nearest(usual) if isinstance(self.command, StepwiseCommand) else usual
 
-    def set_at(self, time_s: Array) -> Array:
+    def set_at(self, time_s: Array, T_out_C: Array) -> Array:
         """What was set at `time_s` (N,), s, of a machine's command; the usual one where its record does not say."""
-        out = self.usual_at(time_s)
+        out = self.usual_at(time_s, T_out_C)
         if self.record is not None and self.set_to is not None:
             at = np.floor((time_s - self.record.time_s[0]) / self.record.step_s + 1e-6).astype(np.intp)
             was = self.set_to[np.clip(at, 0, self.set_to.size - 1)]
@@ -260,15 +270,10 @@ def learn_command(
     usual = value if was.usual is None else was.usual
     if not np.isfinite(usual).any():
         raise DataError(f"{where}: usual: its column holds no value: check it, or give a number")
-    return LearnedCommand(
-        command,
-        loop,
-        last,
-        held_s,
-        _usual(usual[:-1], (time_s if clock_s is None else clock_s)[:-1]),
-        now_s,
-        untold=untold,
-    )
+    habits_s = (time_s if clock_s is None else clock_s)[:-1]
+    per_K = _usual_per_K(usual[:-1], signals.T_out_C, habits_s) if command.follows_weather else 0.0
+    habits = _usual(usual[:-1] - per_K * signals.T_out_C if per_K else usual[:-1], habits_s)
+    return LearnedCommand(command, loop, last, held_s, habits, now_s, untold=untold, usual_per_K=per_K)
 
 
 def behind_levels(
@@ -583,6 +588,20 @@ def _usual(value: Array, time_s: Array) -> Array:
         # Of an even number the earlier of the two in the middle: a value that was set.
         out[of_week] = np.sort(same)[(same.size - 1) // 2] if same.size else np.nanmedian(value)
     return out
+
+
+def _usual_per_K(value: Array, T_out_C: Array, time_s: Array) -> float:
+    """By how much a command (n,) is more per K outdoors at the same time of the day, 0 at most; K per K.
+
+    0 where days are all alike: what goes by the weather is then a habit of hours.
+    """
+    known = np.isfinite(value) & np.isfinite(T_out_C)
+    _, of = np.unique(np.round(time_s[known] % DAY_S), return_inverse=True)
+    count = np.bincount(of)
+    away, away_K = (one - (np.bincount(of, weights=one) / count)[of] for one in (value[known], T_out_C[known]))
+    if not known.any() or np.mean(away_K**2) < _LEAST_WEATHER_K**2:
+        return 0.0
+    return min(float(np.sum(away * away_K) / np.sum(away_K**2)), 0.0)
 
 
 def command_rows(plan: Plan, commands: Mapping[str, LearnedCommand]) -> list[dict[str, Any]]:

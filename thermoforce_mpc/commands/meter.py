@@ -33,6 +33,9 @@ _PRIOR, _OF_WATER, _STAYS, _LESS, _MORE = 1.0, 0.1, 0.02, 1.0, 0.03
 # machine that gives less heat runs longer, and takes its fixed part for longer: house 9501 of `bench commands` takes no
 # less at 3 K less (2026-11-28).
 _PER_K = (0.01, 0.015)
+# Standard deviation of what a kelvin outdoors does to the share of the power that levels do not take. Where all days
+# are alike, hours and weather cannot be told apart, and what goes by the weather is no habit of hours.
+_OUTDOORS = 0.03
 # What waited while a machine was off comes within so long, s, this share of it more or less; most that waits, s; hours
 # of the day with the least of it.
 _LATER_S, _LATER_SD, _LONGEST_S, _QUIET = 0.75 * HOUR_S, 0.5, 2.0 * HOUR_S, 6
@@ -253,7 +256,8 @@ def learn_meter(command: Command, seen: MeterRecord) -> MeterEffect | None:
     design = np.vstack([columns, (hours == np.arange(24)[:, None]).astype(np.float64), outdoors[None]]).T[known]
     left_W, mean_W = left_W[known], max(float(np.mean(seen.power_W[known])), 1.0)
     prior = np.zeros((design.shape[1],) * 2)
-    prior[-25:, -25:] = 1e-9 * np.eye(25)
+    prior[-25:-1, -25:-1] = 1e-9 * np.eye(24)
+    prior[-1, -1] = (_OUTDOORS * mean_W) ** -2.0
     expected = np.zeros(design.shape[1])
     for i in range(len(signals)):
         of = slice(_EACH * i, _EACH * (i + 1))

@@ -97,9 +97,11 @@ class IdentifiedHouse(Releasing):
         self.model, self._conditions, self._error = model, conditions, error
         self._forecasts, self._before = forecasts, before
         self._loops = {record.names.actuators.index(name): one for name, one in (commands or {}).items()}
-        begins_s = record.time_s[:-1]
-        self._usual = {a: one.usual_at(one.from_origin_s(begins_s, record.origin)) for a, one in self._loops.items()}
         whole, _ = bridged(model.in_rooms(record))
+        begins_s, T_out_C = record.time_s[:-1], 0.5 * (whole.T_out_C[:-1] + whole.T_out_C[1:])
+        self._usual = {
+            a: one.usual_at(one.from_origin_s(begins_s, record.origin), T_out_C) for a, one in self._loops.items()
+        }
         self._was = whole
         operator = model.operator
         if effects is not None:

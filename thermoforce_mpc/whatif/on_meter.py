@@ -29,7 +29,8 @@ class CommandOnMeter:
         begins_s = record.time_s[:-1]
         own_s = learned.from_origin_s(begins_s, record.origin)
         self.first, self.m, self.meter = first, m, meter
-        self.was, self._usual = learned.set_at(own_s), learned.usual_at(own_s)
+        T_out_C = 0.5 * (record.T_out_C[:-1] + record.T_out_C[1:])
+        self.was, self._usual = learned.set_at(own_s, T_out_C), learned.usual_at(own_s, T_out_C)
         self._law_W, self._step_s = law_W, record.step_s
         self._hour = clock_s(begins_s, record.origin) / HOUR_S % 24.0
         now = float(self.was[0]), float(self._usual[0])

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.rooms import house_of_rooms, physics
 from thermoforce_mpc.plants.rooms.device import (
     BLOCKED,
     DEFROST_POWER,
+    HYSTERESIS,
     MIN_OFF,
     MIN_ON,
     RECOMMENDED,
@@ -22,14 +24,14 @@ from thermoforce_mpc.plants.rooms.house import full_capacity_W
 _START = 20 * DAY_S
 
 
-def lived(contact: int = 2, days: float = 2.0, hours_of_contact: float = 0.0):
-    """Rows of 30 s of a house in January, its device, and the plant; the contact is set in the last hours."""
+def lived(contact: int = 2, days: float = 2.0, hours_of_contact: float = 0.0, is_enabled: bool = True):
+    """Rows of 30 s of a house in January, its device, and the plant; contacts are set in the last hours."""
     plant = house_of_rooms("house:3rooms:901")
     plant.device = draw_device(plant.house)
     plant.reset(_START, DAY_S)
     plant.advance(None, days * DAY_S - hours_of_contact * HOUR_S)
     if hours_of_contact:
-        plant.contact = contact
+        plant.contact, plant.is_enabled = contact, is_enabled
         plant.advance(None, hours_of_contact * HOUR_S)
     time_s, rows = plant.recorded(_START, _START + days * DAY_S)
     return time_s, rows, plant
@@ -93,6 +95,8 @@ def test_it_defrosts_in_the_cold(usual):
 def test_contacts_block_it_and_raise_the_curve():
     _, rows, _ = lived(contact=BLOCKED, hours_of_contact=2.0)
     assert (rows[-200:, physics.POWER] < 20.0).all()
+    _, stopped, _ = lived(hours_of_contact=2.0, is_enabled=False)
+    np.testing.assert_array_equal(stopped, rows)
     _, raised, plant = lived(contact=RECOMMENDED, hours_of_contact=3.0)
     _, normal, _ = lived()
     assert raised[-120:, physics.TANK].max() > plant.device.tank_C + 1.0
@@ -137,3 +141,23 @@ def test_a_circuit_mixes_the_water_down_to_its_curve():
     _, rows = plant.recorded(times[1], times[2])
     assert (before_C - after_C > 5.0).all()
     assert float(rows[1:, physics.SUPPLY].mean()) > after_C.max() + 1.0
+
+
+def test_water_is_what_is_set_and_not_what_the_curve_asks_for():
+    plant = house_of_rooms("house:3rooms:901")
+    plant.device = draw_device(plant.house)
+    plant.reset(_START, DAY_S)
+    now_s, flow_C = _START, []
+    for plant.flow_target_C in (34.0, 38.0):
+        plant.advance(None, 3 * HOUR_S, (30.0,) * 3)
+        now_s += 3 * HOUR_S
+        flow_C.append(plant.flow_C(np.array([now_s - HOUR_S, now_s]))[:, 0])
+    band_K = plant.device.parameters[HYSTERESIS]
+    np.testing.assert_allclose(flow_C, [[34.0] * 3, [38.0] * 3], atol=band_K)
+
+
+def test_contacts_without_a_controller_of_its_own_are_refused():
+    plant = house_of_rooms("house:3rooms:901")
+    plant.is_enabled = False
+    with pytest.raises(InputError, match="give it a device"):
+        plant.advance(None, HOUR_S)

@@ -1,4 +1,5 @@
-"""Two rooms behind one heat pump on a heating curve: what is set is the curve's offset, which both rooms answer to.
+"""Two rooms behind one heat pump on a heating curve: what is set is the curve's offset, which both rooms answer to,
+or one of the other commands of such a pump.
 
 Valves have a P band of their own set-points; heat goes by the open valve and what the water is above the room, and
 power is that heat over a COP that falls with the water's temperature.
@@ -57,21 +58,35 @@ def cop(T_flow_C: float, T_out_C: float) -> float:
     return 0.5 * (T_flow_C + 273.15) / max(T_flow_C - T_out_C, 10.0)
 
 
-SG_RULES = RULES | {"machines": {"heat_pump": {"power": "P", "price": "price", "command": {
-    "kind": "sg_ready", "column": "contact", "usual": 2,
-}}}}  # fmt: skip
-# What SG-Ready does to the curve, K; blocked, the pump stands.
+def curve_C(out_C: float) -> float:
+    """What the heating curve asks for."""
+    return 27.0 + 0.6 * (20.0 - out_C)
+
+
+def rules_by(kind: str, column: str, **keys) -> dict:
+    """The map where a command of another kind is set."""
+    command = {"kind": kind, "column": column, **keys}
+    return RULES | {"machines": {"heat_pump": RULES["machines"]["heat_pump"] | {"command": command}}}
+
+
+SG_RULES = rules_by("sg_ready", "contact", usual=2)
+ENABLE_RULES = rules_by("enable", "enabled", usual=1)
+# Left alone it is what the curve asks for: the record tells.
+FLOW_RULES = rules_by("flow_temperature", "flow_set")
+# What SG-Ready does to the curve, K; blocked, or not enabled, the pump stands.
 SG_OFFSET_K = {1: 0.0, 2: 0.0, 3: 3.0, 4: 3.0}
+# What trials set: from, up to and without, and for so long, h; of the flow temperature beside what the curve asks for.
+TRIALS = {"curve_offset": (-3, 4, 4), "sg_ready": (1, 4, 2), "enable": (0, 4, 2), "flow_temperature": (-3, 4, 4)}
 
 
 class HomeByCurve:
-    """`Connection` and `Clock`; five minutes a row. In the last `trials` days the offset is another one each 4 h.
+    """`Connection` and `Clock`; five minutes a row. In the last `trials` days the command is another one by hours.
 
-    `contacts`: what is set is the state of its SG-Ready contacts instead, in the trials another one each 2 h.
+    `set_by`: the kind of what is set. `swing_K`: by how much days are warmer or colder, in turns of six.
     """
 
-    def __init__(self, days: int = 21, trials: int = 5, contacts: bool = False) -> None:
-        self._contacts = contacts
+    def __init__(self, days: int = 21, trials: int = 5, set_by: str = "curve_offset", swing_K: float = 0.0) -> None:
+        self._set_by, self._swing_K = set_by, swing_K
         self.at, self.rows, self.told, self.written = START - pd.Timedelta(days=days), [], None, []
         self.T = {"living": 21.5, "bedroom": 19.0}
         self._trials, self._rng = START - pd.Timedelta(days=trials), np.random.default_rng(3)
@@ -80,20 +95,35 @@ class HomeByCurve:
     def now(self) -> pd.Timestamp:
         return self.at
 
+    def out_C(self, at: pd.DatetimeIndex | pd.Timestamp):
+        """Outdoor temperature, °C."""
+        time_s = (at - pd.Timestamp("2025-01-01", tz="UTC")).total_seconds()
+        return outdoor_C(time_s) + self._swing_K * np.sin(2.0 * np.pi * np.asarray(time_s) / 518400.0)
+
+    def usual(self, out_C: float) -> float:
+        """What is set when it is left alone."""
+        own = {"curve_offset": 0.0, "sg_ready": 2.0, "enable": 1.0, "flow_temperature": round(curve_C(out_C))}
+        return own[self._set_by]
+
     def wait_until(self, at: pd.Timestamp) -> None:
-        origin = pd.Timestamp("2025-01-01", tz="UTC")
+        low, high, hold_h = TRIALS[self._set_by]
         while (left_s := (at - self.at).total_seconds()) > 1e-6:
             part_s = min(300.0, left_s)
-            usual, hold_h = (2.0, 2) if self._contacts else (0.0, 4)
+            out = float(self.out_C(self.at))
             if self._trials <= self.at < START and self.at.hour % hold_h == 0 and self.at.minute == 0:
-                self._trial = float(self._rng.integers(1, 4) if self._contacts else self._rng.integers(-3, 4))
-            trial = self._trial if self._trials <= self.at < START and hasattr(self, "_trial") else usual
-            told = trial if self.told is None else self.told
-            offset, runs = (SG_OFFSET_K[round(told)], told != 1.0) if self._contacts else (told, True)
-            out = float(outdoor_C((self.at - origin).total_seconds()))
-            flow = float(np.clip(27.0 + 0.6 * (20.0 - out) + offset, 20.0, 55.0)) if runs else 15.0
-            row = {"time": self.at, "out": out, "sun": 0.0, "flow": flow, "offset": offset, "price": price(self.at)}
-            row["contact"] = told if self._contacts else 2.0
+                self._trial = float(self._rng.integers(low, high))
+                self._trial = min(self._trial, 1.0) if self._set_by == "enable" else self._trial
+            told = self.usual(out)
+            if self._trials <= self.at < START and hasattr(self, "_trial"):
+                told = self._trial + (told if self._set_by == "flow_temperature" else 0.0)
+            told = told if self.told is None else self.told
+            set_by = {"curve_offset": 0.0, "sg_ready": 2.0, "enable": 1.0} | {self._set_by: told}
+            offset = set_by["curve_offset"] + SG_OFFSET_K[round(set_by["sg_ready"])]
+            asked = set_by.get("flow_temperature", curve_C(out) + offset)
+            runs = set_by["sg_ready"] != 1.0 and set_by["enable"] == 1.0
+            flow = float(np.clip(asked, 20.0, 55.0)) if runs else 15.0
+            row = {"time": self.at, "out": out, "sun": 0.0, "flow": flow, "price": price(self.at)}
+            row |= {"offset": offset, "contact": set_by["sg_ready"], "enabled": set_by["enable"], "flow_set": asked}
             heat_W = {}
             for name in ROOMS:
                 valve = float(np.clip((SETPOINT_C[name] + 0.5 - self.T[name]) / 2.0 + 0.5, 0.0, 1.0))
@@ -112,8 +142,7 @@ class HomeByCurve:
 
     def forecast(self) -> pd.DataFrame:
         index = pd.date_range(self.at.floor("1h"), periods=49, freq="1h", name="time")
-        out = outdoor_C((index - pd.Timestamp("2025-01-01", tz="UTC")).total_seconds().to_numpy())
-        return pd.DataFrame({"out": out, "sun": 0.0, "price": [price(at) for at in index]}, index=index)
+        return pd.DataFrame({"out": self.out_C(index), "sun": 0.0, "price": [price(at) for at in index]}, index=index)
 
     def write(self, levels, seconds) -> None:
         assert set(levels) == {"heat_pump"}

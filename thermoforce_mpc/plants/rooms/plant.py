@@ -27,7 +27,7 @@ from thermoforce_mpc.plants.people import PERSON_W, at_home, hour_of_day, live, 
 from thermoforce_mpc.plants.points import means_between
 from thermoforce_mpc.plants.random_houses.plant import PREHEAT_H, SET_BACK_K
 from thermoforce_mpc.plants.rooms import physics
-from thermoforce_mpc.plants.rooms.device import N_STATES, NORMAL, Device
+from thermoforce_mpc.plants.rooms.device import BLOCKED, N_STATES, NORMAL, Device
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import USES, DrawnHouse, Kind, Room
 from thermoforce_mpc.plants.shell import check_levels
@@ -191,8 +191,11 @@ class HouseOfRooms(DrawnHousePlant):
 
     Attributes:
         curve_offset_K: offset of the heating curves of all circuits, K.
+        flow_target_C: temperature of the water that is set for all circuits, °C, up to the limit of each; None: what
+            their heating curves ask for.
         device: the controller of the heat pump itself; None: an ideal machine, which gives what is asked at once.
         contact: state of its SG-Ready contacts, from 1 to 4; only with a device.
+        is_enabled: its enable contact: whether it may run at all; only with a device.
         tank_target_C: target of the tank of hot water, °C; None: the device's own.
         charges: whether the tank is charged up to its target now, however little is missing.
         layout: rooms, valves and the heat pump; valve i stands in room i.
@@ -202,8 +205,10 @@ class HouseOfRooms(DrawnHousePlant):
 
     house: DrawnHouse
     curve_offset_K: float = 0.0
+    flow_target_C: float | None = None
     device: Device | None = None
     contact: int = NORMAL
+    is_enabled: bool = True
     tank_target_C: float | None = None
     charges: bool = False
     _told: tuple[float | None, ...] = ()
@@ -284,6 +289,8 @@ class HouseOfRooms(DrawnHousePlant):
     def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
         """As `PlantShell.advance`, or with thermostats at set-points `command` (A,), °C, where they are not None."""
         block = check_levels(u, duration_s, command, names=self._names)
+        if self.device is None and (self.contact != NORMAL or not self.is_enabled):
+            raise InputError("contact, is_enabled: contacts are of the heat pump's own controller: give it a device")
         told = [value if value is None or isinstance(value, float | int) else math.nan for value in block.command]
         for name, value in zip(self.actuators, told, strict=True):
             if value is not None and not LEAST_SETPOINT_C <= value <= MOST_SETPOINT_C:
@@ -306,15 +313,17 @@ class HouseOfRooms(DrawnHousePlant):
             for a, value in enumerate(self._told):
                 if value is not None:
                     forced[a], setpoints[first : last + 1, a] = math.nan, value
-        if self.curve_offset_K:
+        if self.curve_offset_K or self.flow_target_C is not None:
             curve = network.curve.copy()
+            if self.flow_target_C is not None:  # a curve that is the same in all weather
+                curve[:, physics.DESIGN], curve[:, physics.SHIFT] = 20.0, self.flow_target_C - 20.0
             curve[:, physics.SHIFT] += self.curve_offset_K
             network = network._replace(curve=curve)
         state = self._T, self._on, before_s, len(rows), dt_s
         parameters, draws = np.empty(0), np.empty(0)
         if self.device is not None:
             parameters, draws = self.device.told(self.tank_target_C, self.charges), self.device.draw_W
-        own = self._device_state, parameters, draws, float(self.contact)
+        own = self._device_state, parameters, draws, float(self.contact if self.is_enabled else BLOCKED)
         physics.advance(*state, forced, weather, gains, setpoints, network, rows, *own)
 
     def _measured(self, before_s: float) -> Measurement:
