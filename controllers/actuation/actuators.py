@@ -293,7 +293,7 @@ class Actuators:
             for a, level in levels.items()
         }
         lead = max(levels, key=lambda a: (wanted_s[a], a not in excluded, states[a].on))
-        running = _machine_state([states[a] for a in levels])
+        running = machine_state([states[a] for a in levels])
         most = room.most(lead, self.each[lead].half_block(step_s))
         begun = replace(running, owed_s=states[lead].owed_s)
         blocks, after = self.each[lead].realise(levels[lead], step_s, begun, most=most)
@@ -365,7 +365,7 @@ class Actuators:
         return realised
 
 
-def _machine_state(states: Sequence[ActuationState]) -> ActuationState:
+def machine_state(states: Sequence[ActuationState]) -> ActuationState:
     """State of a machine from those of its actuators: it runs while one of them is on, since the first came on."""
     running = [state.held_s for state in states if state.on]
     held_s = max(running) if running else min(state.held_s for state in states)

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from controllers.actuation.runs import in_runs, needs_runs, without_owed
+from controllers.actuation.runs import in_runs, limits_not_planned, needs_runs, without_owed
 from controllers.checks import ControllerConfigError, check_names, message_of
 from controllers.monitoring.watch import Watch
 from controllers.mpc.acting import ActuatedController
@@ -140,6 +140,7 @@ class ThermoForceMPC(ActuatedController):
         zone_models = [model.actuator(a) for a in range(len(layout.names.actuators))]
         choices = actuations_of(c, model, layout)
         by_number = {a: learned[one] for a, one in enumerate(layout.names.actuators) if one in learned}
+        self._by_command = tuple(by_number)
         actuations = [choice.actuation for choice in choices]
         super().__init__(name, model.operator.step_s, n_steps, layout, actuations, c.fallback, by_number)
         cards = [zone.card for zone in zone_models]
@@ -499,6 +500,11 @@ class ThermoForceMPC(ActuatedController):
         return found, evaluated, why
 
     @property
+    def limits_not_planned(self) -> list[str]:
+        """What a plan in whole runs does not keep of minimum times and starts an hour, in words, see `runs`."""
+        return limits_not_planned(self._actuators, self.step_s, self._by_command)
+
+    @property
     def _in_runs(self) -> list[int]:
         """Numbers of the actuators whose steps do not hold their minimum on and off times."""
         return [a for a, actuation in enumerate(self._actuators.each) if needs_runs(actuation, self.step_s)]
@@ -509,13 +515,15 @@ class ThermoForceMPC(ActuatedController):
         """The solution in whole runs (`MPCConfig.whole_runs`) and what it brings; `left`: who does not follow it."""
         evaluator, problem = forecast.planner.evaluator, instance.problem
         numbers = evaluator.numbers(problem)
+        broken = evaluator.evaluate(numbers, solution.u, solution.own_values).broken
 
         def cost(u: Array) -> float:
-            return evaluator.evaluate(numbers, u, solution.own_values).cost
+            found = evaluator.evaluate(numbers, u, solution.own_values)
+            return math.inf if found.broken and not broken else found.cost
 
         u = in_runs(self._actuators, solution.u, self.step_s, forecast.state.actuation, left, cost)
         carried = evaluator.evaluate(numbers, u, solution.own_values)
-        if carried.broken and not brought.broken:
+        if carried.broken and not broken:
             said = f"the plan does not keep minimum on and off times, since in whole runs {carried.broken}"
             return replace(solution, problem=joined([solution.problem, said])), brought
         return replace(solution, u=u), carried

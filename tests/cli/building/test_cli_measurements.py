@@ -334,6 +334,29 @@ def test_what_a_plan_rests_on_stands_in_whole_sentences(folder, model, monkeypat
     assert "Found: another load" in tf_mpc(folder, "plan", *words, "--hours", "6").output.splitlines()
 
 
+@pytest.mark.parametrize("mode", ["duty", "modulating"])
+def test_minimum_times_that_a_plan_does_not_keep_are_said(folder, model, mode):
+    words = (
+        "--model",
+        str(model),
+        "--data",
+        "probed.csv",
+        "--map",
+        "map.yaml",
+        "--forecast",
+        "ahead.csv",
+        "--hours",
+        "6",
+    )
+    limits = {"mode": mode, "lowest_level": 0, "min_on_s": 7200}
+    options = [word for key, value in limits.items() for word in ("--set", f"actuation.{key}={value}")]
+    done = tf_mpc(folder, "plan", *words, *options)
+    said = (
+        "heat_pump: minimum on and off times and starts an hour are kept by the machine's own control, and not planned"
+    )
+    assert (said in " ".join(done.output.split())) == (mode == "modulating"), done.output
+
+
 def test_a_plan_refuses_what_does_not_belong_together(folder, model):
     words = ("plan", "--model", str(model), "--data", "probed.csv", "--map", "map.yaml", "--forecast")
     for more, error, message in (

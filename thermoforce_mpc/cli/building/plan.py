@@ -81,9 +81,10 @@ def plan(
 
     A level between 0 and 1 of a machine that is only on or off means that share of the step. Where a step does not hold
     its minimum on and off times (actuation.min_on_s, min_off_s) or its share of the starts an hour
-    (actuation.starts_per_hour), levels are those of runs that keep them, also towards the last levels of the record. An
-    actuator whose model may not act has no level ("own control", null in JSON, empty in CSV), nor have rooms that it
-    alone serves a temperature, or its machine a power.
+    (actuation.starts_per_hour), levels are those of runs that keep them, also towards the last levels of the record: of
+    a machine with several valves, whichever is open. A line says of which machines no runs are planned. An actuator
+    whose model may not act has no level ("own control", null in JSON, empty in CSV), nor have rooms that it alone
+    serves a temperature, or its machine a power.
 
     Exit code 4 where the model is not competent, 1 where readings, forecast or solver give no plan: leave the building
     to its own control then.
@@ -139,6 +140,8 @@ def plan(
     display.say(_listed("Actuation", controller.actuation_in_words))
     for claim in thermal.claims:
         display.say(f"Found: {claim}")
+    for limits in controller.limits_not_planned:
+        display.say(limits)
     for note in notes:
         display.say(f"Prices: {note}")
     if not plan.u.size:
