@@ -73,6 +73,7 @@ from thermoforce_mpc.commands.meter import scatter_of_days
 from thermoforce_mpc.commands.tank import LearnedTank
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, Record
 from thermoforce_mpc.data.dataframes import clock_s
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
@@ -256,8 +257,9 @@ class ThermoForceMPC(ActuatedController):
 
         Raises:
             DataError: error of the caller: the observation is of another building, the boundary forecast does not begin
-                now or is too short, its step or that of the history is not `step_s`, or `state` is not from an earlier
-                plan of this controller.
+                now or is too short, its step or that of the history is not `step_s`, what the meter read is missing
+                where peaks have a price and others are behind it, or `state` is not from an earlier plan of this
+                controller.
         """
         return run(self.planning(observation, state), self._handler)
 
@@ -266,6 +268,12 @@ class ThermoForceMPC(ActuatedController):
 
         It changes nothing but caches: one controller may make the plans of several buildings of the same model.
         """
+        aims, others = self.config.objective, observation.boundary.others_W.size
+        if aims.prices_peaks and aims.at_the_meter and others and not observation.history.meter_W.size:
+            raise DataError(
+                "history: what the meter read (`meter_W`) is missing, with which peaks of plans are compared where the "
+                "forecast has other loads or generation"
+            )
         before, actuation = self._resume(observation, state, MPCState)
         if before is None:
             watch = self._watched.begin(observation.time_s, observation.history.origin)
@@ -326,9 +334,9 @@ class ThermoForceMPC(ActuatedController):
         margins = self._formulation.margins.learn(
             self.planning_operator, state.margins, state.good, readings.observation, readings.forecast
         )
-        return replace(
-            state, margins=margins, peak_W=state.peak_after(readings.observation, self.config.objective.peak_of)
-        )
+        aims = self.config.objective
+        peak_W = state.peak_after(readings.observation, aims.peak_of, at_the_meter=aims.at_the_meter)
+        return replace(state, margins=margins, peak_W=peak_W)
 
     def _formulate(
         self, forecast: Forecast | Failure, readings: Readings, state: MPCState, overrides: Mapping[int, Override]

@@ -12,7 +12,7 @@ import numpy as np
 from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.margins import Bounds, MarginRules, Margins
-from controllers.mpc.state import highest_of_days_W
+from controllers.mpc.state import highest_of_days_W, metered_W
 from controllers.optimisation.problem import Cooling, EquipmentLayout, Exchange, MPCProblem, PowerCap, Weights
 from thermoforce_mpc.data import DAY_S, Array, Boundary, Record
 from thermoforce_mpc.model.machine.blocked_hours import Directions, HourEffects
@@ -148,7 +148,7 @@ class Formulation:
             power_per_u_W=per_u_W,
             step_s=self._step_s,
             machinery=self.machinery,
-            weights=Weights(comfort, aims.curvature, self._peak_per_W(history)),
+            weights=Weights(comfort, aims.curvature, self._peak_per_W(history, boundary)),
             peak_so_far_W=max(max(peak_W, 1000.0 * aims.peak_least_kW) - float(foreign_W.mean()), 0.0),
             cooling=self._cooling(boundary, np.maximum(boundary.price_per_kWh[:, :-1] + carbon, 0.0)),
             power_cap=self._cap(fixed_W, per_u_W, per_u2_W, left_W),
@@ -201,9 +201,11 @@ class Formulation:
             rows.append(comes * effects.share(boundary.time_s[:-1], self._step_s))
         return np.stack(rows)
 
-    def _peak_per_W(self, history: Record) -> float:
-        aims = self._config.objective
-        highest_kW = np.array(list(highest_of_days_W(history).values())) / 1000.0 if aims.peak_steps else np.empty(0)
+    def _peak_per_W(self, history: Record, boundary: Boundary) -> float:
+        aims, highest_kW = self._config.objective, np.empty(0)
+        if aims.peak_steps:
+            power_W = metered_W(history, boundary, at_the_meter=aims.at_the_meter)
+            highest_kW = np.array(list(highest_of_days_W(history, power_W).values())) / 1000.0
         return aims.peak_per_kW(highest_kW) / 1000.0 / (3.0 if aims.peak_of == "three_days" else 1.0)
 
     def _exchange(self, boundary: Boundary, price: Array) -> tuple[Exchange | None, Array]:

@@ -15,7 +15,7 @@ from controllers.monitoring.watch import ScaledModel, WatchState
 from controllers.monitoring.zone_sensors import SensorState
 from controllers.mpc.margins import Margins
 from controllers.safety.fallback_policy import GoodPlan
-from thermoforce_mpc.data import DAY_S, YEAR_S, Boundary, Names, Observation, Record, month_of
+from thermoforce_mpc.data import DAY_S, YEAR_S, Array, Boundary, Names, Observation, Record, month_of
 from thermoforce_mpc.model.predictor import PredictorState
 
 
@@ -85,27 +85,36 @@ class MPCState:
             watch=tuple(replace(watch, asked=of) for watch, of in zip(self.watch, asked, strict=True)),
         )
 
-    def peak_after(self, observation: Observation, of: str = "run") -> float:
-        """The peak power with which a higher one is compared, W: mean of the building over a step.
+    def peak_after(self, observation: Observation, of: str = "run", *, at_the_meter: bool = False) -> float:
+        """The peak power with which a higher one is compared, W: mean of the building over a step, see `metered_W`.
 
         `of`: "run": highest since the first plan; "month": of the calendar month, by the record; "three_days": above
         which today's highest counts among the three highest days of the month.
         """
         history = observation.history
+        power_W = metered_W(history, observation.boundary, at_the_meter=at_the_meter)
         if of != "run":
-            return _peak_of_month(history, three_days=of == "three_days")
-        power_W = history.power_W.sum(axis=0)
+            return _peak_of_month(history, power_W, three_days=of == "three_days")
         if power_W.size and observation.time_s > self.first_s and np.isfinite(power_W[-1]):
             return max(self.peak_W, float(power_W[-1]))
         return self.peak_W
 
 
-def highest_of_days_W(history: Record) -> dict[tuple[int, int], float]:
-    """The highest mean power of the building over a step, W, by month and day; days without one are left out.
+def metered_W(history: Record, boundary: Boundary, *, at_the_meter: bool) -> Array:
+    """Mean power of the building over each step (n,), W: what plans that follow are compared with.
+
+    What the meter read where plans count other loads behind it (`at_the_meter`) or there are none; of machines alone
+    where plans are, or no meter was read.
+    """
+    same = at_the_meter or not boundary.others_W.size
+    return history.meter_W if same and history.meter_W.size else np.asarray(history.power_W.sum(axis=0))
+
+
+def highest_of_days_W(history: Record, power_W: Array) -> dict[tuple[int, int], float]:
+    """The highest `power_W` (n,) over a step by month and day, W; days without one are left out.
 
     Numbers of months and days go on from year to year.
     """
-    power_W = history.power_W.sum(axis=0)
     known = np.isfinite(power_W)
     each = _months_and_days(history)[:-1][known]
     highest: dict[tuple[int, int], float] = {}
@@ -129,10 +138,10 @@ def _months_and_days(history: Record) -> NDArray[np.int64]:
     return np.stack([month, day], axis=1).astype(np.int64)
 
 
-def _peak_of_month(history: Record, *, three_days: bool) -> float:
+def _peak_of_month(history: Record, power_W: Array, *, three_days: bool) -> float:
     """See `MPCState.peak_after`."""
     this_month, today = _months_and_days(history)[-1].tolist()
-    highest = {day: W for (month, day), W in highest_of_days_W(history).items() if month == this_month}
+    highest = {day: W for (month, day), W in highest_of_days_W(history, power_W).items() if month == this_month}
     if not three_days:
         return max(highest.values(), default=0.0)
     third = sorted(highest.values())[-3] if len(highest) >= 3 else 0.0

@@ -143,12 +143,19 @@ def billed_objective(prices: Path | None, rules: MeasurementMap) -> dict[str, An
     Generation and other loads count where the map has them in its forecast, or the bill pays for what is fed in.
     """
     from controllers.mpc.config import objective_of
+    from thermoforce_mpc.errors import ConfigError
     from thermoforce_mpc.scenario.bill import SUFFIXES, read_bill
 
     others = rules.forecast.load is not None or rules.forecast.generation is not None
     keys: dict[str, Any] = {}
     if prices is not None and prices.suffix in SUFFIXES:
-        keys = objective_of(read_bill(prices))
+        bill = read_bill(prices)
+        if bill.peak is not None and others and rules.meter is None:
+            raise ConfigError(
+                f"--prices {prices}: its peak is of all behind the meter, where the map has other loads or generation "
+                "(forecast), but not what was read there so far: name the key meter, and forecast.load"
+            )
+        keys = objective_of(bill)
     return keys | {"at_the_meter": True} if others else keys
 
 

@@ -28,7 +28,8 @@ class Record:
     Sampled at the boundaries: `time_s`, `T_out_C`, `solar_W_m2` (n + 1,) and `T_zone_C` (Z, n + 1), NaN where the
     sensor was silent. Mean over each step: `u` (A, n) in [0, 1] (in [−1, 1], cooling below 0, where one actuator heats
     and cools), `heat_W` (A, n) delivered heat, `power_W` (M, n) total electric, `T_return_C` (M, n) return water from
-    the emitters (NaN where not measured; all of `T_return_C` where it is not given). `origin` is the `pandas.Timestamp`
+    the emitters (NaN where not measured; all of `T_return_C` where it is not given), and `meter_W` (n,), empty where it
+    is not measured: what the building takes from the grid, less what it feeds in. `origin` is the `pandas.Timestamp`
     with `time_s` 0 where the record came from a table with time stamps. Raises `DataError` for another shape, no
     instant, or instants that do not go up in equal steps.
     """
@@ -41,6 +42,7 @@ class Record:
     power_W: Array
     heat_W: Array
     T_return_C: Array = field(default_factory=lambda: np.empty(0))
+    meter_W: Array = field(default_factory=lambda: np.empty(0))
     origin: Any = None
     names: Names = SINGLE
 
@@ -54,6 +56,8 @@ class Record:
             object.__setattr__(self, name, frozen(getattr(self, name), name, n, self.names))
         for name in ACTING:
             object.__setattr__(self, name, frozen(getattr(self, name), name, n - 1, self.names))
+        of_meter = n - 1 if np.size(self.meter_W) else 0
+        object.__setattr__(self, "meter_W", frozen(self.meter_W, "meter_W", of_meter, self.names))
         check_clock(self.time_s, "history")
 
     @classmethod
@@ -136,7 +140,7 @@ class Record:
         """Steps `start` … `stop` − 1, with the samples at both their ends."""
         values = {name: getattr(self, name)[..., start : stop + 1] for name in SAMPLED}
         values |= {name: getattr(self, name)[..., start:stop] for name in ACTING}
-        values |= {"origin": self.origin, "names": self.names}
+        values |= {"meter_W": self.meter_W[start:stop], "origin": self.origin, "names": self.names}
         if not 0 <= start <= stop <= self.n_steps:
             return Record(**values)
         part = object.__new__(Record)  # what holds of the whole was checked, and holds of its steps
@@ -175,6 +179,7 @@ class Record:
                 else getattr(self, name)[:, :0]
                 for name in ACTING
             },
+            meter_W=self.meter_W[: n * every].reshape(-1, every).mean(axis=1),
             origin=self.origin,
             names=self.names,
         )
@@ -195,7 +200,8 @@ class Record:
             return self
         later = {name: np.array([getattr(end, name) for end in ends]).T for name in SIGNALS}
         joined = {name: np.concatenate([getattr(self, name), new], axis=-1) for name, new in later.items()}
-        return Record(**joined, origin=self.origin, names=self.names)
+        meter_W = np.append(self.meter_W, np.full(len(ends), np.nan)) if self.meter_W.size else self.meter_W
+        return Record(**joined, meter_W=meter_W, origin=self.origin, names=self.names)
 
 
 @dataclass(frozen=True)

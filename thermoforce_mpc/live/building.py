@@ -47,7 +47,7 @@ from thermoforce_mpc.scenario.scenario import ControllerSpec, Scenario
 from thermoforce_mpc.state_file import StateFormat
 
 # What controllers look back at, and how old the latest reading may be for the record to say anything of now, days.
-_BACK_DAYS, _OLDEST_DAYS = 28.0, 1.0
+_BACK_DAYS, _OLDEST_DAYS = 31.0, 1.0
 # Longest time for an answer of the connection, s, at most half a step; calls that may be left behind without one.
 ANSWER_S, _LEFT_BEHIND = 60.0, 3
 # Outdoor temperature of so many seconds, so far from its forecast, and as °F so near to it, K: a wrong unit.
@@ -470,6 +470,8 @@ def _until(record: Record, now_s: float) -> Record:
         return np.concatenate([values, np.full((*values.shape[:-1], missing), np.nan)], axis=-1)
 
     values: dict[str, Any] = {name: longer(getattr(record, name)) for name in (*SAMPLED, *ACTING)}
+    if record.meter_W.size:
+        values["meter_W"] = longer(record.meter_W)
     values["time_s"] = np.append(record.time_s, record.time_s[-1] + step_s * np.arange(1, missing + 1))
     return replace(record, **values)
 

@@ -358,6 +358,11 @@ def _from_table(
     for_water = np.clip(np.nan_to_num(for_water), 0.0, 1.0)
     if tank is not None:
         for_water[names.machines.index(rules.tank_machine)] = tank.share_of(grid_s)
+    meter_W, ahead = np.empty(0), rules.forecast
+    if rules.meter is not None:
+        meter_W = reader.mean("meter", rules.meter, readings.POWER)
+    elif for_water.any() and ahead.load is None and ahead.generation is None:
+        meter_W = power.sum(axis=0)  # hot water is in peaks so far, though not in the power for rooms
     rooms_W, power = power * (1.0 - for_water), np.where(for_water > _CHARGED, np.nan, power)
     u, of_levels = actuator_levels(rules, reader, heat, rooms_W)
     set_by = {name: found for name, _ in actuators if (found := rules.command_of(name)) is not None}
@@ -369,7 +374,7 @@ def _from_table(
     windows = {name: reader.scheduled(f"zones.{name}.window", one, readings.COMMAND) for name, one in contacts.items()}
     record = Record(
         grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
-        np.array(water), origin, names,
+        np.array(water), meter_W, origin, names,
     )  # fmt: skip
     none = np.zeros((len(names.machines), grid_s.size))
     conditions = Boundary(

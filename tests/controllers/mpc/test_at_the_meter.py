@@ -15,13 +15,15 @@ from simple_house import simple_model
 
 from controllers.mpc.config import MPCConfig, objective_of
 from controllers.mpc.controller import ThermoForceMPC
-from controllers.mpc.state import MPCState
+from controllers.mpc.state import MPCState, highest_of_days_W
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.cli.options import billed_objective
 from thermoforce_mpc.commands.loop import saving_in_words
 from thermoforce_mpc.data import Observation
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import learned_commands, read_measurements
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.scenario.bill import read_bill
 
 BILLS = Path(__file__).parents[3] / "configs" / "bills"
@@ -165,6 +167,68 @@ def test_a_fee_has_one_price():
         MPCConfig.model_validate({"objective": {"peak_price_per_kW": 1.0, "peak_steps": [{"per_month": 1.0}]}})
     with pytest.raises(ValueError, match="the last none"):
         MPCConfig.model_validate({"objective": {"peak_steps": [{"up_to_kW": 2.0, "per_month": 1.0}]}})
+
+
+METERED = PLAIN | {"meter": {"column": "grid", "unit": "kW"}}
+
+
+class MeteredHome(HomeBySetpoint):
+    """The house takes 0.6 kW beside the machine in one hour of the month, and else 0.4."""
+
+    def measurements(self):
+        table = super().measurements()
+        of_house = np.where(table["time"].between("2025-01-27 10:00", "2025-01-27 10:59"), 600.0, 400.0)
+        return table.assign(grid=(0.3 * table["P"] + of_house) / 1000.0, P=0.3 * table["P"])
+
+
+def test_the_peak_so_far_is_what_the_meter_read_where_other_loads_are_behind_it(tmp_path):
+    home = MeteredHome(days=14)
+    observation = seen(home, tmp_path / "bill.yaml", BILL, METERED)
+    record = observation.history
+    of_house_W = record.meter_W - record.power_W[0]
+    assert np.nanmax(of_house_W) == pytest.approx(600.0)
+    assert np.nanmedian(of_house_W) == pytest.approx(400.0)
+    state, whole_W = MPCState(0.0), np.nanmax(record.meter_W)
+    assert state.peak_after(observation, "month", at_the_meter=True) == pytest.approx(whole_W)
+    assert state.peak_after(observation, "month") == pytest.approx(np.nanmax(record.power_W))
+    last_W = state.peak_after(observation, "run", at_the_meter=True)
+    assert last_W == pytest.approx(record.meter_W[-1])
+
+    peaks = {"peak_price_per_kW": 50.0, "peak_of": "month", "at_the_meter": True}
+    plan = made(peaks).plan(observation)
+    of_plan_W = plan.power_W.sum(axis=0) + observation.boundary.others_W[:-1]
+    assert of_plan_W.max() == pytest.approx(whole_W, rel=0.02), "what the house takes is no peak that is free"
+    norway = made(objective_of(read_bill(BILLS / "norway.yaml")) | {"at_the_meter": True})
+    problem = norway.instance(norway.predictor.context(observation), record)
+    three_kW = np.mean(sorted(highest_of_days_W(record, record.meter_W).values())[-3:]) / 1000.0
+    assert 3000.0 * problem.weights.peak == pytest.approx(read_bill(BILLS / "norway.yaml").peak.per_kW(three_kW))
+
+    halves = record.slice(10, 30).resample(2)
+    assert halves.meter_W == pytest.approx(record.meter_W[10:30].reshape(-1, 2).mean(axis=1))
+
+
+def test_a_peak_behind_whose_meter_others_are_needs_what_it_read(home, tmp_path):
+    observation = seen(home, tmp_path / "bill.yaml", BILL)
+    with pytest.raises(DataError, match="what the meter read"):
+        made({"peak_price_per_kW": 50.0, "peak_of": "month", "at_the_meter": True}).plan(observation)
+    rules = MeasurementMap.model_validate(PLAIN)
+    with pytest.raises(ConfigError, match=r"norway\.yaml: its peak .* name the key meter"):
+        billed_objective(BILLS / "norway.yaml", rules)
+    assert billed_objective(BILLS / "norway.yaml", MeasurementMap.model_validate(METERED))["at_the_meter"]
+    with pytest.raises(ValueError, match=r"meter: needs forecast\.load"):
+        MeasurementMap.model_validate(METERED | {"forecast": {"generation": "pv"}})
+
+
+def test_hot_water_on_the_same_machine_is_in_the_peak_so_far(home):
+    table = home.measurements()
+    charged = table["time"].between("2025-01-27 10:00", "2025-01-27 10:59")
+    table = table.assign(P=np.where(charged, 6000.0, table["P"]), dhw=charged.astype(float))
+    rules = {key: value for key, value in PLAIN.items() if key != "forecast"}
+    rules |= {"machines": {"machine": {"power": "P", "price": "price", "hot_water": "dhw"}}}
+    measured = read_measurements(table, rules, step_s=3600.0).served()
+    assert np.nanmax(measured.record.power_W) < 5000.0, "it says nothing of the rooms"
+    ahead = read_forecast(home.forecast(), measured).head(24)
+    assert MPCState(0.0).peak_after(Observation(measured.record, ahead), "month") == pytest.approx(6000.0)
 
 
 def test_commands_that_lower_the_peak_of_the_month_alone_are_worth_it(home, tmp_path):

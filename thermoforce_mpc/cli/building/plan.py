@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Least and usual length of a plan, h, and how much of the measurements it looks back at, days.
-_LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
+# Least and usual length of a plan, h, and how much of the measurements it looks back at, days: a month with its peaks.
+_LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 31.0
 # Least step of a plan, s: that of the controller.
 _LEAST_STEP_S = 300.0
 

@@ -378,6 +378,11 @@ class MeasurementMap(StrictModel):
     actuators: dict[str, MappedActuator] = Field(default_factory=dict)
     machines: dict[str, MappedMachine] = Field(default_factory=dict)
     hot_water: MappedTank | None = Field(None, description="a tank that one of the machines heats too")
+    meter: OfPower | None = Field(
+        None,
+        description="power from the grid, below 0 what is fed in: peaks so far, where forecast.load says what else is "
+        "behind the meter",
+    )
     forecast: ForecastMap = ForecastMap()
 
     def written(self, path: Path) -> Written:
@@ -443,6 +448,8 @@ class MeasurementMap(StrictModel):
                     f"actuators.{name}.command: column '{actuator.command.column}' is the command of {other} too, and "
                     "one command cannot have two values: name it once, at the machine that feeds them"
                 )
+        if self.meter is not None and self.forecast.load is None:
+            raise ValueError("meter: needs forecast.load, since plans are compared with what it read of all loads")
         if self.hot_water is not None:
             self._check_tank(self.hot_water, set_by)
         if self.comfort is not None:
@@ -524,6 +531,8 @@ class MeasurementMap(StrictModel):
                     yield f"{kind}.{name}.command", signal_of(item.command, item.command.column)
                     if isinstance(item.command.usual, str):
                         yield f"{kind}.{name}.command.usual", signal_of(item.command, item.command.usual)
+        if self.meter is not None:
+            yield "meter", self.meter
         if (tank := self.hot_water) is not None:
             yield "hot_water.temperature", tank.temperature
             if tank.charging is not None:
