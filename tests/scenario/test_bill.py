@@ -107,6 +107,8 @@ def test_a_simulated_building_pays_by_the_same_bill(tmp_path):
         ({"grid": {"windows": [{"hours": "7:00-7:00", "per_kWh": 0.1}]}}, "different times"),
         ({"vat": 19}, "vat"),
         ({"levy": 0.1}, "levy"),
+        ({"energy": None, "export_only_from": 0.0}, "needs export_per_kWh"),
+        ({"export_per_kWh": 0.08, "export_only_from": 0.0}, "prices of energy that change"),
     ],
 )
 def test_what_is_no_bill_is_refused_with_its_key(tmp_path, change, says):

@@ -131,6 +131,7 @@ def billed_over_steps(
 
     energy = price if bill.energy is None else np.tile(of(bill.energy), (len(price), 1))
     earns = np.zeros(grid_s.size) if bill.export_per_kWh is None else of(bill.export_per_kWh)
+    earns = bill.earns(earns, energy.min(axis=0))
     billed_at = np.stack([billed(bill, row, grid_s, origin, step_s) for row in energy])
     if doubt := price_doubt(billed_at, bill.currency):
         raise DataError(f"{path}: with fees and tax {doubt}" + ("" if bill.currency else " Then name its currency"))

@@ -160,6 +160,9 @@ class Bill(StrictModel):
     export_per_kWh: float | str | None = Field(
         None, description="what the grid pays for a kWh, or a file of it; none: exports earn nothing"
     )
+    export_only_from: float | None = Field(
+        None, description="exports earn nothing while energy, without fees and tax, costs less (§ 51 EEG: 0)"
+    )
 
     def per_kWh(self, energy: Array, month: Array, weekday: Array, hour: Array) -> Array:
         """What a kWh costs (n,), tax included, at prices of `energy` (n,) and times as of `TimeWindow.holds`."""
@@ -176,6 +179,21 @@ class Bill(StrictModel):
     def at(self, energy: Array, stamps: pd.DatetimeIndex) -> Array:
         """`per_kWh` at instants of a calendar (n,), on the clock of their zone."""
         return self.per_kWh(energy, *_on_clock(stamps))
+
+    @model_validator(mode="after")
+    def _earns_from_a_price(self) -> Bill:
+        if self.export_only_from is not None:
+            if self.export_per_kWh is None:
+                raise ValueError("export_only_from: needs export_per_kWh, what exports earn else")
+            if isinstance(self.energy, float):
+                raise ValueError("export_only_from: needs prices of energy that change, a file or the map's (null)")
+        return self
+
+    def earns(self, export: Array, energy: Array) -> Array:
+        """What a kWh that is fed in earns (n,), of `export` (n,), while `energy` (n,) costs so much without fees."""
+        if self.export_only_from is None:
+            return export
+        return np.where(energy < self.export_only_from, 0.0, export)
 
     def limit_kW(self, stamps: pd.DatetimeIndex) -> Array:
         """What machines may take while they are dimmed (n,), kW; infinite while they are not."""

@@ -100,6 +100,26 @@ def test_the_cost_of_a_plan_is_that_of_what_is_bought_and_not_sold(home, tmp_pat
     assert table["cost"].to_numpy() == pytest.approx(cost.to_numpy(), abs=1e-4)
 
 
+def test_what_is_fed_in_earns_nothing_while_the_spot_price_is_negative(home):
+    """The example of the German feed-in: what a surplus costs to use, hour by hour, and what is bought."""
+    path = BILLS / "germany_solar.yaml"
+    table = forecast(home)
+    table.loc[table.index.hour == 12, "price"] = -0.01
+    measured = read_measurements(home.measurements(), PLAIN, step_s=3600.0).served()
+    ahead = read_forecast(table, measured, prices=path).head(24)
+    assert billed_objective(path, measured.map) == {"at_the_meter": True}
+    controller = made(billed_objective(path, measured.map))
+    observation = Observation(measured.record, ahead)
+    problem = controller.instance(controller.predictor.context(observation), measured.record)
+    hour = ahead.time_s[:-1] % 86400.0 / 3600.0
+    bought = 1.19 * (table["price"].to_numpy()[:24] + 0.018 + 0.0205 + 0.0862)
+    surplus = problem.price_per_kWh[0] + problem.exchange.dearer_per_kWh
+    assert surplus == pytest.approx(bought)
+    assert problem.price_per_kWh[0, hour == 11] == pytest.approx(0.0794)
+    assert problem.price_per_kWh[0, hour == 12] == pytest.approx(0.0)
+    assert problem.price_per_kWh[0, hour == 18] == pytest.approx(bought[hour == 18])
+
+
 def test_a_dimmed_machine_takes_no_more_than_the_grid_lets_it(home, tmp_path):
     bill = BILL | {"dimming": {"kW": 1.0, "hours": "4:00-8:00"}}
     plan, ahead = planned(home, tmp_path / "bill.yaml", bill, at_the_meter=True)
