@@ -28,6 +28,7 @@ from thermoforce_mpc.report.live_view import LiveRun
 from thermoforce_mpc.scenario.scenario import ProbingSpec
 
 MAP = MeasurementMap.model_validate(RULES)
+BILLS = Path(__file__).parents[2] / "configs" / "bills"
 DAY = pd.Timedelta("1D")
 
 
@@ -226,6 +227,15 @@ def test_advice_is_written_and_nothing_is_set(files, monkeypatch):
     assert sum(block["seconds"] for block in advice["blocks"]) == 3600.0
     assert 0.0 <= advice["blocks"][0]["levels"]["actuator"] <= 1.0
     assert len(advice["planned"]["u"][0]) == 12
+
+
+def test_a_shadow_says_what_of_a_bill_its_account_leaves_out(files):
+    (files / "bill.yaml").write_text((BILLS / "norway.yaml").read_text())
+    done = CliRunner().invoke(cli, [*WORDS, *PLANNED, "--mode", "shadow", "--prices", "bill.yaml"])
+    assert done.exit_code == 0, str(done.exception)
+    assert "bill.yaml: peak: not counted in what it would have saved" in done.output.replace("\n", " ")
+    log = [json.loads(line) for line in (files / "control" / "log.jsonl").read_text().splitlines()]
+    assert next(line["status"] for line in log if "status" in line) == "solved"
 
 
 def test_probing_by_the_command_sets_levels_that_it_draws(files):

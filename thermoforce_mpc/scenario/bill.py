@@ -189,6 +189,11 @@ class Bill(StrictModel):
                 raise ValueError("export_only_from: needs prices of energy that change, a file or the map's (null)")
         return self
 
+    @property
+    def of_whole_house(self) -> tuple[str, ...]:
+        """Its keys that are of the whole house's exchange with the grid, which power of machines does not tell."""
+        return tuple(key for key in ("peak", "dimming", "export_per_kWh") if getattr(self, key) is not None)
+
     def earns(self, export: Array, energy: Array) -> Array:
         """What a kWh that is fed in earns (n,), of `export` (n,), while `energy` (n,) costs so much without fees."""
         if self.export_only_from is None:

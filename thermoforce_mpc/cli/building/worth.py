@@ -143,9 +143,8 @@ def _conditions(measured: Measurements, prices: Path | None, console: Console) -
     if prices.suffix in SUFFIXES:
         bill = read_bill(prices)
         price, _, read = billed_over_steps(prices, bill, measured.conditions.price_per_kWh, *over)
-        # They are of the whole house's exchange with the grid, which a record of its machines does not tell.
-        if left := [key for key in ("peak", "dimming", "export_per_kWh") if getattr(bill, key) is not None]:
-            console.print(f"{prices}: {', '.join(left)}: not counted, neither in what was nor in plans")
+        if bill.of_whole_house:
+            console.print(f"{prices}: {', '.join(bill.of_whole_house)}: not counted, neither in what was nor in plans")
     else:
         of_file, read = prices_over_steps(prices, *over)
         price = np.tile(of_file, (len(record.names.machines), 1))

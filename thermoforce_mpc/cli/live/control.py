@@ -250,6 +250,7 @@ class _Run:
         from thermoforce_mpc.live import KeptState, LiveBuilding, People, control
         from thermoforce_mpc.live.shadow import ShadowBook
         from thermoforce_mpc.live.shared import ACTING, shared_with
+        from thermoforce_mpc.scenario.bill import SUFFIXES, read_bill
 
         acts = mode in ACTING
         commands = commands_of(self.building, self.rules, self.options.step_s or thermal.operator.step_s)
@@ -270,6 +271,9 @@ class _Run:
         for claim in thermal.claims:
             self.say(f"Found: {claim}")
         told = _told(self.say, commands)
+        billed = mode == "shadow" and self.prices is not None and self.prices.suffix in SUFFIXES
+        if billed and self.prices and (left := read_bill(self.prices).of_whole_house):
+            self.say(f"{self.prices}: {', '.join(left)}: not counted in what it would have saved")
         if not acts and not dry:
             book = ShadowBook(self.out, thermal, mpc, commands, key) if mode == "shadow" else None
             told = _advised(told, self.out / "advice.json", book, self.say)
