@@ -112,7 +112,8 @@ class _Candidate:
     def features(self) -> list[tuple[Array, ...]]:
         """x_t (n, 4) of each record; control-free temperatures are those of the linear fit."""
         base = self.fold.operator(self.config)
-        return [tuple(_features(base, h, self.config.feedback) for h in e.histories) for e in self.fold.regressions]
+        own = () if self.config.feedback else (base,)
+        return [tuple(_features(own, e.others, h) for h in e.histories) for e in self.fold.regressions]
 
     @cached_property
     def untrained(self) -> OperatorParameters:
@@ -214,11 +215,14 @@ class _Candidate:
         return self.by_level and self.untrained.heat_input.heat is not None
 
 
-def _features(operator: OperatorParameters, history: Record, feedback: bool) -> Array:
-    """x_t (n, 4) of a run, with T − F (no gradient through F) or, with feedback, measured T."""
-    # Of a zone's own actuator, summed over modes.
-    forced = 0.0 if feedback else forced_history(single(operator), history.part(0, [0])).sum(axis=(0, 1, 3))
-    free = interpolated(history.T_zone_C[0] - forced)
+def _features(own: Sequence[OperatorParameters], others: Sequence[OperatorParameters], history: Record) -> Array:
+    """x_t (n, 4) of a run, with T − F (no gradient through F) as predictions have it: F is what all actuators do.
+
+    `own`: none where the network adds what that does itself (feedback); `others`: those of the other levels.
+    """
+    operators = [*enumerate(own), *enumerate(others, start=1)]
+    each = [forced_history(single(operator), history.part(0, [a])).sum(axis=(0, 1, 3)) for a, operator in operators]
+    free = interpolated(history.T_zone_C[0] - np.sum(each, axis=0))
     return feature_matrix(free[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
 
 

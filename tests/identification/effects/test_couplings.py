@@ -15,7 +15,9 @@ from thermoforce_mpc.identification.effects.couplings import assembled
 from thermoforce_mpc.identification.estimation.regression import Effect
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.model.card import ModelCard
-from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.free_response.linear_weather import Persistence
+from thermoforce_mpc.model.operator.parameters import ZONE, linear_operator
+from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ZoneModel, load_model
 
 pytestmark = pytest.mark.slow
@@ -88,6 +90,18 @@ def test_a_neighbours_heat_is_found_where_it_is(coupled):
     assert effect_K(across) == pytest.approx(true_K, rel=0.35)
     assert effect_K(own) == pytest.approx(House().effect_K(np.ones(16), STEP_S)[-1], rel=0.2)
     assert all(proof.certified for proof in coupled.operator.certificates().values())
+
+
+def test_the_network_is_trained_on_what_it_is_given_in_predictions():
+    """T without what *all* actuators do: of the bedroom, also without the living room's heat."""
+    record_, config = two_rooms(coupled=True), LINEAR.model_copy(update={"modulation": "always", "epochs": 5})
+    model = identify([record_], config=config, layout=LAYOUT)
+    predictor = Predictor(model.operator, Persistence())
+    across_K = predictor.forced_history(record_)[1, 0].sum(axis=-1).mean()
+    assert across_K > 1.0
+    for a, free_C in enumerate(predictor.free_history(record_)):
+        trained_C = model.operator.of_actuator(a).feature_mean[ZONE]
+        assert trained_C == pytest.approx(free_C[:-1].mean(), abs=0.1 * across_K)
 
 
 def test_no_effect_is_found_where_there_is_none():

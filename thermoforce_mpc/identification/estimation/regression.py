@@ -22,6 +22,7 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH, MOST_ROWS, Pair
 from thermoforce_mpc.model.machine.load import LACKING
 from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 # Times after a step to full level at which the response and its standard deviation are stored, h: twice as long each
 # about, to the horizon of plans.
@@ -116,7 +117,7 @@ class RegressionData:
 
     `target` (rows,): °C, of a pair the difference, K; `rows` (rows,) indices of the boundaries used; `drives`: sign and
     drive v (n,) of each run; `histories`: their records. `held`: how many of the last rows are held out, so that a fit
-    does not see them.
+    does not see them. `others` (K,): of the other actuators, in the order of their levels, which `target` is without.
     """
 
     target: Array
@@ -125,6 +126,7 @@ class RegressionData:
     drives: tuple[tuple[int, Array], ...]
     histories: tuple[Record, ...] = ()
     held: int = 0
+    others: tuple[OperatorParameters, ...] = ()
 
     @property
     def seen(self) -> int:
@@ -210,7 +212,11 @@ def without_others(
         for i, (heat_input, sign, gain) in enumerate(zip(heat_inputs, signs, gains, strict=True), start=1):
             drive = of_run * sign * _drive(history, i, heat_input)
             target -= unit_responses(log_tau, regression.step_s, drive, regression.rows) @ gain
-    return replace(regression, target=target)
+    step_s, operators = regression.step_s, []
+    for heat_input, sign, gain in zip(heat_inputs, signs, gains, strict=True):
+        a, of_step = in_steps(log_tau, gain, step_s)
+        operators.append(linear_operator(a, sign * of_step, step_s=step_s, sign=sign, heat_input=heat_input))
+    return replace(regression, target=target, others=tuple(operators))
 
 
 def held_out(regressions: Sequence[RegressionData], config: IdentificationConfig) -> list[RegressionData]:
