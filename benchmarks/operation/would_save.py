@@ -31,7 +31,7 @@ Row = dict[str, Any]
 
 ROOMS = 3
 # Days that a model is identified from, that are lived through again, and after which what is stored has gone.
-_BEFORE_DAYS, _AFTER_DAYS = 28, 2
+BEFORE_DAYS, _AFTER_DAYS = 28, 2
 _STARTS = (36, 64, 330)
 _PRICE, _HORIZON_H = "highly_dynamic", 24.0
 _HOLDS = 0.85
@@ -79,7 +79,7 @@ def run_worth_case(case: WorthCase) -> Row:
     plant = house_of_rooms(name, people=1000 * case.seed + case.number)
     start_s = _STARTS[case.number % len(_STARTS)] * DAY_S
     row: Row = {"house": plant.house.name, "refused": "", **dict.fromkeys(_FIGURES)}
-    scored_s, warmup_s = case.days * DAY_S, _BEFORE_DAYS * DAY_S
+    scored_s, warmup_s = case.days * DAY_S, BEFORE_DAYS * DAY_S
     plant.reset(start_s - warmup_s, 0.0, _PRICE)
     conditions = plant.forecast(warmup_s + scored_s, HOUR_S)
     plant.reset(start_s + scored_s, warmup_s + scored_s, _PRICE)

@@ -327,16 +327,17 @@ def test_worth_command(tmp_path: Path) -> None:
     record, model = _run(_levels(4)), _model(0.1)
     model.save(tmp_path / "model")
     stamps = [at.isoformat() for at in record.stamps()]
-    table = {"at": stamps, "room": record.T_zone_C[0], "out": record.T_out_C}
+    table = {"at": stamps, "room": record.T_zone_C[0], "out": record.T_out_C, "tank": 50.0}
     table |= {name: np.append(getattr(record, name)[0], np.nan) for name in ("u", "power_W")}
     pd.DataFrame(table).to_csv(tmp_path / "data.csv", index=False)
     price = _conditions(record).price_per_kWh[0]
     pd.DataFrame({"time": stamps, "price": price}).to_csv(tmp_path / "prices.csv", index=False)
     low = float(np.min(record.T_zone_C[0, -24:]))
     (tmp_path / "map.yaml").write_text(
-        "time: {column: at}\noutdoor: out\nstep: 60min\n"
+        "time: {column: at, zone: UTC}\noutdoor: out\nstep: 60min\n"
         f"zones: {{zone: {{temperature: room, lower: {max(low, 5.0):.1f}, upper: 40}}}}\n"
         "actuators: {actuator: {zone: zone, level: u}}\nmachines: {machine: {power: power_W}}\n"
+        "hot_water: {temperature: tank, comfort: else 20-80}\n"
     )
 
     def said(*words: str) -> tuple[int, str]:
@@ -354,6 +355,7 @@ def test_worth_command(tmp_path: Path) -> None:
     assert code == 0, text
     assert "90 % band" in text
     assert "It rests on effects of full level known to ± 10 %" in text
+    assert "hot water of machine as it was, since the house is lived through without its tank" in text
     content = json.loads(out.read_text())
     found = content["worth"]
     assert found["low"] < found["saved"] < found["high"]

@@ -6,6 +6,7 @@ import io
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -196,6 +197,16 @@ def test_an_account_of_a_shadow_that_makes_no_sense_is_begun_anew(tmp_path, chan
     (tmp_path / "shadow.json").write_text(json.dumps({"said": "", "of": "k", "days": days}))
     assert ShadowBook(tmp_path, simple_model(), mpc(), key="k").days == []
     assert f"{tmp_path}/shadow.json: begun anew" in caplog.text
+
+
+def test_a_shadow_says_that_hot_water_is_not_in_its_days(tmp_path):
+    controller = mpc()
+    (tmp_path / "shadow.json").write_text(json.dumps({"said": "", "of": "k", "days": [SHADOW_DAY]}))
+    assert "hot water" not in ShadowBook(tmp_path, simple_model(), controller, key="k").in_words
+    controller.hot_water = SimpleNamespace(machine="heat pump")
+    told = ShadowBook(tmp_path, simple_model(), controller, key="k").in_words
+    assert told.startswith("shadow: 1 day of")
+    assert "; hot water of heat pump as it was, since the house is lived through without its tank" in told
 
 
 def test_days_of_another_model_are_not_added_up_and_stay(tmp_path, caplog):

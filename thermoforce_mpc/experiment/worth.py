@@ -132,6 +132,7 @@ def worth(
     days: float,
     draws: int = 6,
     commands: Mapping[str, LearnedCommand] | None = None,
+    tank: str = "",
     error: ForecastError | None = None,
     seed: int = 0,
     progress: Callable[[str], None] = lambda line: None,
@@ -146,6 +147,7 @@ def worth(
         start_s, days: the stretch.
         draws: houses drawn from what the model does not know, beside the likeliest one; 2 or more.
         commands: learned commands of actuators that the controller sets by them.
+        tank: name of the machine that heats a tank of hot water too, '' without one; its hot water stays as it was.
         error: of the weather forecasts; None: what was measured later.
         seed: of the draws.
         progress: called with a line for each house.
@@ -201,7 +203,7 @@ def worth(
         raised_K=raised_K,
         planned_share=likeliest.planned / max(likeliest.steps, 1),
         power=houses.shares,
-        rests_on=_rests_on(model, houses.spread, houses.shares, draws, error, commands or {}),
+        rests_on=_rests_on(model, houses.spread, houses.shares, draws, error, commands or {}, tank),
     )
 
 
@@ -404,6 +406,14 @@ def band_of(saved: float, drawn: Sequence[float]) -> tuple[float, float]:
     return saved - half, saved + half
 
 
+def without_tank(machine: str) -> str:
+    """What is said where `machine` heats a tank of hot water too, of which the identified house knows nothing."""
+    return (
+        f"hot water of {machine} as it was, since the house is lived through without its tank: what plans do with it"
+        " is not counted"
+    )
+
+
 def _rests_on(
     model: ThermalModel,
     spread: Array,
@@ -411,6 +421,7 @@ def _rests_on(
     draws: int,
     error: ForecastError | None,
     commands: Mapping[str, LearnedCommand],
+    tank: str,
 ) -> str:
     home = model.operator.home
     own = [float(spread[z, a]) for a, z in enumerate(home)]
@@ -427,6 +438,8 @@ def _rests_on(
         else "power between what its law says of levels and what the rooms ask for, since the record does not tell",
         "the weather as it was measured" + (", with errors as of a forecast" if error is not None else ", known ahead"),
     ]
+    if tank:
+        parts.append(without_tank(tank))
     if not_fit:
         parts.append(f"{', '.join(not_fit)} left to its own control, since the model may not act there")
     return f"It rests on {'; '.join(parts)}."

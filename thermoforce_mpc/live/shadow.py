@@ -27,7 +27,7 @@ from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.meter import MeterState
 from thermoforce_mpc.data import CONDITIONS, J_PER_KWH, Boundary, Period, Record
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
-from thermoforce_mpc.experiment.worth import Houses, Lived, band_of, outside_Kh
+from thermoforce_mpc.experiment.worth import Houses, Lived, band_of, outside_Kh, without_tank
 from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
@@ -139,12 +139,18 @@ class ShadowBook:
                 self.days.append(self._judged(begin))
                 days = [asdict(day) for day in self.days]
                 of = {"of": self._key, "model": model_key(self._model)}
-                write_json(self._folder / SHADOW, {"said": in_words(self.days), **of, "days": days})
-            return in_words(self.days)
+                write_json(self._folder / SHADOW, {"said": self.in_words, **of, "days": days})
+            return self.in_words
         if self._today is not None and instant.date() != self._today:
             self._over = pd.Timestamp(self._today, tz=instant.tz)
         self._today = instant.date()
         return ""
+
+    @property
+    def in_words(self) -> str:
+        """What the days say together, and of a tank that the controller plans for, that it is not in them."""
+        tank = getattr(self._controller, "hot_water", None)
+        return in_words(self.days) + ("" if tank is None else f"; {without_tank(tank.machine)}")
 
     def _judged(self, begin: pd.Timestamp) -> ShadowDay:
         """The day from `begin`, midnight, on, from the journal, and where it leaves the houses, which is kept.

@@ -120,6 +120,7 @@ def worth(
         days=days,
         draws=houses,
         commands=learned,
+        tank=measured.map.tank_machine,
         error=error,
         seed=seed,
         progress=lambda line: click.echo(line, err=True),
