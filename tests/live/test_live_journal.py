@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from simple_house import simple_model
+from simple_house import power_W, simple_model
 from simulated_building import RULES, START, SimulatedBuilding, mpc
 
 from thermoforce_mpc.cli import cli
@@ -29,7 +29,7 @@ HOUR = pd.Timedelta("1h")
 MAP = MeasurementMap.model_validate(RULES)
 
 
-def recorded(folder: Path, house, steps, controller=None):
+def recorded(folder: Path, house, steps, controller=None, rules=MAP):
     """Control with a journal in `folder`; returns what the controller saw, by the hour of the run."""
     controller, seen = controller or mpc(), {}
     plan = controller.plan
@@ -42,10 +42,32 @@ def recorded(folder: Path, house, steps, controller=None):
     if not (folder / "given").exists():
         simple_model().save(folder / "given")
     journal = LiveJournal(
-        folder, real_run(folder, folder / "given", Path("my_house.yaml"), MAP, controller.config, "x")
+        folder, real_run(folder, folder / "given", Path("my_house.yaml"), rules, controller.config, "x")
     )
-    control(LiveBuilding(house, MAP, 3600.0), controller, clock=house, steps=steps, journal=journal)
+    control(LiveBuilding(house, rules, 3600.0), controller, clock=house, steps=steps, journal=journal)
     return seen
+
+
+def test_what_is_behind_the_meter_is_told_again(tmp_path):
+    """The house took 400 W beside the machine, and will take 900; alternatives are above the peak that was read."""
+    house = SimulatedBuilding()
+    of_machine, ahead = house.measurements, house.forecast
+    house.measurements = lambda: of_machine().assign(grid=lambda table: table["P"] + 400.0)
+    house.forecast = lambda: ahead().assign(load=900.0)
+    rules = MeasurementMap.model_validate(RULES | {"meter": "grid", "forecast": {"load": "load"}})
+    peaks = {"peak_price_per_kW": 1000.0, "peak_of": "month", "at_the_meter": True}
+    seen = recorded(tmp_path, house, 3, mpc(objective=peaks), rules)
+    for hour in (0, 2):
+        decision = decision_at(tmp_path, at(hour))
+        told = decision.observation
+        assert told.history.meter_W == pytest.approx(seen[hour].meter_W, nan_ok=True)
+        assert told.history.meter_W[-2:] == pytest.approx(told.history.power_W[0, -2:] + 400.0, nan_ok=True)
+        assert told.boundary.others_W == pytest.approx(np.full(told.boundary.time_s.size, 900.0))
+        found = alternatives_of(tmp_path, decision)
+        full = next(course for course in found.courses if course.name == "full")
+        above_W = power_W(1.0) + 900.0 - np.nanmax(seen[hour].meter_W)
+        assert above_W > 100.0
+        assert full.parts["peak"] == pytest.approx(above_W, rel=0.02)
 
 
 def kinds(folder):

@@ -146,6 +146,8 @@ def test_a_forecast_that_ends_early_has_holes_and_is_filled_from_the_last_one(gi
     np.testing.assert_allclose(filled.T_out_C, boundary().T_out_C)
     assert "the last forecast (1 h old)" in how
     assert lengthened(boundary(), N, HOUR_S).n_steps == N
+    at_meter = lengthened(replace(boundary(n=given_steps), others_W=np.full(given_steps + 1, 400.0)), N, HOUR_S)
+    assert np.nansum(at_meter.others_W) == 400.0 * (given_steps + 1)
 
 
 def test_a_guess_of_the_weather_is_as_far_off_as_such_guesses_were_in_the_record():

@@ -11,7 +11,7 @@ there is one of them, constructors also take arrays without that axis.
 
 from __future__ import annotations
 
-from thermoforce_mpc.data.boundary import CONDITIONS, Boundary, FreeForecast, Observation
+from thermoforce_mpc.data.boundary import AT_THE_METER, CONDITIONS, Boundary, FreeForecast, Observation
 from thermoforce_mpc.data.clock import DAY_S, HOUR_S, J_PER_KWH, NORMAL_90, NORMAL_95, YEAR_S, ZERO_C_K, Array, month_of
 from thermoforce_mpc.data.layout import Layout, Period, PlantInfo
 from thermoforce_mpc.data.names import SINGLE, Names
@@ -31,6 +31,7 @@ from thermoforce_mpc.data.record import ACTING, SAMPLED, SIGNALS, Measurement, R
 
 __all__ = [
     "ACTING",
+    "AT_THE_METER",
     "CONDITIONS",
     "DAY_S",
     "HOUR_S",

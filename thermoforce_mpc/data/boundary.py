@@ -34,7 +34,7 @@ CONDITIONS = (
 SET_BACK_K = 0.5
 
 # What there may be at the meter of the building.
-_AT_THE_METER = ("others_W", "export_per_kWh", "limit_W")
+AT_THE_METER = ("others_W", "export_per_kWh", "limit_W")
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Boundary:
 
     def __post_init__(self) -> None:
         n = np.size(self.time_s)
-        for name in _AT_THE_METER:
+        for name in AT_THE_METER:
             if np.size(getattr(self, name)) not in (0, n):
                 raise DataError(f"{name} has shape {np.shape(getattr(self, name))}, expected ({n},) or none")
             values = np.array(getattr(self, name), dtype=np.float64)
@@ -220,7 +220,7 @@ class Boundary:
                 name: getattr(self, name)[row[AXIS[name]]] if name in AXIS else getattr(self, name)
                 for name in CONDITIONS
             },
-            **{name: getattr(self, name) for name in _AT_THE_METER},
+            **{name: getattr(self, name) for name in AT_THE_METER},
             names=names,
             guessed={
                 name: values[row[AXIS[name]]][None] if name in AXIS else values for name, values in self.guessed.items()
@@ -241,7 +241,7 @@ class Boundary:
         if n_steps == self.n_steps:
             return self
         return Boundary(
-            **{name: getattr(self, name)[..., : n_steps + 1] for name in (*CONDITIONS, *_AT_THE_METER)},
+            **{name: getattr(self, name)[..., : n_steps + 1] for name in (*CONDITIONS, *AT_THE_METER)},
             names=self.names,
             guessed={name: values[..., : n_steps + 1] for name, values in self.guessed.items()},
         )

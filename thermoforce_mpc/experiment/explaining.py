@@ -197,6 +197,7 @@ def alternatives_of(folder: Path, decision: ExplainedStep) -> Alternatives | str
         from controllers.mpc.alternatives import alternatives
         from controllers.mpc.config import FreeResponseConfig, MPCConfig
         from controllers.mpc.controller import ThermoForceMPC
+        from controllers.mpc.state import MPCState, metered_W
         from thermoforce_mpc.model.thermal_model import load_model
 
         options = scenario.controller.options
@@ -213,8 +214,12 @@ def alternatives_of(folder: Path, decision: ExplainedStep) -> Alternatives | str
             planned = decision.step.plan if decision.plan else None
             observation, begin_s = decision.observation, decision.steps[0].time_s
             since = observation.history.time_s[:-1] >= begin_s
-            # Highest mean power of the building over a step of the run before the decision.
-            peak_W = float(np.nanmax(observation.history.power_W[:, since].sum(axis=0), initial=0.0))
+            # Highest mean power of the building over a step of the run, or month, before the decision.
+            aims = config.objective
+            power_W = metered_W(observation.history, observation.boundary, at_the_meter=aims.at_the_meter)
+            peak_W = float(np.nanmax(power_W[since], initial=0.0))
+            if aims.peak_of != "run":
+                peak_W = MPCState(begin_s).peak_after(observation, aims.peak_of, at_the_meter=aims.at_the_meter)
             return alternatives(controller, observation, planned, peak_W)
         except (ArtifactError, DataError) as error:
             return str(error)

@@ -25,7 +25,7 @@ import pandas as pd
 from controllers.state_classes import STATE_CLASSES, model_key
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.meter import MeterState
-from thermoforce_mpc.data import CONDITIONS, J_PER_KWH, Boundary, Period, Record
+from thermoforce_mpc.data import AT_THE_METER, CONDITIONS, J_PER_KWH, Boundary, Period, Record
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
 from thermoforce_mpc.experiment.worth import Houses, Lived, band_of, outside_Kh, without_tank
 from thermoforce_mpc.files import read_bounded
@@ -222,7 +222,13 @@ def _told_day(path: Path, begin: pd.Timestamp) -> _ToldDay:
         if not at or later is None:
             raise DataError(f"{begin:%d %b}: no decision was made in it: the day does not count")
         record = replace(history_before(steps[: later + 1]), origin=origin)
-        forecasts = {float(round(steps[i].time_s)): given for i in at if (given := steps[i].forecast()[0]) is not None}
+        # Of the house that is lived through the meter is not known.
+        nothing = dict.fromkeys(AT_THE_METER, np.empty(0))
+        forecasts = {
+            float(round(steps[i].time_s)): replace(given, **nothing)
+            for i in at
+            if (given := steps[i].forecast()[0]) is not None
+        }
         known = [forecast_of(steps[: i + 1]) for i in [*at, later]]
     first = record.nearest(begin_s)
     n = record.nearest(end_s) - first

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.data import AT_THE_METER, CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, RULES, outside
 from thermoforce_mpc.data.series import WEATHER, at_instants, gap_s
@@ -39,8 +39,10 @@ def lengthened(boundary: Boundary, n_steps: int, step_s: float) -> Boundary:
         return boundary
     later = boundary.time_s[-1] + step_s * np.arange(1, missing + 1)
     values: dict[str, Any] = {"time_s": np.append(boundary.time_s, later)}
-    for name in CONDITIONS[1:]:
+    for name in (*CONDITIONS[1:], *AT_THE_METER):
         signal = getattr(boundary, name)
+        if not signal.size:
+            continue
         values[name] = np.concatenate([signal, np.full((*signal.shape[:-1], missing), np.nan)], axis=-1)
     values["guessed"] = {
         name: np.concatenate([rows, np.zeros((*rows.shape[:-1], missing), dtype=bool)], axis=-1)

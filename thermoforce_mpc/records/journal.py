@@ -30,6 +30,7 @@ import numpy as np
 from boptest_client import safe_text
 from thermoforce_mpc.data import (
     ACTING,
+    AT_THE_METER,
     CONDITIONS,
     SIGNALS,
     Array,
@@ -126,17 +127,23 @@ def measurement_of(content: Mapping[str, Any], names: Names) -> Measurement:
 
 def record_json(record: Record) -> Json:
     """A record."""
-    return {name: pack(getattr(record, name)) for name in SIGNALS}
+    of_meter = ("meter_W",) if record.meter_W.size else ()
+    return {name: pack(getattr(record, name)) for name in (*SIGNALS, *of_meter)}
 
 
 def record_of(content: Mapping[str, Any], names: Names) -> Record:
     """The record of `record_json`."""
-    return Record(**{name: unpack(content[name]) for name in SIGNALS}, names=names)
+    of_meter = ("meter_W",) if "meter_W" in content else ()
+    return Record(**{name: unpack(content[name]) for name in (*SIGNALS, *of_meter)}, names=names)
 
 
 def boundary_rows(boundary: Boundary) -> Array:
-    """Boundary conditions, all rows in one array (rows, N + 1)."""
-    return np.vstack([np.atleast_2d(getattr(boundary, name)) for name in CONDITIONS])
+    """Boundary conditions, all rows in one array (rows, N + 1); where there is anything at the meter, that too."""
+    rows = [np.atleast_2d(getattr(boundary, name)) for name in CONDITIONS]
+    at_meter = [getattr(boundary, name) for name in AT_THE_METER]
+    if any(row.size for row in at_meter):
+        rows += [row[None] if row.size else np.full((1, boundary.time_s.size), np.nan) for row in at_meter]
+    return np.vstack(rows)
 
 
 def boundary_of(rows: Array, names: Names) -> Boundary:
@@ -147,6 +154,8 @@ def boundary_of(rows: Array, names: Names) -> Boundary:
         single = name in ("time_s", "T_out_C", "solar_W_m2")
         n = 1 if single else names.rows(name)
         signals[name], at = rows[at] if single else rows[at : at + n], at + n
+    at_meter = zip(AT_THE_METER, rows[at:], strict=rows.shape[0] > at)
+    signals |= {name: row for name, row in at_meter if not np.isnan(row).all()}
     return Boundary(**signals, names=names)
 
 

@@ -291,7 +291,8 @@ def spliced(record: Record, tail: Record) -> Record:
         name: np.concatenate([getattr(record, name)[..., :at], getattr(tail, name)], axis=-1)
         for name in (*SAMPLED, *ACTING)
     }
-    return Record(**joined, origin=record.origin, names=record.names)
+    meter_W = np.append(record.meter_W[:at], tail.meter_W) if record.meter_W.size and tail.meter_W.size else np.empty(0)
+    return Record(**joined, meter_W=meter_W, origin=record.origin, names=record.names)
 
 
 @dataclass(frozen=True)
