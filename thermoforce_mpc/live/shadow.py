@@ -223,7 +223,7 @@ def _told_day(path: Path, begin: pd.Timestamp) -> _ToldDay:
             raise DataError(f"{begin:%d %b}: no decision was made in it: the day does not count")
         record = replace(history_before(steps[: later + 1]), origin=origin)
         # Of the house that is lived through the meter is not known.
-        nothing = dict.fromkeys(AT_THE_METER, np.empty(0))
+        nothing: dict[str, Any] = dict.fromkeys(AT_THE_METER, np.empty(0))
         forecasts = {
             float(round(steps[i].time_s)): replace(given, **nothing)
             for i in at

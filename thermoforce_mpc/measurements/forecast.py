@@ -216,7 +216,7 @@ def read_forecast(
     solar, _ = sunlight(sources.ours, reader, grid_s, measured.record.origin)
     lower, upper = _bounds(sources, reader, grid_s, measured)
     price, past_price, at_meter = _prices(sources, reader, grid_s, measured, prices, notes, now)
-    others_W = _others_W(sources, reader, grid_s)
+    others_W = _others_W(sources, reader, grid_s, measured, back, name, notes)
     values, guessed = {"lower_C": lower, "upper_C": upper, "price_per_kWh": price}, {}
     for signal, rows_of in values.items():
         past = past_price if signal == "price_per_kWh" else getattr(measured.conditions, signal)
@@ -228,7 +228,7 @@ def read_forecast(
         grid_s[back:], outdoor[back:], solar[back:], np.zeros((len(names.zones), n)),
         values["lower_C"], values["upper_C"], values["price_per_kWh"], np.zeros((len(names.machines), n)), names=names,
         guessed={signal: rows_of for signal, rows_of in guessed.items() if rows_of.any()},
-        others_W=others_W[back:] if others_W.size else others_W,
+        others_W=others_W,
         **{key: of_meter[back:] for key, of_meter in at_meter.items()},
     )  # fmt: skip
     _check_known(boundary, measured, name)
@@ -433,16 +433,30 @@ def _prices(
     return price, past_price, {key: values for key, values in at_meter.items() if values.size}
 
 
-def _others_W(sources: _Sources, reader: SignalReader, grid_s: Array) -> Array:
-    """Other loads at the meter less generation (n,), W; empty where the map names none."""
+def _others_W(
+    sources: _Sources, reader: SignalReader, grid_s: Array, measured: Measurements, back: int, name: str,
+    notes: list[str],
+) -> Array:  # fmt: skip
+    """Other loads at the meter less generation from place `back` of `grid_s` on (N + 1,), W; empty where the map names
+    none. What is not known is as on days before, here or by the meter, else NaN; `notes` say from when on."""
     if not any(sources.at_meter):
         return np.empty(0)
+    record = measured.record
     others_W = np.zeros(grid_s.size)
     for key, signal, sign in zip(("load", "generation"), sources.at_meter, (1.0, -1.0), strict=True):
         if signal is not None:
             over_steps = reader.mean(f"forecast.{key}", signal, POWER)
             others_W += sign * np.append(over_steps, over_steps[-1:])
-    return others_W
+    past_W = np.full(record.n_steps + 1, np.nan)
+    if record.meter_W.size:
+        past_W[:-1] = record.meter_W - record.power_W.sum(axis=0)
+    told = grid_s, others_W[None], record.time_s, past_W[None], "others_W", back, record.origin
+    (ahead_W,), (guessed,) = _as_days_before(*told)
+    for where, how in ((guessed, "as on days before"), (np.isnan(ahead_W), "taken as 0 W")):
+        if where.any():
+            since = stamps(grid_s[back:][where][:1], record.origin)[0]
+            notes.append(f"{name}: load and generation are not known from {since} on: {how}")
+    return ahead_W
 
 
 @contextmanager

@@ -239,6 +239,20 @@ def test_a_peak_behind_whose_meter_others_are_needs_what_it_read(home, tmp_path)
         MeasurementMap.model_validate(METERED | {"forecast": {"generation": "pv"}})
 
 
+def test_a_load_that_is_not_forecast_is_as_on_days_before_and_said(home):
+    table, notes = forecast(home), []
+    table.loc[table.index[20] :, "load"] = np.nan
+    measured = read_measurements(home.measurements(), PLAIN, step_s=3600.0).served()
+    ahead = read_forecast(table, measured, left_out=notes)
+    assert ahead.others_W[0] == 400.0
+    assert np.isnan(ahead.others_W[21])
+    assert "load and generation are not known from 2025-01-29 20:00:00+00:00 on: taken as 0 W" in notes[-1]
+    metered = read_measurements(MeteredHome(days=14).measurements(), METERED, step_s=3600.0).served()
+    ahead = read_forecast(table, metered, left_out=notes)
+    assert ahead.others_W[21:24] == pytest.approx(400.0), "as the meter had it"
+    assert "20:00:00+00:00 on: as on days before" in notes[-1]
+
+
 def test_hot_water_on_the_same_machine_is_in_the_peak_so_far(home):
     table = home.measurements()
     charged = table["time"].between("2025-01-27 10:00", "2025-01-27 10:59")
