@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import shutil
 from dataclasses import replace
@@ -14,14 +15,16 @@ from simple_house import SimpleHouse, simple_model
 
 from thermoforce_mpc import report
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary
 from thermoforce_mpc.data.clock import seconds_of, words_of
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.experiment.explaining import decision_at
+from thermoforce_mpc.loop.loop import KeptSteps
 from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.records.journal import Journal, JournalError, read_run
 from thermoforce_mpc.records.run_folder import sole_use
+from thermoforce_mpc.records.told_steps import told_run
 
 
 def call(*words: object):
@@ -106,7 +109,7 @@ def test_the_rows_add_up_and_the_chosen_has_the_least_total(folder, tmp_path):
             assert course["total"] == pytest.approx(sum(course["parts"].values()))
         assert plan["total"] <= min(course["total"] for course in others) + 0.01
         row = next(line.split() for line in done.output.splitlines() if line.strip().startswith("plan "))
-        figures = [float(word) for word in row[1:6]]
+        figures = [float(word) for word in row[1 : len(plan["parts"]) + 2]]
         assert sum(figures[:-1]) == pytest.approx(figures[-1], abs=0.03)
         assert "action: the plan's first step, of the least total; next is" in done.output
 
@@ -167,6 +170,21 @@ def test_a_run_that_was_killed_is_explained(folder, tmp_path):
         assert "came: nothing is recorded yet" in call("explain", tmp_path).output
     shutil.copytree(folder / "model", tmp_path / "model")
     assert "Alternatives over 48 h" in call("explain", tmp_path).output
+
+
+def test_a_run_that_is_read_keeps_the_forecasts_of_its_latest_steps_only(folder, monkeypatch):
+    """Those of a year would not fit in memory."""
+    alive = []
+
+    class Kept(KeptSteps):
+        def append(self, step):
+            super().append(step)
+            alive.append(sum(isinstance(one, Boundary) for one in gc.get_objects()))
+
+    monkeypatch.setattr("thermoforce_mpc.records.told_steps.KeptSteps", lambda: Kept(in_memory=2))
+    told = told_run(folder)
+    assert len(told.results["thermoforce_mpc"].steps) == 12
+    assert max(alive[:12]) - alive[0] <= 4
 
 
 def test_several_zones_on_one_machine(tmp_path, monkeypatch):

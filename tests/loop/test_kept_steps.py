@@ -21,7 +21,7 @@ from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.records.journal import Journal, JournalError, read_journal
 from thermoforce_mpc.records.run_folder import steps_frame, trajectory_frame
 from thermoforce_mpc.report.findings import gates_held, watch_spells
-from thermoforce_mpc.report.html import forecast_errors
+from thermoforce_mpc.report.html import forecast_errors, free_forecast_scores
 
 
 def test_steps_come_back_in_order(tmp_path):
@@ -93,6 +93,25 @@ def test_what_is_told_of_a_long_run_takes_its_steps_one_by_one(tmp_path, status)
     assert peak < 2_000_000, "the steps are 20 MB"
     assert [(spell.start_s, spell.end_s) for spell in spells] == [(0.0, 720_000.0)] * (status is PlanStatus.WATCH)
     assert [gate.steps for gate in gates.values()] == [200] * (status is PlanStatus.GATE)
+
+
+def test_forecasts_of_a_long_run_are_scored_step_by_step(tmp_path):
+    steps: KeptSteps[SimpleNamespace] = KeptSteps(tmp_path, in_memory=1)
+    for i in range(200):
+        courses = {name: np.full((1, 4_000), float(i)) for name in ("T_zone_C", "T_free_low_C", "T_free_C", "u")}
+        plan = SimpleNamespace(**courses, T_free_high_C=np.full((1, 4_000), i + 0.5), T_free_now_C=np.full(1, float(i)))
+        boundary, T_C = SimpleNamespace(step_s=3600.0), np.full(1, float(i))
+        steps.append(SimpleNamespace(time_s=i * 3600.0, plan=plan, T_zone_C=T_C, boundary=boundary))
+    result = SimpleNamespace(steps=steps, names=SimpleNamespace(zones=("zone",)))
+    tracemalloc.start()
+    try:
+        errors, free = forecast_errors(result), free_forecast_scores(result)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 2_000_000, "the steps are 32 MB"
+    assert errors[0] == {"zone": "zone", "hours": 1.0, "bias_K": -1.0, "rmse_K": 1.0, "n": 199}
+    assert free[2] == {"zone": "zone", "hours": 24.0, "mae_K": 24.0, "coverage": 0.0, "n": 128}
 
 
 def test_a_journal_that_was_read_leaves_its_records_in_the_file(tmp_path):

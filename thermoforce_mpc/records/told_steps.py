@@ -437,6 +437,6 @@ def _ended_steps(loop: Sequence[JournalEntry]) -> KeptSteps[StepRecord]:
             break
         boundary, last_forecast = _next_forecast(steps, last_forecast)
         kept.append(step.record(boundary))
-        # Of steps before, only what was measured is asked for: their plans would not fit in memory.
-        steps[-1] = replace(step, told={}, done=None)
+        # Of steps before, only what was measured is asked for: their plans and forecasts would not fit in memory.
+        steps[-1] = replace(step, told={}, given=None, done=None)
     return kept

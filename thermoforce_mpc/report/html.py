@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Layout, Plan, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Layout, PlanStatus
 from thermoforce_mpc.errors import ArtifactError, InputError
 from thermoforce_mpc.files import check_plain, read_bounded, write_plain, write_whole
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
@@ -148,14 +148,14 @@ def forecast_errors(result: RunResult) -> list[dict[str, Any]]:
     """
     measured = {round(step.time_s): step.T_zone_C for step in result.steps}
 
-    def figures(plans: list[tuple[Plan, int, Array]], z: int) -> dict[str, Any]:
-        error = np.array([plan.T_zone_C[z, k] - later[z] for plan, k, later in plans])
+    def figures(planned_C: Array, came_C: Array) -> dict[str, Any]:
+        error = planned_C[0] - came_C
         finite = error[np.isfinite(error)]  # NaN where the zone's sensor was silent
         if not finite.size:
             return {}
         return {"bias_K": float(np.mean(finite)), "rmse_K": float(np.sqrt(np.mean(finite**2))), "n": finite.size}
 
-    return _scored(result, result.steps, measured, (1.0, 6.0, 12.0, 24.0), figures)
+    return _scored(result, result.steps, measured, (1.0, 6.0, 12.0, 24.0), ("T_zone_C",), figures)
 
 
 def free_forecast_scores(result: RunResult) -> list[dict[str, Any]]:
@@ -166,18 +166,18 @@ def free_forecast_scores(result: RunResult) -> list[dict[str, Any]]:
     """
     came = {round(step.time_s): step.plan.T_free_now_C for step in result.steps if step.plan.u.size}
     start_s = result.steps[0].time_s if result.steps else 0.0
-    settled = [step for step in result.steps if step.time_s - start_s >= 2 * DAY_S]
+    settled = (step for step in result.steps if step.time_s - start_s >= 2 * DAY_S)
 
-    def figures(plans: list[tuple[Plan, int, Array]], z: int) -> dict[str, Any]:
-        error = np.array([plan.T_free_C[z, k] - later[z] for plan, k, later in plans])
-        inside = np.array([plan.T_free_low_C[z, k] <= later[z] <= plan.T_free_high_C[z, k] for plan, k, later in plans])
+    def figures(forecast_C: Array, came_C: Array) -> dict[str, Any]:
+        free, low, high = forecast_C
+        error, inside = free - came_C, (low <= came_C) & (came_C <= high)
         finite = np.isfinite(error)  # NaN where the zone's sensor was silent
         if not finite.any():
             return {}
         mae_K = float(np.mean(np.abs(error[finite])))
         return {"mae_K": mae_K, "coverage": float(np.mean(inside[finite])), "n": int(finite.sum())}
 
-    return _scored(result, settled, came, (1.0, 6.0, 24.0), figures)
+    return _scored(result, settled, came, (1.0, 6.0, 24.0), ("T_free_C", "T_free_low_C", "T_free_high_C"), figures)
 
 
 def _scored(
@@ -185,24 +185,28 @@ def _scored(
     steps: Iterable[StepRecord],
     came: Mapping[int, Array],
     horizons_h: tuple[float, ...],
-    figures: Callable[[list[tuple[Plan, int, Array]], int], dict[str, Any]],
+    names: tuple[str, ...],
+    figures: Callable[[Array, Array], dict[str, Any]],
 ) -> list[dict[str, Any]]:
-    """Rows zone by zone, then by lead time, of the `figures` of a zone: from plans with the number of the step that
-    ends so much later, and what `came` then, by time (s).
+    """Rows zone by zone, then by lead time, of the `figures` of a zone.
+
+    They get the plans' courses of these `names` (names, plans) so much later, and what `came` then (plans,), by time
+    (s). Steps are read once, and no plan is kept: those of a year would not fit in memory.
     """
-    steps = list(steps)
-    scored: dict[float, list[tuple[Plan, int, Array]]] = {}
-    for hours in horizons_h:
-        for step in steps:
+    planned: dict[float, list[Array]] = {hours: [] for hours in horizons_h}
+    seen: dict[float, list[Array]] = {hours: [] for hours in horizons_h}
+    for step in steps:
+        for hours in horizons_h:
             k = round(hours * HOUR_S / step.boundary.step_s) - 1
             later = came.get(round(step.time_s + hours * HOUR_S))
             if later is not None and 0 <= k < step.plan.u.shape[-1]:
-                scored.setdefault(hours, []).append((step.plan, k, later))
+                planned[hours].append(np.stack([getattr(step.plan, name)[:, k] for name in names]))
+                seen[hours].append(later)
     return [
         {"zone": zone, "hours": hours, **found}
         for z, zone in enumerate(result.names.zones)
-        for hours, plans in scored.items()
-        if (found := figures(plans, z))
+        for hours, courses in planned.items()
+        if courses and (found := figures(np.array(courses)[:, :, z].T, np.array(seen[hours])[:, z]))
     ]
 
 
