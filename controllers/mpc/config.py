@@ -165,7 +165,7 @@ class DeadlineConfig(StrictModel):
     # hangs meets it.
     forecast_s: float = Field(60.0, gt=0, description="free forecasts of all zones of a step, s")
     # Solve of a step, s: thrice the longest that a solver of ours takes by its own limit, so that only one that hangs
-    # meets it. A look for sun on the zone sensors, at night, may take as long.
+    # meets it. A step waits as long for a look for sun on the zone sensors that began at the step before.
     solve_s: ClassVar[float] = 60.0
     look_s: ClassVar[float] = solve_s
 

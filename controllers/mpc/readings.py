@@ -104,13 +104,13 @@ class ReadingsFilter:
         return Readings(seen, observation.boundary, zones, forced_K, doubts, news), state
 
     def _without_sun(self, history: Record, state: MPCState) -> Computation[tuple[Record, MPCState, str]]:
-        """The record without the sun on sensors, which is looked for each night, the state, and what was found."""
+        """The record without the sun on sensors, which is looked for at night, the state, and what was found."""
         believed = self.sensors.mask_rejected(state.sensors, self.meters.mask_rejected(state.meters, history))
         sun = yield from self._sun.updating(state.sun, believed, self._look_s)
-        news = self._sun.news(state.sun, sun)
-        if news:  # the forced state may follow the temperature
+        news, of_zones = self._sun.news(state.sun, sun), self._sun.of_zones(sun)
+        if of_zones != self._sun.of_zones(state.sun):  # the forced state may follow the temperature
             state = state.without_forced()
-        return off_sensors(history, self._sun.of_zones(sun)), replace(state, sun=sun), news
+        return off_sensors(history, of_zones), replace(state, sun=sun), news
 
     def _forced(self, history: Record, state: MPCState) -> ForcedState | None:
         """Forced states of the building until now; None at the start, or if they cannot be estimated."""
