@@ -101,6 +101,27 @@ def test_where_it_is_milder_than_in_the_record_half_of_the_heat_is_left():
     assert mild_W == pytest.approx(0.5 * mean_W, rel=0.05)
 
 
+def test_errors_that_last_for_hours_tell_less():
+    """Against the prior slopes of the water: the same errors, which move no straight line, in order and shuffled."""
+    record, run, emitter_C = probed()
+    u, together_W = record.u[0], record.heat_W.sum(axis=0)
+    on = (u > 0.0) & (together_W < 0.7 * together_W.max())  # far from the machine's limit, whatever the errors
+    columns = (u * np.stack([np.ones(N), record.T_out_C[:-1], 0.5 * (emitter_C[1:] + emitter_C[:-1])])).T[on]
+
+    def from_prior_per_K(errors_W: np.ndarray) -> float:
+        left_W = errors_W[on] - columns @ np.linalg.lstsq(columns, errors_W[on], rcond=None)[0]
+        heat_W = record.heat_W.copy()
+        heat_W[0, on] += left_W
+        circuit = found(replace(record, heat_W=heat_W), run)
+        full = float(circuit.load(np.array(1.0), np.array(record.T_out_C[:-1][on].mean()))) / METERED.reference_W
+        outdoors = circuit.load.coefficients[3] / METERED.reference_W
+        return float(np.hypot(outdoors / full + 0.04, circuit.per_K / full / 0.3 - 0.04))
+
+    lasting_W = 200.0 * np.sin(2.0 * np.pi * np.arange(N) * STEP_H / 7.3)
+    shuffled_W = np.random.default_rng(0).permutation(lasting_W)
+    assert from_prior_per_K(lasting_W) < 0.9 * from_prior_per_K(shuffled_W)
+
+
 def test_none_without_a_meter_or_others_on_the_machine_or_enough_steps():
     record, run, _ = probed()
     assert found(record, run, IDENTITY) is None

@@ -103,6 +103,20 @@ def test_the_return_water_explains_what_level_and_weather_leave_over():
     assert fixed + per_u == pytest.approx(model.load(np.array(1.0), np.array(0.0)) * (1 + 2 * model.water.per_K))
 
 
+def test_errors_that_last_for_hours_say_less_of_the_return_water():
+    """The same steps in another order are as likely, but for what goes on from one to the next."""
+    rng = np.random.default_rng(6)
+    u, T, lasting = np.full(96, 0.7), rng.uniform(-5, 12, 96), np.sin(np.arange(96) / 8.0)
+    T_return = 30.0 + 1.5 * lasting + rng.normal(0, 1.0, 96)
+    power = _machine(u, T) * (1 + 0.04 * 1.5 * lasting)
+    per_K = []
+    for order in (np.arange(96), rng.permutation(96)):
+        history = machine_history(u, T[order], power_W=power[order])
+        per_K.append(fit_power([replace(history, T_return_C=T_return[order])]).water.per_K)
+    lasting_K, shuffled_K = (abs(one - 0.01) for one in per_K)
+    assert lasting_K < 0.9 * shuffled_K
+
+
 def test_few_running_steps_say_nothing_of_the_return_water():
     history = _water_history(np.random.default_rng(5), 12)
     assert fit_power([history]).water is None

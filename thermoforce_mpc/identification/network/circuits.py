@@ -23,7 +23,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
 from thermoforce_mpc.data.series import interpolated, lagged
 from thermoforce_mpc.identification.effects.couplings import largest_W
 from thermoforce_mpc.identification.network.estimate import RoomFit, RoomRun
-from thermoforce_mpc.model.machine.load import LEVEL_EDGE, TRUST_K, MachineLoad
+from thermoforce_mpc.model.machine.load import LEVEL_EDGE, RESIDUAL_SCALE, TRUST_K, MachineLoad, error_of_a_step
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # Level about which plans are linearised: that which holds a room over a season.
@@ -34,8 +34,8 @@ _AT_LIMIT = 0.9
 # Steps from which the heat of a circuit is found: three hours of operation, by judgement.
 _LEAST_STEPS = 12
 # Prior of both slopes over the heat of full level, 1/K: water is 10 to 50 K warmer than its emitter, its excess goes
-# with the load; error of a step as a share of full heat, of steps that are correlated over hours.
-_PER_K, _PER_K_SD, _STEP_SD = 0.04, 0.03, 0.1
+# with the load.
+_PER_K, _PER_K_SD = 0.04, 0.03
 # Least share of the heat at the mean outdoor temperature: where it is milder emitters are cooler, so that heat falls
 # less than at one temperature of theirs.
 _LEAST_SHARE = 0.5
@@ -77,8 +77,12 @@ def circuit_of(
     mean_C, usual_C = (float(u @ T / u.sum()) for T in (T_out_C, emitter_C))
     columns = np.column_stack([u, u * (T_out_C - mean_C), -sign * u * (emitter_C - usual_C)])
     priors = np.array([[sign * _PER_K, 1.0, 0.0], [-_PER_K, 0.0, 1.0]]) / _PER_K_SD
-    design, values = np.concatenate([columns / _STEP_SD, priors]), np.concatenate([v / _STEP_SD, np.zeros(2)])
-    found = lsq_linear(design, values, bounds=([_LEAST_SHARE, -np.inf, 0.0], np.inf)).x
+
+    def fitted(step_sd: float) -> Array:
+        design, values = np.concatenate([columns / step_sd, priors]), np.concatenate([v / step_sd, np.zeros(2)])
+        return np.asarray(lsq_linear(design, values, bounds=([_LEAST_SHARE, -np.inf, 0.0], np.inf)).x)
+
+    found = fitted(error_of_a_step(v - columns @ fitted(RESIDUAL_SCALE), RESIDUAL_SCALE))
     full, outdoors, warmer = (float(value) for value in found)
     # The straight line ends where the least share is left.
     reach_K = (1.0 - _LEAST_SHARE) * full / max(abs(outdoors), 1e-9)

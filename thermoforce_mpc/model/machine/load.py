@@ -228,9 +228,12 @@ def error_of_a_step(error: Array, least: float) -> float:
 
 @dataclass(frozen=True)
 class Quality:
-    """Quality of a fit: `rmse_W` over `n_running` steps, `r2` over all `n_samples`."""
+    """Quality of a fit: `rmse_W` over `n_running` steps, `step_W` what each of them counts with, see
+    `error_of_a_step`, `r2` over all `n_samples`.
+    """
 
     rmse_W: float
+    step_W: float
     r2: float
     n_samples: int
     n_running: int
@@ -239,9 +242,11 @@ class Quality:
     def of(cls, fitted_W: Array, steps: Steps) -> Quality:
         """Return the quality of `fitted_W` (n,) against the measured load."""
         error = fitted_W - steps.load_W
+        of_running = error[steps.running]
         variance = float(np.var(steps.load_W))
         return cls(
-            rmse_W=float(np.sqrt(np.mean(error[steps.running] ** 2))),
+            rmse_W=float(np.sqrt(np.mean(of_running**2))),
+            step_W=error_of_a_step(of_running, 0.0),
             r2=1.0 - float(np.mean(error**2)) / variance if variance > 0 else float("nan"),
             n_samples=int(steps.u.size),
             n_running=int(steps.running.sum()),

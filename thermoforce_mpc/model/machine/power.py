@@ -120,12 +120,12 @@ def above_zone(T_return_C: Array, T_zone_C: Array, u: Array) -> float:
 
 
 def fit_return_water(
-    T_return_C: Array, T_zone_C: Array, u: Array, misfit_of: Callable[[Array], float], full_W: float
+    T_return_C: Array, T_zone_C: Array, u: Array, quality_of: Callable[[Array], Quality], full_W: float
 ) -> ReturnWater | None:
     """Fit κ by least squares with a prior; None if too few running steps have a measured return temperature.
 
-    `T_return_C`, `u` (n,): means over each step; `T_zone_C` (n,) at its start. `misfit_of`: sum of squared residuals,
-    W², of the load fitted with given factors (n,). `full_W`: an error of a step has `RESIDUAL_SCALE` times that.
+    `T_return_C`, `u` (n,): means over each step; `T_zone_C` (n,) at its start. `quality_of`: that of the load fitted
+    with given factors (n,). A step counts as its error does, at least `RESIDUAL_SCALE` times `full_W`.
     """
     from scipy.optimize import minimize_scalar
 
@@ -138,15 +138,21 @@ def fit_return_water(
     if not np.isfinite(above_K):
         return None
 
+    def quality(per_K: float) -> Quality:
+        return quality_of(water(per_K).factor(T_return_C))
+
     def water(per_K: float) -> ReturnWater:
         return ReturnWater(per_K, reference, (low - _TRUST_K, high + _TRUST_K), above_K)
 
-    def loss(per_K: float) -> float:
-        prior = ((per_K - _PRIOR_PER_K) / _PRIOR_SD_PER_K) ** 2
-        return misfit_of(water(per_K).factor(T_return_C)) / (RESIDUAL_SCALE * full_W) ** 2 + prior
+    def fitted(step_W: float) -> float:
+        def loss(per_K: float) -> float:
+            found = quality(per_K)
+            return found.n_running * (found.rmse_W / step_W) ** 2 + ((per_K - _PRIOR_PER_K) / _PRIOR_SD_PER_K) ** 2
 
-    minimum = minimize_scalar(loss, bounds=_BOUNDS_PER_K, method="bounded", options={"xatol": 1e-5})
-    return water(float(minimum.x))
+        return float(minimize_scalar(loss, bounds=_BOUNDS_PER_K, method="bounded", options={"xatol": 1e-5}).x)
+
+    least_W = RESIDUAL_SCALE * full_W
+    return water(fitted(max(least_W, quality(fitted(least_W)).step_W)))
 
 
 @dataclass(frozen=True)
@@ -275,7 +281,7 @@ def fit_power(
         T_return,
         T_zone,
         u,
-        lambda factor: fit(factor=factor, squares=squares).quality.rmse_W ** 2 * plain.quality.n_running,
+        lambda factor: fit(factor=factor, squares=squares).quality,
         full_W=full_W,
     )
     best = plain if water is None else fit(factor=water.factor(T_return), squares=squares)
