@@ -334,6 +334,28 @@ def test_what_a_plan_rests_on_stands_in_whole_sentences(folder, model, monkeypat
     assert "Found: another load" in tf_mpc(folder, "plan", *words, "--hours", "6").output.splitlines()
 
 
+def test_why_a_plan_in_levels_has_no_saving_is_said(folder, model):
+    words = (
+        "--model",
+        str(model),
+        "--data",
+        "probed.csv",
+        "--map",
+        "map.yaml",
+        "--forecast",
+        "ahead.csv",
+        "--hours",
+        "6",
+    )
+    done = tf_mpc(folder, "plan", *words, "--out", "levels.json")
+    said = " ".join(done.output.split())
+    assert "What the plan saves is not told: its levels have no command" in said
+    assert "Saves" not in said
+    found = json.loads((folder / "levels.json").read_text())
+    assert found["saving"] is None
+    assert found["no_saving"].startswith("What the plan saves is not told")
+
+
 @pytest.mark.parametrize("mode", ["duty", "modulating"])
 def test_minimum_times_that_a_plan_does_not_keep_are_said(folder, model, mode):
     words = (

@@ -41,6 +41,12 @@ if TYPE_CHECKING:
 
 # Least and usual length of a plan, h, and how much of the measurements it looks back at, days: a month with its peaks.
 _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 31.0
+# Of a plan in levels. The record tells what was set, under whatever control; what will be set without a plan only a
+# command's map tells.
+_NO_SAVING = (
+    "What the plan saves is not told: its levels have no command, and what the building's own control would set "
+    "instead is not known. tf-mpc worth tells what plans would have saved in the days of a record"
+)
 # Least step of a plan, s: that of the controller.
 _LEAST_STEP_S = 300.0
 
@@ -77,7 +83,8 @@ def plan(
     numbers. Nothing is connected: set the levels yourself, and plan again when new measurements are there.
 
     Where the map names a command of an actuator (docs/how-it-works/commands.md), that is what to set, with what it
-    saves against leaving the building alone. Of others the level is. With hot_water in the map the tank is planned too.
+    saves against leaving the building alone. Of others the level is; what these save is not told (see tf-mpc worth).
+    With hot_water in the map the tank is planned too.
 
     A level between 0 and 1 of a machine that is only on or off means that share of the step. Where a step does not hold
     its minimum on and off times (actuation.min_on_s, min_off_s) or its share of the starts an hour
@@ -152,6 +159,8 @@ def plan(
     found = [*command_rows(plan, commands), *tank_rows(plan, None if tank is None else tank.command)]
     if found:
         _show_commands(plan, found, display)
+    if plan.saving is None:
+        display.say(_NO_SAVING)
     if plan.hot_water is not None:
         display.say(tank_in_words(plan.hot_water))
     if commands_file is not None:
@@ -160,8 +169,11 @@ def plan(
         acting = dict(zip(plan.names.actuators, map(str, plan.acting), strict=True))
         beside: dict[str, Any] = {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status}
         beside["acting"] = acting
+        beside["saving"] = _saving_json(plan)
+        if plan.saving is None:
+            beside["no_saving"] = _NO_SAVING
         if found:
-            beside |= {"commands": found, "saving": _saving_json(plan)}
+            beside["commands"] = found
         if (of_tank := plan.hot_water) is not None:
             beside["hot_water"] = {
                 name: round(getattr(of_tank, name), 4)
