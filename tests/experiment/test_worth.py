@@ -255,7 +255,8 @@ def _contact(record: Record, state: Array) -> LearnedCommand:
     half = np.full(2, 0.5)
     loop = LoopMap(0.0, states, states, 0.0, 0.0, states, half, spread, spread, 0.0, 1.0, 14.0)
     usual = np.full(7 * 24, 2.0)
-    return LearnedCommand(_CONTACT, loop, 2.0, DAY_S, usual, record.time_s[-1], _ORIGIN, "machine", "", record, state)
+    learned = LearnedCommand(_CONTACT, loop, 2.0, DAY_S, usual, record.time_s[-1], _ORIGIN)
+    return replace(learned, machine="machine", record=record, set_to=state)
 
 
 class _Blocked:
