@@ -35,13 +35,17 @@ def home():
 @pytest.fixture(scope="module")
 def parts(home):
     """The commands as if each room had its own, its boundary, the problem of a plan, and its controller."""
+    return parts_of(home, range(2))
+
+
+def parts_of(home, commanded):
     measured = read_measurements(home.measurements(), RULES, step_s=HOUR_S).served()
     learned, model = learned_commands(measured), curve_model(home)
     options = {"step_s": HOUR_S, "horizon_h": 24.0, "free_response": {"name": "persistence"}}
     mpc = ThermoForceMPC(model, MPCConfig.model_validate(options), commands=learned)
     seen = Observation(measured.record, read_forecast(home.forecast(), measured).head(24))
     context = mpc.predictor.context(seen)
-    own = {a: replace(learned[name], machine="") for a, name in enumerate(ROOMS)}
+    own = {a: replace(learned[ROOMS[a]], machine="") for a in commanded}
     commands = BuildingCommands(measured.layout, own, model.cards, {})
     return commands, context.boundary, mpc.instance(context, seen.history), mpc
 
@@ -51,8 +55,17 @@ def commands_of(home):
 
 
 def begun(parts, left_alone=(), unknown=(), **changes):
+    """Of a problem with `changes`; the person's bounds are the problem's."""
     commands, boundary, problem, mpc = parts
-    return commands.begin(mpc.planning_operator, replace(problem, **changes), boundary, left_alone, None, unknown)
+    problem = replace(problem, **changes)
+    boundary = asked(boundary, problem.lower_C, problem.upper_C)
+    return commands.begin(mpc.planning_operator, problem, boundary, left_alone, None, unknown)
+
+
+def asked(boundary, lower_C, upper_C):
+    """With bounds (Z, N) of the ends of steps, °C."""
+    lower_C, upper_C = (np.column_stack([one[:, :1], one]) for one in (lower_C, upper_C))
+    return replace(boundary, lower_C=lower_C, upper_C=upper_C)
 
 
 def brought(parts, u):
@@ -216,14 +229,12 @@ def test_energy_lies_between_the_law_of_power_and_what_the_rooms_ask_for(parts):
 @pytest.mark.slow
 def test_rooms_are_next_to_never_colder_than_left_alone_for_what_that_saves(parts):
     """Where an hour's heat is dear and discomfort counts little: counted once, 0.25 K·h were worth what they saved."""
-    commands, boundary, problem, mpc = parts
+    _, _, problem, mpc = parts
     dear = {"price_per_kWh": np.where(np.arange(problem.n_steps) % 8 < 4, 0.1, 2.0)[None]}
     usual_u = begun(parts, **dear).without.realise(np.zeros((2, problem.n_steps)), STATES, mpc.evaluator).u
     alone_C = brought(parts, usual_u)
     dear |= {"lower_C": alone_C, "upper_C": alone_C + 3.0, "weights": replace(problem.weights, comfort=0.4)}
-    at_ends_C = np.column_stack([alone_C[:, :1], alone_C])
-    asked = replace(boundary, lower_C=at_ends_C, upper_C=at_ends_C + 3.0)
-    plan = commands.begin(mpc.planning_operator, replace(problem, **dear), asked, [], None)
+    plan = begun(parts, **dear)
     commanded = plan.realise(np.zeros((2, problem.n_steps)), STATES, mpc.evaluator)
     assert np.maximum(alone_C - brought(parts, commanded.u), 0.0).sum() < 0.05
     assert plan.saving(commanded, mpc.evaluator, 0.0).gain > 0.0
@@ -259,6 +270,37 @@ def test_what_is_on_the_meter_beside_levels_is_bought_above_a_surplus_and_adds_t
         peak.append(saving.peak_alone)
     assert cost[1] - cost[0] == pytest.approx(0.30 * n)
     assert peak[1] - peak[0] == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize("side", ["lower_C", "upper_C"])
+def test_a_margin_inside_the_bounds_is_asked_as_far_as_left_alone_keeps_it(parts, side):
+    """Beyond that a plan would pay for warmth, or for cold, that nobody asked for; of the bounds themselves it does."""
+    commands, boundary, problem, mpc = parts
+    alone_C = begun(parts).left_alone_C
+    inside = 1.0 if side == "lower_C" else -1.0
+    n = problem.n_steps // 3
+    # The person's bound lies outside what is kept, with its margin inside or outside too; then inside with its margin.
+    bound_C = alone_C + inside * np.repeat([-0.3, -0.3, 0.2], [n, n, problem.n_steps - 2 * n])
+    with_margin_C = bound_C + inside * np.repeat([0.5, 0.1, 0.5], [n, n, problem.n_steps - 2 * n])
+    expected_C = np.concatenate([alone_C[:, :n], with_margin_C[:, n : 2 * n], bound_C[:, 2 * n :]], axis=1)
+    wide = {"lower_C": alone_C - 9.0, "upper_C": alone_C + 9.0}
+    of_person, of_problem = wide | {side: bound_C}, wide | {side: with_margin_C}
+    plan = commands.begin(mpc.planning_operator, replace(problem, **of_problem), asked(boundary, **of_person), [], None)
+    for name in wide:
+        expected = expected_C if name == side else wide[name]
+        np.testing.assert_allclose(getattr(plan.problem, name), expected, atol=1e-9)
+        np.testing.assert_allclose(getattr(plan.within_reach(None), name), expected, atol=1e-9)
+
+
+def test_of_a_room_without_a_command_margins_are_asked(home):
+    """What left alone keeps there is not known: its levels are the plan's."""
+    parts = parts_of(home, [LIVING])
+    problem = parts[2]
+    boundary = asked(parts[1], problem.lower_C, problem.upper_C)
+    tight = replace(problem, lower_C=problem.lower_C + 3.0, upper_C=problem.upper_C + 3.0)
+    plan = parts[0].begin(parts[3].planning_operator, tight, boundary, [], None)
+    np.testing.assert_array_equal(plan.problem.lower_C[BEDROOM], tight.lower_C[BEDROOM])
+    assert (plan.problem.lower_C[LIVING] < tight.lower_C[LIVING]).all()
 
 
 def test_the_less_is_known_the_less_is_promised(parts):
