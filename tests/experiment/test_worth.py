@@ -410,7 +410,7 @@ class _ChargedAtNight:
 
 def test_commands_of_a_map_are_counted_on_the_meter(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a record tells of states of SG-Ready is in what they would have cost; left alone, nothing is."""
-    home = HomeByCurve(days=10, trials=3, contacts=True)
+    home = HomeByCurve(days=10, trials=3, set_by="sg_ready")
     model, cards = curve_model(home), []
     for _, _, pair in model.operator.each():
         day_K = float((pair.gains * (1.0 - pair.poles**24) / (1.0 - pair.poles)).sum())
