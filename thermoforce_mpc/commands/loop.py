@@ -176,9 +176,9 @@ class LearnedCommand:
     origin: pd.Timestamp | None = None
     machine: str = ""
     untold: str = ""
-    usual_per_K: float = 0.0
     record: Record | None = None
     set_to: Array | None = None
+    usual_per_K: float = 0.0
 
     @property
     def in_words(self) -> str:
