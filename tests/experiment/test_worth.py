@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from home_by_curve import SG_RULES, HomeByCurve, curve_model
+from home_by_curve import SG_RULES, START, HomeByCurve, curve_model
 from simple_house import GAIN_K, POLE, outdoor_C, simple_model
 
 from controllers.mpc.commanding import meters_of
@@ -408,6 +408,17 @@ class _ChargedAtNight:
         return Plan((Block((None,) * 2, HOUR_S, (told,) * 2),), PlanStatus.SOLVED, "by night")
 
 
+class _HomeChargedAtNight(HomeByCurve):
+    """Of which the last day was lived so."""
+
+    def wait_until(self, at: pd.Timestamp) -> None:
+        begin = START - pd.Timedelta("24h")
+        super().wait_until(min(at, begin))
+        for k in range(24 if at == START else 0):
+            self.told = 3.0 if 2 <= k < 4 else 1.0 if 18 <= k < 20 else 2.0
+            super().wait_until(begin + pd.Timedelta(hours=k + 1))
+
+
 def test_commands_of_a_map_are_counted_on_the_meter(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a record tells of states of SG-Ready is in what they would have cost; left alone, nothing is."""
     home = HomeByCurve(days=10, trials=3, set_by="sg_ready")
@@ -425,4 +436,5 @@ def test_commands_of_a_map_are_counted_on_the_meter(monkeypatch: pytest.MonkeyPa
     np.testing.assert_allclose(by_levels.planned.u, counted.planned.u)
     more_W = counted.planned.power_W[0] - by_levels.planned.power_W[0]
     assert (more_W[2:4] > 20.0).all(), "warmer water than the rooms' levels tell"
-    assert counted.cost > by_levels.cost + 0.1
+    lived = _HomeChargedAtNight(days=10, trials=3, set_by="sg_ready").rows[-24 * 12 :]
+    assert counted.cost == pytest.approx(sum(row["P"] * row["price"] for row in lived) / 12000.0, rel=0.03)
