@@ -32,6 +32,7 @@ from thermoforce_mpc.commands.meter import (
     beyond_sd,
     chance_sd,
     learn_meter,
+    left_of,
     off_commands,
 )
 from thermoforce_mpc.data import (
@@ -632,7 +633,9 @@ class CommandedPlan:
             state, usual = loop.begin(), self._usual_row(one.first)
             values = held.get(one.first, usual[None])
             now = meter.begin(state.value, float(usual[0]), state.held_s, float(self.hour[0]))
-            course = meter.course(values, usual, loop.step_s / loop.parts, loop.parts, law, self.hour, now)
+            T_C = float(self.problem.T_now_C[self.operator.home[one.first]])
+            left = left_of(loop.learned, meter, float(usual[0]), T_C, float(loop.T_out_C[0]))
+            course = meter.course(values, usual, loop.step_s / loop.parts, loop.parts, law, self.hour, now, left)
             of = effects[i] if effects else meter.mean[None]
             beside_W = meter.power_W(course, of, law, self.hour)
             each_kWh = beside_W * self.problem.step_s / J_PER_KWH

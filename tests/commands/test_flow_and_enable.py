@@ -16,6 +16,8 @@ from thermoforce_mpc.data import Observation
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import learned_commands, read_measurements
 
+OPTIONS = {"step_s": 3600.0, "horizon_h": 24.0, "free_response": {"name": "persistence"}}
+CONFIG = MPCConfig.model_validate(OPTIONS | {"gate": {"enabled": False}, "watch": {"enabled": False}})
 RULES_OF = {"flow_temperature": FLOW_RULES, "enable": ENABLE_RULES}
 
 
@@ -50,9 +52,7 @@ def test_what_it_does_is_learned_for_each_room(house):
 
 def test_a_plan_saves_and_is_what_may_be_set(house):
     kind, home, measured, learned = house
-    options = {"step_s": 3600.0, "horizon_h": 24.0, "free_response": {"name": "persistence"}}
-    options |= {"gate": {"enabled": False}, "watch": {"enabled": False}}
-    mpc = ThermoForceMPC(curve_model(home), MPCConfig.model_validate(options), commands=learned)
+    mpc = ThermoForceMPC(curve_model(home), CONFIG, commands=learned)
     plan = mpc.plan(Observation(measured.record, read_forecast(home.forecast(), measured)))
     living, bedroom = plan.settings
     assert living == bedroom
@@ -66,7 +66,18 @@ def test_a_plan_saves_and_is_what_may_be_set(house):
         assert max(values) <= curve_C(float(out.min())) + 6.0
     assert plan.saving.saved > 0.0
     assert plan.saving.outside_Kh <= plan.saving.outside_alone_Kh + 0.5
-    assert plan.saving.cost_alone == pytest.approx(_alone(home), rel=0.2)
+    assert plan.saving.cost_alone == pytest.approx(_cost(home), rel=0.2)
+
+
+def test_a_machine_that_is_off_for_half_an_hour_takes_what_its_heat_in_the_other_half_takes():
+    """The levels of such an hour are half of others already: their power was halved again."""
+    home = HomeByCurve(days=14, set_by="enable")
+    measured, learned = told_by(home, "enable")
+    mpc = ThermoForceMPC(curve_model(home), CONFIG, commands=learned)
+    plan = mpc.plan(Observation(measured.record, read_forecast(home.forecast(), measured)))
+    assert any(one.value == 0.0 for one in plan.settings[0])
+    told = plan.saving.cost_alone - plan.saving.cost
+    assert told == pytest.approx(_cost(home) - _cost(home, plan.settings[0]), rel=0.3)
 
 
 def test_on_a_meter_of_days_that_are_alike_hours_and_weather_are_not_told_apart():
@@ -77,8 +88,11 @@ def test_on_a_meter_of_days_that_are_alike_hours_and_weather_are_not_told_apart(
     assert np.ptp(meter.base_W) < 400.0
 
 
-def _alone(home):
-    """What the next day costs, left alone."""
-    lived, n = copy.deepcopy(home), len(home.rows)
-    lived.wait_until(home.now() + pd.Timedelta("24h"))
+def _cost(home, settings=()):
+    """What the next day costs under commands, or left alone."""
+    lived, n, begin = copy.deepcopy(home), len(home.rows), home.now()
+    for one in settings:
+        lived.told = one.value
+        lived.wait_until(begin + pd.Timedelta(seconds=one.end_s - settings[0].start_s))
+    lived.wait_until(begin + pd.Timedelta("24h"))
     return sum(row["P"] * row["price"] for row in lived.rows[n:]) / 12000.0

@@ -89,13 +89,14 @@ class MeterState:
 class MeterCourse:
     """Commands by what they move: `columns` (p, S, N) of each effect over steps, `after_h` (p, S) after the last.
 
-    `is_on` (S, N): share of each step in which the machine may run; `off_W` (S, N): mean power of the rest. `after`:
-    what a course goes on from.
+    `is_on` (S, N): share of each step in which the machine may run, `gives` (S, N): share of its levels' heat that is
+    made then; `off_W` (S, N): mean power of the rest. `after`: what a course goes on from.
     """
 
     columns: Array
     after_h: Array
     is_on: Array
+    gives: Array
     off_W: Array
     after: MeterState
 
@@ -145,10 +146,12 @@ class MeterEffect:
         law_W: Array,
         hour: Array,
         before: MeterState,
+        left: float = 0.0,
     ) -> MeterCourse:
         """What commands `values` (S or 1, P) do in parts of `part_s` s, `parts` of them a step.
 
-        `usual` (P,): when left alone; `law_W` (S, N): of the levels; `hour` (N,) of the clock; `before`: see `begin`.
+        `usual` (P,): when left alone; `law_W` (S, N): of the levels; `hour` (N,) of the clock; `before`: see `begin`;
+        `left`: share of a level that warm water still gives while the machine is off, see `left_of`.
         """
         signals = _signals(values, usual, self.states, self.unit)
         waits_W = _above_least(self.base_W)[np.repeat(np.floor(hour).astype(np.intp) % 24, parts)]
@@ -163,7 +166,9 @@ class MeterEffect:
         columns = columns.reshape(-1, *shape)
         after_h = np.broadcast_to(self.after_h(end), columns.shape[:2])
         off_W = np.einsum("ksn,k->sn", x, np.nan_to_num(self.off_W))
-        return MeterCourse(columns, after_h, is_on, off_W, end)
+        # Levels are means of steps, which hold already that next to nothing comes while it is off.
+        gives = is_on / np.maximum(is_on + (1.0 - is_on) * left, 1e-9)
+        return MeterCourse(columns, after_h, is_on, gives, off_W, end)
 
     def after_h(self, end: MeterState) -> Array:
         """For how long each effect goes on after courses that end so, h (p, S); of what had to wait, Wh."""
@@ -180,7 +185,7 @@ class MeterEffect:
         """
         W = np.einsum("psn,sp->sn", course.columns, np.broadcast_to(effects, (len(law_W), effects.shape[-1])))
         base_W = self.base_W[np.floor(hour).astype(np.intp) % 24]
-        return np.maximum(course.is_on * (law_W + base_W) + W + course.off_W, 0.0) - law_W
+        return np.maximum(course.gives * law_W + course.is_on * base_W + W + course.off_W, 0.0) - law_W
 
 
 def off_commands(learned: LearnedCommand, meter: MeterEffect | None) -> tuple[float, ...]:
@@ -189,6 +194,15 @@ def off_commands(learned: LearnedCommand, meter: MeterEffect | None) -> tuple[fl
     None where levels are made of the water, which tells what it still gives.
     """
     return () if meter is None or learned.loop.of_water else meter.off_states
+
+
+def left_of(learned: LearnedCommand, meter: MeterEffect, usual: float, T_zone_C: float, T_out_C: float) -> float:
+    """Share of a usual level that is left in the first step in which the machine is off, rooms at `T_zone_C`."""
+    off, loop = meter.off_states, learned.loop
+    if not off or not loop.of_water:
+        return 0.0
+    before = float(loop.at_rest(usual, T_zone_C, T_out_C))
+    return float(loop.behind(off[0], T_zone_C, T_out_C, before)) / max(before, 1e-9)
 
 
 def share_on(values: Array, off: tuple[float, ...]) -> Array:
