@@ -27,7 +27,8 @@ from thermoforce_mpc.data import HOUR_S, Array, Block
 # Ends of runs are moved by these shares of the longer minimum time, and new runs put in at every one of the last. Plans
 # of a day in steps of 15 min with 2 h of minimum times then take 6 s (2026-11-28).
 _MOVES, _PUT_IN = (1.0, 0.5, 0.25, 0.125, 0.0625), 0.5
-# What one of several actuators has of a run is changed in all of it, its halves and its quarters.
+# What one of several actuators has of a run is changed in all of it, its halves and its quarters. By
+# judgement: tried on two valves with minimum times of 2 h (`test_whole_runs.py`, 2026-11-29).
 _PIECES = (1, 2, 4)
 # Costs evaluated for one machine, at most (the 6 s above are of so many), and the least gain that counts, as a share
 # of the cost: less is rounding of a solver.

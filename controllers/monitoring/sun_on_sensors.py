@@ -11,6 +11,7 @@ answer that is later than that counts from the step on at which it is there.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -30,6 +31,8 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import ReadingLimits
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 from thermoforce_mpc.model.thermal_model import ThermalModel
+
+_LOG = logging.getLogger(__name__)
 
 # Days that are looked at. By judgement: after five, none of 56 ideal sensors was claimed and 12 of 13 in the sun were
 # found (2026-11-25).
@@ -101,6 +104,7 @@ class SunOnSensors:
                 return state
         key = self._key(state, latest)
         beside().begin(key, partial(self._look, state, latest))
+        _LOG.info("a look for sun on zone sensors runs beside the steps")
         return replace(state, asked=key, asked_s=now_s, asked_Wh_m2=sun_Wh_m2, late=False)
 
     def _answered(self, state: SunState, now_s: float, seconds: float) -> Computation[SunState]:
@@ -120,12 +124,14 @@ class SunOnSensors:
         return tuple(latest or before for latest, before in zip(state.found or identified, identified, strict=True))
 
     def news(self, before: SunState, after: SunState) -> str:
-        """What a look changed in what is taken off readings, and that one runs, in words; empty where nothing."""
+        """What a look changed in what is taken off readings, in words; empty where nothing.
+
+        One that is late or was lost is told too; that one begins goes to the log.
+        """
         zones = self._model.names.zones
         changes = [after.failed] if after.failed and after.failed != before.failed else []
-        if after.asked and after.asked != before.asked:
-            lost = ", since its answer was lost" if before.asked else ""
-            changes.append(f"a look for sun on zone sensors runs beside the steps{lost}")
+        if after.asked and before.asked and after.asked != before.asked:
+            changes.append("a look for sun on zone sensors is made again, since its answer was lost")
         if after.late and not before.late:
             changes.append("the look for sun on zone sensors is not over: its answer counts when it is there")
         for zone, sun_before, sun_after in zip(zones, self.of_zones(before), self.of_zones(after), strict=True):

@@ -71,11 +71,11 @@ class ObjectiveConfig(StrictModel):
         "model does not know it); a K·h counts as at least 5 times the heat that avoids it, in the mean of a day",
     )
     carbon_price_per_kg: float = Field(0.0, ge=0, description="price of emitted CO2, currency/kg")
-    peak_price_per_kW: float = Field(
+    peak_price_per_kW: Annotated[float, Field(ge=0)] | tuple[PeakStep, ...] = Field(
         0.0,
-        ge=0,
         description="price of the mean power of all machines together over a control step above the highest so far, "
-        "currency/kW",
+        "currency/kW; or fees of a month by steps of its peak (`up_to_kW`, `per_month`): a kW costs what it does on "
+        "average over the next two steps, from the highest peak of the record on",
     )
     peak_of: Literal["run", "month", "three_days"] = Field(
         "run",
@@ -83,11 +83,6 @@ class ObjectiveConfig(StrictModel):
         "of three days of the month (a kW more on one day counts a third)",
     )
     peak_least_kW: float = Field(0.0, ge=0, description="a peak below this costs nothing more, kW")
-    peak_steps: tuple[PeakStep, ...] = Field(
-        (),
-        description="in the place of peak_price_per_kW: fees of a month by steps of its peak; a kW costs what it does "
-        "on average over the next two steps, from the highest peak of the record on",
-    )
     at_the_meter: bool = Field(
         False,
         description="what the forecast has of the meter counts: own generation and other loads behind it (what they "
@@ -115,12 +110,15 @@ class ObjectiveConfig(StrictModel):
     }  # fmt: skip
 
     @model_validator(mode="after")
-    def _one_price_of_peaks(self) -> ObjectiveConfig:
+    def _steps_of_peaks(self) -> ObjectiveConfig:
         if self.peak_steps:
-            if self.peak_price_per_kW:
-                raise ValueError("peak_steps: takes the place of peak_price_per_kW; leave one of them out")
             self._peak  # noqa: B018 (steps are checked where it is made)
         return self
+
+    @property
+    def peak_steps(self) -> tuple[PeakStep, ...]:
+        """Fees of a month by steps of its peak; none where a kW has one price."""
+        return self.peak_price_per_kW if isinstance(self.peak_price_per_kW, tuple) else ()
 
     @property
     def _peak(self) -> Peak:
@@ -130,11 +128,11 @@ class ObjectiveConfig(StrictModel):
     @property
     def prices_peaks(self) -> bool:
         """Whether peaks have a price."""
-        return self.peak_price_per_kW > 0.0 or bool(self.peak_steps)
+        return bool(self.peak_price_per_kW)
 
     def peak_per_kW(self, highest_kW: Array) -> float:
         """What a kW more than the peak costs on every day that counts; `highest_kW` (n,): of the days of the record."""
-        if not self.peak_steps:
+        if not isinstance(self.peak_price_per_kW, tuple):
             return self.peak_price_per_kW
         return self._peak.per_kW(self._peak.of_days(highest_kW))
 
@@ -150,7 +148,7 @@ def objective_of(bill: Bill) -> dict[str, Any]:
     if bill.peak is not None:
         taxed = 1.0 + bill.vat
         steps = [step.model_dump() | {"per_month": step.per_month * taxed} for step in bill.peak.steps]
-        price = {"peak_steps": steps} if steps else {"peak_price_per_kW": bill.peak.per_kW(0.0) * taxed}
+        price = {"peak_price_per_kW": steps or bill.peak.per_kW(0.0) * taxed}
         keys |= price | {
             "peak_of": "month" if bill.peak.of == "highest" else "three_days",
             "peak_least_kW": bill.peak.least_kW,

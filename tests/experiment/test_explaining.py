@@ -179,7 +179,7 @@ def test_a_run_that_is_read_keeps_the_forecasts_of_its_latest_steps_only(folder,
     class Kept(KeptSteps):
         def append(self, step):
             super().append(step)
-            alive.append(sum(isinstance(one, Boundary) for one in gc.get_objects()))
+            alive.append(sum(type(one) is Boundary for one in gc.get_objects()))
 
     monkeypatch.setattr("thermoforce_mpc.records.told_steps.KeptSteps", lambda: Kept(in_memory=2))
     told = told_run(folder)

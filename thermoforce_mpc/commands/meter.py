@@ -76,7 +76,7 @@ class MeterRecord:
 
 
 @dataclass(frozen=True, eq=False)
-class MeterState:
+class CourseState:
     """What of commands in S courses is still to follow: `lagged` (2, K, S) of each signal within hours and later, as a
     share; `waits_Wh` (J, S): what had to wait, by state in which the machine is off.
     """
@@ -98,7 +98,7 @@ class MeterCourse:
     is_on: Array
     gives: Array
     off_W: Array
-    after: MeterState
+    after: CourseState
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,12 +130,12 @@ class MeterEffect:
         """Effects (S, p) by standard normal numbers (S, p)."""
         return np.asarray(self.mean + z @ self.root.T)
 
-    def begin(self, value: float, usual: float, held_s: float, hour: float) -> MeterState:
+    def begin(self, value: float, usual: float, held_s: float, hour: float) -> CourseState:
         """Where a course (S = 1) begins at `hour` of the clock: `value` was set for `held_s`, s."""
         was = _signals(np.full((1, 1), value), np.full(1, usual), self.states, self.unit)[..., 0]
         lagged = np.stack([was * (1.0 - float(np.exp(-held_s / lag_s))) for lag_s in _LAGS_S])
         waits_W = _above_least(self.base_W)[int(hour) % 24]
-        return MeterState(lagged, was[np.isfinite(self.off_W)] * waits_W * min(held_s, _LONGEST_S) / HOUR_S)
+        return CourseState(lagged, was[np.isfinite(self.off_W)] * waits_W * min(held_s, _LONGEST_S) / HOUR_S)
 
     def course(
         self,
@@ -145,7 +145,7 @@ class MeterEffect:
         parts: int,
         law_W: Array,
         hour: Array,
-        before: MeterState,
+        before: CourseState,
         left: float = 0.0,
     ) -> MeterCourse:
         """What commands `values` (S or 1, P) do in parts of `part_s` s, `parts` of them a step.
@@ -170,7 +170,7 @@ class MeterEffect:
         gives = is_on / np.maximum(is_on + (1.0 - is_on) * left, 1e-9)
         return MeterCourse(columns, after_h, is_on, gives, off_W, end)
 
-    def after_h(self, end: MeterState) -> Array:
+    def after_h(self, end: CourseState) -> Array:
         """For how long each effect goes on after courses that end so, h (p, S); of what had to wait, Wh."""
         shares = zip(end.lagged, _LAGS_S, strict=True)
         last = [lagged * lag_s / HOUR_S * (1.0 - np.exp(-_AFTER_S / lag_s)) for lagged, lag_s in shares]
@@ -263,7 +263,7 @@ def learn_meter(command: Command, seen: MeterRecord) -> MeterEffect | None:
         [left_W[others & (hours == h)].mean() if (others & (hours == h)).any() else level_W for h in range(24)]
     )
     is_off = np.isfinite(off_W)
-    nothing = MeterState(np.zeros((len(_LAGS_S), len(signals), 1)), np.zeros((int(is_off.sum()), 1)))
+    nothing = CourseState(np.zeros((len(_LAGS_S), len(signals), 1)), np.zeros((int(is_off.sum()), 1)))
     follow, _ = _following(signals[:, None], _above_least(base_W)[hours], is_off, seen.step_s, nothing)
     columns = np.stack([signals, signals * law_W, *(one[:, 0] for one in follow)], axis=1).reshape(-1, value.size)
     outdoors = seen.T_out_C - np.mean(seen.T_out_C[known])
@@ -321,8 +321,8 @@ def _above_least(by_hour_W: Array) -> Array:
 
 
 def _following(
-    signals: Array, waits_W: Array, is_off: NDArray[np.bool_], step_s: float, before: MeterState
-) -> tuple[list[Array], MeterState]:
+    signals: Array, waits_W: Array, is_off: NDArray[np.bool_], step_s: float, before: CourseState
+) -> tuple[list[Array], CourseState]:
     """What follows `signals` (K, S, n) within hours and later, (K, S, n) each, and where they end.
 
     Of states in which the machine is off the second is the power of what waited, W. `waits_W` (n,): what people use by
@@ -342,7 +342,7 @@ def _following(
         later[..., k] = comes_Wh / hours
         stored_Wh = stored_Wh - comes_Wh + x * np.maximum(waits_W[k], 0.0) * hours
     means[-1][is_off] = later
-    return means, MeterState(np.stack(ends), stored_Wh)
+    return means, CourseState(np.stack(ends), stored_Wh)
 
 
 def _lagged(signals: Array, step_s: float, lag_s: float, before: Array) -> tuple[Array, Array]:

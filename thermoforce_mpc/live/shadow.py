@@ -24,7 +24,7 @@ import pandas as pd
 
 from controllers.state_classes import STATE_CLASSES, model_key
 from thermoforce_mpc.commands.loop import LearnedCommand
-from thermoforce_mpc.commands.meter import MeterState
+from thermoforce_mpc.commands.meter import CourseState
 from thermoforce_mpc.data import AT_THE_METER, CONDITIONS, J_PER_KWH, Boundary, Period, Record
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
 from thermoforce_mpc.experiment.worth import Houses, Lived, band_of, outside_Kh, without_tank
@@ -91,7 +91,7 @@ class ShadowHouses:
     controllers: tuple[object, ...]
 
 
-_FORMAT = StateFormat((*STATE_CLASSES, HouseState, MeterState, Record, ShadowHouses))
+_FORMAT = StateFormat((*STATE_CLASSES, HouseState, CourseState, Record, ShadowHouses))
 
 
 class ShadowBook:

@@ -16,7 +16,7 @@ import numpy as np
 
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.commands.loop import LearnedCommand, behind_levels
-from thermoforce_mpc.commands.meter import MeterEffect, MeterState, off_commands, share_on
+from thermoforce_mpc.commands.meter import CourseState, MeterEffect, off_commands, share_on
 from thermoforce_mpc.data import (
     HOUR_S,
     Array,
@@ -54,7 +54,7 @@ class HouseState:
     record: Record
     more_K: Array
     behind: Array
-    on_meters: tuple[MeterState, ...]
+    on_meters: tuple[CourseState, ...]
 
 
 class IdentifiedHouse(Releasing):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from thermoforce_mpc.commands.loop import LearnedCommand
-from thermoforce_mpc.commands.meter import MeterCourse, MeterEffect, MeterState
+from thermoforce_mpc.commands.meter import CourseState, MeterCourse, MeterEffect
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.data.dataframes import clock_s
 
@@ -37,14 +37,14 @@ class CommandOnMeter:
         self._begin = meter.begin(*now, record.step_s, float(self._hour[0]))
         self.was_W = self._power_W(self._until(record.n_steps), law_W[None], self._hour)[0]
 
-    def at(self, k: int) -> MeterState:
+    def at(self, k: int) -> CourseState:
         """Where both courses, as it was and as it is lived through, stand at the begin of step `k`, as it was."""
         state = self._until(k).after if k else self._begin
-        return MeterState(np.repeat(state.lagged, 2, axis=-1), np.repeat(state.waits_Wh, 2, axis=-1))
+        return CourseState(np.repeat(state.lagged, 2, axis=-1), np.repeat(state.waits_Wh, 2, axis=-1))
 
     def lived(
-        self, k: int, value: float | None, law_W: tuple[float, float], seconds: float, before: MeterState
-    ) -> tuple[Array, MeterState]:
+        self, k: int, value: float | None, law_W: tuple[float, float], seconds: float, before: CourseState
+    ) -> tuple[Array, CourseState]:
         """Power beside levels in `seconds` of step `k`, as it was and as it is lived through (2,), W, and what follows.
 
         `value`: the command; None: as it was. `law_W`: by the levels of both.
@@ -55,7 +55,7 @@ class CommandOnMeter:
         course = self.meter.course(values, self._usual[k : k + 1], seconds, 1, law, hour, before)
         return self._power_W(course, law, hour)[:, 0], course.after
 
-    def later_kWh(self, state: MeterState) -> float:
+    def later_kWh(self, state: CourseState) -> float:
         """What comes on the meter after both courses stand at `state`, more than as it was, kWh."""
         was, lived = self.meter.mean @ self.meter.after_h(state) / 1000.0
         return float(lived - was)

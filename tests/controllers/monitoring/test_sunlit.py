@@ -94,14 +94,16 @@ def found_at_night(sunlit):
 
 
 @pytest.mark.slow
-def test_it_is_found_in_the_night_after_it_shone_and_taken_off(sunlit, found_at_night, tmp_path):
+def test_it_is_found_in_the_night_after_it_shone_and_taken_off(sunlit, found_at_night, tmp_path, caplog):
+    caplog.set_level("INFO")
     controller, (begun, noon, asks, night) = _controller(), found_at_night()
     assert (begun.state.sun.looked_s, begun.state.sun.found) == (float(sunlit.time_s[-1 - DAY]), (None,))
     assert begun.state.sun.sun_Wh_m2 == 0.0, "nothing was looked at yet"
     assert noon.news == ""
     assert noon.state.sun == begun.state.sun, "in the sun nothing is looked for"
     assert asks.state.sun.found == (None,)
-    assert asks.news == "a look for sun on zone sensors runs beside the steps"
+    assert asks.news == ""
+    assert "a look for sun on zone sensors runs beside the steps" in caplog.text
     (sun,) = night.state.sun.found
     assert sun.azimuth_deg == 180.0
     assert sun.probability > 0.95
@@ -190,7 +192,7 @@ def test_a_look_that_was_lost_with_its_process_is_made_again(sunlit, monkeypatch
     restarted = CallsBeside()
     monkeypatch.setattr("controllers.monitoring.sun_on_sensors.beside", lambda: restarted)
     again, over = _looked(controller, sunlit, asks.state)
-    assert again.news == "a look for sun on zone sensors runs beside the steps, since its answer was lost"
+    assert again.news == "a look for sun on zone sensors is made again, since its answer was lost"
     assert over.state.sun.asked == ""
     assert over.state.sun.looked_s == again.state.sun.asked_s > asks.state.sun.asked_s
 

@@ -183,10 +183,10 @@ def test_steps_of_a_fee_are_priced_where_the_peaks_of_the_record_are(home, tmp_p
 
 
 def test_a_fee_has_one_price():
-    with pytest.raises(ValueError, match="leave one of them out"):
-        MPCConfig.model_validate({"objective": {"peak_price_per_kW": 1.0, "peak_steps": [{"per_month": 1.0}]}})
+    with pytest.raises(ValueError, match="greater than or equal to 0"):
+        MPCConfig.model_validate({"objective": {"peak_price_per_kW": -1.0}})
     with pytest.raises(ValueError, match="the last none"):
-        MPCConfig.model_validate({"objective": {"peak_steps": [{"up_to_kW": 2.0, "per_month": 1.0}]}})
+        MPCConfig.model_validate({"objective": {"peak_price_per_kW": [{"up_to_kW": 2.0, "per_month": 1.0}]}})
 
 
 METERED = PLAIN | {"meter": {"column": "grid", "unit": "kW"}}
