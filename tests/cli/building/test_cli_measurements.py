@@ -334,19 +334,11 @@ def test_what_a_plan_rests_on_stands_in_whole_sentences(folder, model, monkeypat
     assert "Found: another load" in tf_mpc(folder, "plan", *words, "--hours", "6").output.splitlines()
 
 
+SIX_HOURS = ("--data", "probed.csv", "--map", "map.yaml", "--forecast", "ahead.csv", "--hours", "6")
+
+
 def test_why_a_plan_in_levels_has_no_saving_is_said(folder, model):
-    words = (
-        "--model",
-        str(model),
-        "--data",
-        "probed.csv",
-        "--map",
-        "map.yaml",
-        "--forecast",
-        "ahead.csv",
-        "--hours",
-        "6",
-    )
+    words = ("--model", str(model), *SIX_HOURS)
     done = tf_mpc(folder, "plan", *words, "--out", "levels.json")
     said = " ".join(done.output.split())
     assert "What the plan saves is not told: its levels have no command" in said
@@ -358,18 +350,7 @@ def test_why_a_plan_in_levels_has_no_saving_is_said(folder, model):
 
 @pytest.mark.parametrize("mode", ["duty", "modulating"])
 def test_minimum_times_that_a_plan_does_not_keep_are_said(folder, model, mode):
-    words = (
-        "--model",
-        str(model),
-        "--data",
-        "probed.csv",
-        "--map",
-        "map.yaml",
-        "--forecast",
-        "ahead.csv",
-        "--hours",
-        "6",
-    )
+    words = ("--model", str(model), *SIX_HOURS)
     limits = {"mode": mode, "lowest_level": 0, "min_on_s": 7200}
     options = [word for key, value in limits.items() for word in ("--set", f"actuation.{key}={value}")]
     done = tf_mpc(folder, "plan", *words, *options)
