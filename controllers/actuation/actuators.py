@@ -166,19 +166,19 @@ class Actuators:
         """
         if states is not None and (until_s is None or abs(until_s - history.time_s[-1]) > CLOCK_TOLERANCE_S):
             states = (ActuationState(native=True),) * len(self.each)
-        machine_u = [
-            np.max(np.nan_to_num(history.u[self.layout.fed_by(m)]), axis=0)
-            for m in range(len(self.layout.names.machines))
-        ]
         return tuple(
             actuation.now(
-                None if states is None else states[a],
-                history.u[a],
-                history.step_s,
-                machine_u[self.layout.machine_of[a]],
+                None if states is None else states[a], history.u[a], history.step_s, self._of_machine(a, history.u)
             )
             for a, actuation in enumerate(self.each)
         )
+
+    def _of_machine(self, a: int, u: Array) -> Array | None:
+        """The highest of the levels `u` (A, n) that the machine of actuator `a` feeds (n,); None where no limit of
+        starts asks for it."""
+        if self.each[a].config.starts_per_hour is None:
+            return None
+        return np.asarray(np.max(np.nan_to_num(u[self.layout.fed_by(self.layout.machine_of[a])]), axis=0))
 
     def realise(
         self,

@@ -27,6 +27,7 @@ from controllers.optimisation.problem import MPCProblem, Weights
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand, behind_levels
 from thermoforce_mpc.commands.meter import (
+    CourseState,
     MeterEffect,
     MeterRecord,
     beyond_sd,
@@ -630,11 +631,8 @@ class CommandedPlan:
         power_W = np.zeros((S, self.problem.n_steps))
         for i, one in enumerate(self.beside):
             loop, meter, law = self.loops[one.first], one.meter, law_W[:, one.m]
-            state, usual = loop.begin(), self._usual_row(one.first)
+            usual, (now, left) = self._usual_row(one.first), self._courses_begin[i]
             values = held.get(one.first, usual[None])
-            now = meter.begin(state.value, float(usual[0]), state.held_s, float(self.hour[0]))
-            T_C = float(self.problem.T_now_C[self.operator.home[one.first]])
-            left = left_of(loop.learned, meter, float(usual[0]), T_C, float(loop.T_out_C[0]))
             course = meter.course(values, usual, loop.step_s / loop.parts, loop.parts, law, self.hour, now, left)
             of = effects[i] if effects else meter.mean[None]
             beside_W = meter.power_W(course, of, law, self.hour)
@@ -647,6 +645,17 @@ class CommandedPlan:
             moved = course.columns @ price * self.problem.step_s / J_PER_KWH + course.after_h * per_kWh / 1000.0
             variance += ((moved.T @ meter.root) ** 2).sum(axis=1)
         return _OnMeters(cost, kWh, after, np.sqrt(variance), power_W)
+
+    @cached_property
+    def _courses_begin(self) -> tuple[tuple[CourseState, float], ...]:
+        """Where the course of each of `beside` begins, and what warm water still gives while the machine is off."""
+        found = []
+        for one in self.beside:
+            loop, usual = self.loops[one.first], float(self._usual_row(one.first)[0])
+            state, T_C = loop.begin(), float(self.problem.T_now_C[self.operator.home[one.first]])
+            now = one.meter.begin(state.value, usual, state.held_s, float(self.hour[0]))
+            found.append((now, left_of(loop.learned, one.meter, usual, T_C, float(loop.T_out_C[0]))))
+        return tuple(found)
 
     def _used(self, levels: Array) -> Array:
         """Levels (S, A, N) by what their actuators take of the power, (S,)."""

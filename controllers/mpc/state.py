@@ -116,31 +116,30 @@ def highest_of_days_W(history: Record, power_W: Array) -> dict[tuple[int, int], 
     Numbers of months and days go on from year to year.
     """
     known = np.isfinite(power_W)
-    each = _months_and_days(history)[:-1][known]
+    each = _months_and_days(history.time_s[:-1][known], history)
     highest: dict[tuple[int, int], float] = {}
     for month, day in np.unique(each, axis=0).tolist():
         highest[month, day] = float(power_W[known][each[:, 1] == day].max())
     return highest
 
 
-def _months_and_days(history: Record) -> NDArray[np.int64]:
-    """Month and day of each boundary (n + 1, 2)."""
+def _months_and_days(time_s: Array, history: Record) -> NDArray[np.int64]:
+    """Month and day of instants `time_s` (n,) of a record (n, 2)."""
     if history.origin is None:  # days of simulated years count from 0
-        time_s = history.time_s
         month, day = 12 * np.floor(time_s / YEAR_S) + month_of(time_s), np.floor(time_s / DAY_S)
     else:
         import pandas as pd  # only here
 
         from thermoforce_mpc.data.dataframes import stamps
 
-        at = pd.DatetimeIndex(stamps(history.time_s, history.origin))
+        at = pd.DatetimeIndex(stamps(time_s, history.origin))
         month, day = 12 * np.asarray(at.year) + at.month, 366 * np.asarray(at.year) + at.day_of_year
     return np.stack([month, day], axis=1).astype(np.int64)
 
 
 def _peak_of_month(history: Record, power_W: Array, *, three_days: bool) -> float:
     """See `MPCState.peak_after`."""
-    this_month, today = _months_and_days(history)[-1].tolist()
+    ((this_month, today),) = _months_and_days(history.time_s[-1:], history).tolist()
     highest = {day: W for (month, day), W in highest_of_days_W(history, power_W).items() if month == this_month}
     if not three_days:
         return max(highest.values(), default=0.0)
