@@ -5,24 +5,27 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
 from home_by_curve import SG_RULES, START, HomeByCurve, curve_model
-from simple_house import GAIN_K, POLE, outdoor_C, simple_model
+from simple_house import GAIN_K, POLE, OutdoorResponse, outdoor_C, simple_model
 
+from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc.commanding import meters_of
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.commands.contacts import SGReady
 from thermoforce_mpc.commands.heating_curve import CurveOffset
 from thermoforce_mpc.commands.loop import LearnedCommand, LoopMap
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Block, Boundary, Observation, Plan, PlanStatus, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Block, Boundary, Names, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import DataError, InputError
-from thermoforce_mpc.experiment.worth import worth
+from thermoforce_mpc.experiment.worth import planned_share, who_acted, worth
+from thermoforce_mpc.loop.closed_loop import StepRecord
 from thermoforce_mpc.measurements.load import learned_commands, read_measurements
-from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.card import Competence, ModelCard
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.whatif.identified_house import IdentifiedHouse
 
@@ -188,7 +191,7 @@ def test_what_plans_would_have_saved_is_what_they_save_in_the_house() -> None:
     stored = found.saved - float((kWh[0] - kWh[1]) @ price)
     assert np.sign(stored) == np.sign(found.planned.T_zone_C[0, -1] - found.as_was.T_zone_C[0, -1])
     assert found.low < found.saved < found.high
-    assert found.planned_share == 1.0
+    assert found.acted == {"actuator": {"plans": 1.0}}
     frame = found.to_dataframe()
     assert list(frame) == [
         "u_was", "T_zone_C_was", "power_W_was", "u_planned", "T_zone_C_planned", "power_W_planned", "price_per_kWh",
@@ -203,6 +206,47 @@ def test_what_plans_would_have_saved_is_what_they_save_in_the_house() -> None:
     # Of what costs more the band has the sign of the sentence.
     dearer = replace(found, saved=-0.31, low=-0.33, high=-0.28, cost_was=19.42)
     assert dearer.sentence == "Plans would have cost 0.31 more (90 % band 0.28 to 0.33 more) than 19.42"
+
+
+_CONDEMNED = Competence(False, reasons=("6 h ahead it errs by 7.00 K, need 1 K",), effect_K=7.0, effect_sd_K=5.0)
+_NOT_KNOWN = "since what it does is not known well enough"
+
+
+@pytest.mark.parametrize(
+    ("options", "acted", "is_doubted"),
+    [
+        ({"gate": {"enabled": False}}, "plans", True),
+        ({}, f"its own control, {_NOT_KNOWN}", False),
+        ({"fallback": {"stand_back": "rule"}}, f"the on/off rule, {_NOT_KNOWN}", False),
+    ],
+)
+def test_what_acted_is_said_and_not_what_a_verdict_would_have(
+    options: dict[str, object], acted: str, is_doubted: bool
+) -> None:
+    """With the gate off rooms were named as left alone, although they acted."""
+    record, model = _run(_levels(3)), _model(0.1)
+    model = replace(model, cards=(replace(model.only.card, competence=_CONDEMNED),))
+    config = MPCConfig(step_s=HOUR_S, horizon_h=6.0, **options)
+    controller = ThermoForceMPC(model, config, free_response=OutdoorResponse())
+    found = worth(model, record, _conditions(record), controller, start_s=_FIRST * HOUR_S, days=0.25, draws=2)
+    assert found.acted_in_words == (f"What acted: {acted} 100 % of the time",)
+    assert ("verdict on the model" in found.rests_on) == is_doubted
+
+
+def test_what_acted_at_one_of_several_is_not_said_of_all() -> None:
+    """One room that may not act made all hours hours without a plan."""
+    names = Names(("a", "b", "c"), ("x", "y", "z"), ("hp",))
+    acting = (PlanStatus.SOLVED, PlanStatus.SOLVED, PlanStatus.GATE)
+    plan = Plan((Block((0.5, None, None), HOUR_S),), PlanStatus.GATE, "", names=names, acting=acting)
+    step = StepRecord(0, 0.0, np.empty(0), SimpleNamespace(names=names), plan, "", 0.0, 0.0, 0.0, ())
+    refused = replace(step, refused="refused: a level of 7")
+    acted = who_acted([step, step, step, refused], names)
+    assert acted == {
+        "x": {"plans": 0.75, "its own control, since the plan was refused": 0.25},
+        "y": {"its own control, since no plan was better": 0.75, "its own control, since the plan was refused": 0.25},
+        "z": {f"its own control, {_NOT_KNOWN}": 0.75, "its own control, since the plan was refused": 0.25},
+    }
+    assert planned_share(acted) == 0.25
 
 
 def test_what_a_meter_holds_beside_the_levels_is_no_heat_of_the_rooms() -> None:

@@ -94,6 +94,9 @@ def _identify(
         elif verdict is not None and not verdict.competent:
             lines = [f"The model{of} is {verdict.in_words()}", *(f"  {advice}" for advice in verdict.advice)]
             display.say("\n".join(lines))
+    doubted = [name for name, card in zip(model.operator.actuators, model.cards, strict=True) if card.unfit]
+    if doubted and not chosen.has_gate:
+        display.say(f"{', '.join(doubted)}: plans act all the same, since gate.enabled is false")
     for claim in model.claims:
         display.say(f"Found: {claim}")
     folder = source.folder if isinstance(source, SavedModel) else None

@@ -7,6 +7,7 @@ Energy that the record does not tell lies between what the law of power says of 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,15 +15,25 @@ import numpy as np
 import pandas as pd
 
 from controllers.mpc.commanding import meters_of
-from controllers.safety.overrides import SharedCommands
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.meter import beyond_sd, chance_sd
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, NORMAL_95, Array, Boundary, Period, Record
+from thermoforce_mpc.data import (
+    DAY_S,
+    HOUR_S,
+    J_PER_KWH,
+    NORMAL_95,
+    Array,
+    Boundary,
+    Names,
+    Period,
+    PlanStatus,
+    Record,
+)
 from thermoforce_mpc.data.dataframes import clock_s, table
 from thermoforce_mpc.data.dataframes import stamps as stamps_at
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.loop.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.closed_loop import StepRecord, run_closed_loop
 from thermoforce_mpc.model.machine.change import Share, weight_of_demand
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
@@ -30,8 +41,21 @@ from thermoforce_mpc.whatif.identified_house import HouseState, IdentifiedHouse
 
 LEAST_BEFORE_DAYS = 7.0
 """Days of a record before what is lived through again: forecasts begin there."""
-# Statuses of plans that the model made.
-_PLANNED = ("solved", "bridged", "acceptable")
+PLANS = "plans"
+"""What acts where the model's plans do, see `who_acted`."""
+_PLANNED = (PlanStatus.SOLVED, PlanStatus.BRIDGED, PlanStatus.ACCEPTABLE)
+_OTHERS = {
+    PlanStatus.SHIFTED: "the plan before",
+    PlanStatus.GUARD: "the comfort guard",
+    PlanStatus.RULE: "a rule",
+}
+# Why something else acts at an actuator than plans.
+_WHY = {
+    PlanStatus.GATE: "since what it does is not known well enough",
+    PlanStatus.WATCH: "since predictions did not come true",
+    PlanStatus.THERMOSTAT: "since there was no plan",
+    PlanStatus.NATIVE: "since there was no plan",
+}
 # An effect is at most so many times as large or small (logarithm).
 _MOST_LOG = 1.0
 # Share by which the heat of a level falls per K of the room where water of a heating curve carries it, 1/K, mean and
@@ -50,10 +74,39 @@ _VALVES_SD = 0.05
 _EQUAL_KH, _RAISED_K, _MOST_ROUNDS = 0.3, 0.25, 2
 
 
+Acted = Mapping[str, Mapping[str, float]]
+"""Share of the steps by what acted, of each actuator by name."""
+
+
+def who_acted(steps: Sequence[StepRecord], names: Names) -> Acted:
+    """What acted at each actuator over `steps`: `PLANS`, or what else and why, with its share of them."""
+    return {
+        name: {what: n / len(steps) for what, n in Counter(_actor(step, a) for step in steps).most_common()}
+        for a, name in enumerate(names.actuators)
+    }
+
+
+def _actor(step: StepRecord, a: int) -> str:
+    status = step.acting[a]
+    is_own = all(block.u[a] is None and block.command[a] is None for block in step.plan.blocks)
+    if step.refused:
+        return "its own control, since the plan was refused"
+    if status in _PLANNED:
+        return "its own control, since no plan was better" if is_own else PLANS
+    if status in _OTHERS:
+        return _OTHERS[status]
+    return f"{'its own control' if is_own else 'the on/off rule'}, {_WHY[status]}"
+
+
+def planned_share(acted: Acted) -> float:
+    """Share of the steps in which plans acted, mean of the actuators."""
+    return float(np.mean([shares.get(PLANS, 0.0) for shares in acted.values()]))
+
+
 @dataclass(frozen=True, eq=False)
 class Lived:
     """A house under plans: its record beside what it was, what it cost, its energy, and K·h outside the bounds in all
-    zones. `planned`: how many of its `steps` the model planned; `after`, `controller`: where both stand at the end.
+    zones. `acted`: see `who_acted`; `after`, `controller`: where both stand at the end.
     """
 
     record: Record
@@ -62,8 +115,7 @@ class Lived:
     cost: float
     energy_kWh: float
     outside_Kh: float
-    planned: int
-    steps: int
+    acted: Acted
     after: HouseState
     controller: object
 
@@ -76,7 +128,7 @@ class Worth:
     zones; `warmer_K` (Z,): mean change of the zones' temperatures. `as_was`, `planned`: records of both, the latter in
     the house that the model takes for the likeliest. `raised_K`: how much bounds of plans were raised until these
     were as comfortable. `power`: how much of what its law says of other levels the record shows, by machine.
-    `planned_share`: share of steps that the model planned. `rests_on`: one sentence.
+    `acted`: see `who_acted`. `rests_on`: one sentence.
     """
 
     saved: float
@@ -94,7 +146,7 @@ class Worth:
     price_per_kWh: Array
     draws: tuple[float, ...]
     raised_K: float
-    planned_share: float
+    acted: Acted
     power: tuple[Share, ...]
     rests_on: str
 
@@ -109,6 +161,17 @@ class Worth:
             band = f"(90 % band {-self.high:.2f} to {-self.low:.2f} more)"
             return f"Plans would have cost {-self.saved:.2f} more {band} than {self.cost_was:.2f}"
         return f"Whether plans would have saved is not certain: {self.saved:.2f} {band} of {self.cost_was:.2f}"
+
+    @property
+    def acted_in_words(self) -> tuple[str, ...]:
+        """What acted, a sentence for all actuators of which the same is to say."""
+        same: dict[str, list[str]] = {}
+        for name, shares in self.acted.items():
+            told = "; ".join(f"{what} {100 * share:.0f} %" for what, share in shares.items())
+            same.setdefault(told, []).append(name)
+        if len(same) == 1:
+            return (f"What acted: {next(iter(same))} of the time",)
+        return tuple(f"What acted at {', '.join(names)}: {told} of the time" for told, names in same.items())
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per step, at its start: price; level, temperature at its end and power, as it was and planned."""
@@ -201,9 +264,9 @@ def worth(
         price_per_kWh=price,
         draws=tuple(one.saved for one in others),
         raised_K=raised_K,
-        planned_share=likeliest.planned / max(likeliest.steps, 1),
+        acted=likeliest.acted,
         power=houses.shares,
-        rests_on=_rests_on(model, houses.spread, houses.shares, draws, error, commands or {}, tank),
+        rests_on=_rests_on(model, houses.spread, houses.shares, draws, error, likeliest.acted, tank),
     )
 
 
@@ -297,8 +360,7 @@ class Houses:
             was,
             *counted,
             outside_Kh(lived, conditions, first),
-            sum(count for status, count in result.fallback_levels().items() if status in _PLANNED),
-            len(result.steps),
+            who_acted(result.steps, record.names),
             house.state,
             result.state,
         )
@@ -420,15 +482,13 @@ def _rests_on(
     shares: Sequence[Share],
     draws: int,
     error: ForecastError | None,
-    commands: Mapping[str, LearnedCommand],
+    acted: Acted,
     tank: str,
 ) -> str:
     home = model.operator.home
     own = [float(spread[z, a]) for a, z in enumerate(home)]
-    names = model.operator.actuators
-    unfit = {a for a, card in enumerate(model.cards) if card.unfit}
-    shared = SharedCommands(model.layout, {names.index(name): one for name, one in commands.items()}, model.cards)
-    not_fit = [names[a] for a in sorted(unfit - shared.together(unfit).keys())]
+    cards = zip(model.operator.actuators, model.cards, strict=True)
+    doubted = [name for name, card in cards if card.unfit and acted[name].get(PLANS)]
     told = [share.spread <= _EXACT for share in shares]
     parts = [
         f"effects of full level known to ± {100 * float(np.mean(own)):.0f} % on the own room",
@@ -440,6 +500,6 @@ def _rests_on(
     ]
     if tank:
         parts.append(without_tank(tank))
-    if not_fit:
-        parts.append(f"{', '.join(not_fit)} left to its own control, since the model may not act there")
+    if doubted:
+        parts.append(f"plans for {', '.join(doubted)}, although the verdict on the model there is that it may not act")
     return f"It rests on {'; '.join(parts)}."

@@ -27,7 +27,7 @@ from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.meter import CourseState
 from thermoforce_mpc.data import AT_THE_METER, CONDITIONS, J_PER_KWH, Boundary, Period, Record
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
-from thermoforce_mpc.experiment.worth import Houses, Lived, band_of, outside_Kh, without_tank
+from thermoforce_mpc.experiment.worth import Houses, Lived, band_of, outside_Kh, planned_share, without_tank
 from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
@@ -57,7 +57,7 @@ class ShadowDay:
     """A day as it was and under plans: cost, energy, kWh, K·h outside the bounds in all zones, each of both.
 
     `saved`: of each house, the likeliest first, currency, with what is stored. `warmer_K`: mean change of the rooms'
-    temperature. `planned`: share of its steps that the model planned. `goes_on`: house and controller began it where
+    temperature. `planned`: share of its steps in which plans acted. `goes_on`: house and controller began it where
     the day before had left them; else as the house was.
     """
 
@@ -269,7 +269,7 @@ def _day(begin: pd.Timestamp, told: _ToldDay, lived: Sequence[Lived], *, goes_on
         outside_was_Kh=outside_Kh(was, told.conditions, first),
         outside_Kh=likeliest.outside_Kh,
         warmer_K=float(np.nanmean(likeliest.record.T_zone_C[:, 1:] - was.T_zone_C[:, 1:])),
-        planned=likeliest.planned / max(likeliest.steps, 1),
+        planned=planned_share(likeliest.acted),
         goes_on=goes_on,
     )
 

@@ -14,8 +14,8 @@ from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
 _GIVEN = "given"
 _UNJUDGED = (
-    "This model may not act, since it was not judged on data that it had not seen; the building is controlled without "
-    "it. Next: identify it again from its data, or turn the gate off (gate.enabled: false) to act on it all the same."
+    "This model may not act, since it was not judged on data that it had not seen. Next: identify it again from its "
+    "data, or turn the gate off (gate.enabled: false) to act on it all the same."
 )
 
 # Lead times that must be judged: a plan is made anew every step and pre-heats by hours.
@@ -115,7 +115,7 @@ class Competence:
             )
         why = f", since {self.plainly}" if self.plainly else ""
         to_do = f" Next: {self.advice[0]}." if self.advice else ""
-        return f"This model may not act{why}; the building is controlled without it.{to_do}"
+        return f"This model may not act{why}.{to_do}"
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,9 +13,12 @@ from controllers import MPCConfig, ThermoForceMPC
 from controllers.checks import ControllerConfigError
 from controllers.registry import REGISTRY, build_controller, controller_config
 from controllers.rules.native import NativeController
+from thermoforce_mpc.experiment.identifying import SavedModel
+from thermoforce_mpc.experiment.run_models import identify_all
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.report.display import RunDisplay
 
 CONDEMNED = Competence(False, reasons=("6 h ahead it errs by 7.00 K, need 1 K",), effect_K=7.0, effect_sd_K=5.0)
 TESTCASE = load_testcase("bestest_hydronic_heat_pump")
@@ -78,6 +82,16 @@ def test_the_gate_can_be_turned_off_and_is_in_the_papers_configuration():
     assert ours.fallback_levels()["gate"] == 0
     off = {name for name, entry in REGISTRY.own.items() if entry.needs_model and not _config(name).gate.enabled}
     assert off == {"thermoforce_paper", "rc_mpc_paper"}
+
+
+def test_a_run_says_that_plans_act_where_the_gate_is_off(tmp_path, capsys):
+    judged(CONDEMNED).save(tmp_path / "model")
+    saved, said = SavedModel(str(tmp_path / "model"), 3600.0), []
+    for has_gate in (True, False):
+        one = SimpleNamespace(name="mpc", chosen=SimpleNamespace(has_gate=has_gate), model_from=saved)
+        identify_all([one], None, RunDisplay())
+        said.append(capsys.readouterr().out)
+    assert [("plans act all the same" in text) for text in said] == [False, True]
 
 
 def _config(name: str) -> MPCConfig:

@@ -317,10 +317,7 @@ def test_the_owner_reads_whether_it_may_control_why_not_and_what_to_do():
     poor = Competence(
         False, ("6 h ahead it errs by 1.20 K, need 1 K",), ("probe about 24 hours more",), plainly="it is too far off"
     )
-    assert poor.sentence() == (
-        "This model may not act, since it is too far off; the building is controlled without it. "
-        "Next: probe about 24 hours more."
-    )
+    assert poor.sentence() == ("This model may not act, since it is too far off. Next: probe about 24 hours more.")
 
 
 def test_well_known_is_more_than_competent():

@@ -164,7 +164,8 @@ def _show(found: Worth, console: Console) -> None:
         console.print(f"  {zone}: {warmer:+.1f} K on average")
     if found.raised_K:
         console.print(f"  Lower bounds of plans were raised by {found.raised_K:g} K, to be as comfortable as it was")
-    console.print(f"  {100 * found.planned_share:.0f} % of the hours were planned; in the others its own control acted")
+    for line in found.acted_in_words:
+        console.print(f"  {line}")
     console.print(f"  {found.rests_on}")
 
 
@@ -176,7 +177,7 @@ def _as_json(found: Worth) -> dict[str, Any]:
         "warmer_K": dict(warmer),
         "houses": [round(one, 4) for one in found.draws],
         "raised_K": found.raised_K,
-        "planned_share": round(found.planned_share, 4),
+        "acted": {name: {what: round(one, 4) for what, one in of.items()} for name, of in found.acted.items()},
         "sentence": found.sentence,
         "rests_on": found.rests_on,
     }
