@@ -21,7 +21,7 @@ from thermoforce_mpc.plants.drawn_houses import GRID_S, WEEKS
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, PointEmulator
 from thermoforce_mpc.plants.energyplus.zone import EnergyPlusPlant
 from thermoforce_mpc.plants.fmu import FmuPlant
-from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, physics
+from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, physics, with_sunlit_part
 from thermoforce_mpc.plants.random_houses.draw import House
 from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -102,10 +102,19 @@ def _embedded(case: PanelCase) -> BuiltCase:
 
 def _drawn(case: PanelCase) -> BuiltCase:
     """A generated house whose sensor is not in the sun."""
-    house = replace(draw_house(case.seed, case.number), sun_bias_K=0.0)
+    return _house_week(draw_house(case.seed, case.number), WEEKS[case.number % 2])
+
+
+def _sunlit(case: PanelCase) -> BuiltCase:
+    """A generated house in which the sun heats the floor or a double-skin glazing first."""
+    return _house_week(with_sunlit_part(draw_house(case.seed, case.number)), WEEKS[(case.number + 1) % 2])
+
+
+def _house_week(house: House, week: str) -> BuiltCase:
+    house = replace(house, sun_bias_K=0.0)
     plant = GeneratedHousePlant(house)
     fixed = house.machine == "heat pump with fixed loss"
-    return BuiltCase(plant, plant.testcase, plant.period(WEEKS[case.number % 2]), fixed, house.heat_metered)
+    return BuiltCase(plant, plant.testcase, plant.period(week), fixed, house.heat_metered)
 
 
 def _air(case: PanelCase) -> BuiltCase:
@@ -176,6 +185,7 @@ KINDS: dict[str, Callable[[PanelCase], BuiltCase]] = {
     "house of rooms": _rooms("house"),
     "EnergyPlus zone": _zone,
     "FMU": _fmu,
+    "sunlit house": _sunlit,
 }
 """Plants by kind; generated houses are drawn twice as often as the rest."""
 

@@ -1,12 +1,13 @@
-"""`python -m benchmarks.effects.sunlit SEED ...`: how often is sun found on sensors, with it and without?
+"""`python -m benchmarks.effects.sunlit [--part] SEED ...`: how often is sun found on sensors, with it and without?
 
 Forty houses of each seed are probed at a winter and a sunny start, each with an ideal sensor and, where it was drawn,
-with sun on it; beside them the embedded plant, whose sensor is ideal, around the year.
+with sun on it; beside them the embedded plant, whose sensor is ideal, around the year. With `--part`: the houses alone,
+each with an ideal sensor and a floor in the sun or a double-skin glazing.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -22,7 +23,7 @@ from thermoforce_mpc.loop.probing import Probing
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.model.screening import ReadingLimits
 from thermoforce_mpc.model.sun_on_sensor import LIKELY
-from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
+from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, with_sunlit_part
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
@@ -44,10 +45,14 @@ class Look:
     full_K: float
 
 
-def main(seeds: Sequence[str]) -> None:
+def main(words: Sequence[str] | None = None) -> None:
     """Print each claim that is wrong or missed, and the shares."""
-    looks = [look for seed in seeds for look in of_houses(int(seed))]
-    embedded = list(of_embedded())
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("seeds", type=int, nargs="+", metavar="SEED", help="of the houses")
+    parser.add_argument("--part", action="store_true", help="houses with a part that the sun heats first")
+    given = parser.parse_args(words)
+    looks = [look for seed in given.seeds for look in of_houses(seed, given.part)]
+    embedded = [] if given.part else list(of_embedded())
     for look in (*looks, *embedded):
         if (look.probability > LIKELY) != (look.bias_K > 0.0):
             print(
@@ -55,7 +60,7 @@ def main(seeds: Sequence[str]) -> None:
                 f"probability {look.probability:.2f}"
             )
     for name, some in (("random houses", looks), ("embedded plant", embedded)):
-        for days in DAYS:
+        for days in DAYS if some else ():
             print(f"{name}, {days:g} days: {shares([look for look in some if look.days == days])}")
 
 
@@ -69,10 +74,12 @@ def shares(looks: Sequence[Look]) -> str:
     return f"{len(found)} of {len(lit)} in the sun found{size}; {wrong} of {len(ideal)} ideal ones claimed"
 
 
-def of_houses(seed: int) -> Iterator[Look]:
-    """Looks at the houses of a seed."""
+def of_houses(seed: int, part: bool = False) -> Iterator[Look]:
+    """Looks at the houses of a seed; `part`: with a part that the sun heats first, and ideal sensors alone."""
     for index in range(HOUSES):
         house = draw_house(seed, index)
+        if part:
+            house = replace(with_sunlit_part(house), sun_bias_K=0.0)
         for bias_K in {0.0, house.sun_bias_K}:
             plant = GeneratedHousePlant(replace(house, sun_bias_K=bias_K))
             for day in _STARTS:
@@ -106,4 +113,4 @@ def probability_of_sun(record: Record, testcase: TestCase) -> tuple[float, float
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or ["1"])
+    main()

@@ -13,7 +13,13 @@ from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.plants import drawn_houses
 from thermoforce_mpc.plants.drawn_houses import MASSES
 from thermoforce_mpc.plants.people import HOUSEHOLDS, at_home
-from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, house_testcase, physics
+from thermoforce_mpc.plants.random_houses import (
+    GeneratedHousePlant,
+    draw_house,
+    house_testcase,
+    physics,
+    with_sunlit_part,
+)
 from thermoforce_mpc.plants.random_houses.draw import MACHINES, heat_pump_cop
 from thermoforce_mpc.plants.random_houses.plant import bounds_C, native_setpoint_C, year_of
 from thermoforce_mpc.plants.registry import build_plant
@@ -98,6 +104,27 @@ def test_loads_lie_where_tabula_has_them_and_floors_only_where_they_can_heat():
         assert h.capacity_W == pytest.approx(h.sizing * h.design_load_W)
 
 
+def sunlit_house(kind: str, **wanted):
+    """A drawn house whose floor, or glazing, the sun heats first."""
+    houses = (with_sunlit_part(draw_house(SEED, i)) for i in range(200))
+    return next(
+        one for one in houses if one.sunlit.kind == kind and all(getattr(one, k) == v for k, v in wanted.items())
+    )
+
+
+def test_what_the_sun_heats_first_is_drawn_beside_a_house_and_changes_nothing_else_of_it():
+    houses = [draw_house(SEED, i) for i in range(200)]
+    lit = [with_sunlit_part(house) for house in houses]
+    assert [replace(one, sunlit=None) for one in lit] == houses
+    assert lit == [with_sunlit_part(house) for house in houses]
+    skins = [one for one in lit if one.sunlit.kind == "double skin"]
+    assert 70 < len(skins) < 130
+    for one in skins:
+        assert 0.5 * one.windows_W_K <= one.sunlit.through_W_K * (1 + 1e-9) <= 0.9 * one.windows_W_K * (1 + 2e-9)
+        assert "two skins" in one.words
+    assert all(one.sunlit.out_W_K == 0.0 and "floor in the sun" in one.words for one in lit if one not in skins)
+
+
 # --- physics --------------------------------------------------------------------------------------------------------
 
 
@@ -115,6 +142,49 @@ def test_the_energy_balance_closes(emitter):
     exchanged = drawn_houses.STEP_S * r["loss_W"][1:].sum()
     assert r["Q_machine"].max() > 0
     assert stored == pytest.approx(into, abs=1e-9 * exchanged)
+
+
+@pytest.mark.parametrize("kind", ["floor", "double skin"])
+def test_the_energy_balance_closes_where_the_sun_heats_a_part_first(kind):
+    grid = still_grid(2.0)
+    grid[:, physics.SUN_IN] = 2000.0
+    rows = run(sunlit_house(kind), 0.3, 6.0, grid)
+    flows = column(rows, "Q_machine") + column(rows, "gain_W") - column(rows, "loss_W")
+    stored = np.diff(column(rows, "stored_J"))
+    np.testing.assert_allclose(stored, drawn_houses.STEP_S * flows[1:], atol=1e-9 * stored.size * 1e5)
+
+
+@pytest.mark.parametrize("kind", ["floor", "double skin"])
+def test_a_part_in_the_sun_takes_its_share_and_gives_it_to_what_it_touches(kind):
+    lit = sunlit_house(kind)
+    part, p, grid = lit.sunlit, physics.parameters(lit), still_grid(20.0)
+    grid[:, physics.SUN_IN] = 3000.0
+    rise_K = []
+    for part_C, sun in ((20.0, grid), (30.0, still_grid(20.0))):
+        state = np.full(physics.N_STATES, 20.0)
+        state[physics.INTEGRAL :], state[physics.SUNLIT] = 0.0, part_C
+        rows = np.empty((1, len(physics.RECORD)))
+        physics.advance(state, 0.0, 1, 1.0, 0.0, sun, np.zeros(10), p, rows)
+        rise_K.append(state - 20.0)
+    assert rise_K[0][physics.SUNLIT] == pytest.approx(3000.0 * part.share / part.capacity_J_K, rel=0.02)
+    radiant_W = 3000.0 * (1.0 - part.share)
+    stored_W = p[physics.P_SURFACE_J] * rise_K[0][physics.SURFACE] + p[physics.P_MASS_J] * rise_K[0][physics.MASS]
+    assert stored_W == pytest.approx(radiant_W, rel=0.02)
+    given_W = 10.0 * np.array([part.air_W_K, part.surface_W_K, part.mass_W_K])
+    capacity = p[[physics.P_AIR_J, physics.P_SURFACE_J, physics.P_MASS_J]]
+    assert capacity * rise_K[1][[physics.AIR, physics.SURFACE, physics.MASS]] == pytest.approx(
+        given_W, rel=0.03, abs=5.0
+    )
+    assert column(rows, "loss_W")[0] == pytest.approx(10.0 * part.out_W_K, rel=0.03, abs=5.0)
+
+
+def test_a_double_skin_loses_what_the_windows_lost():
+    skin = sunlit_house("double skin", emitter="air", mass="very light")
+    with_it, without = (
+        column(run(house, 0.3, 24 * 10, still_grid(5.0)), "T_operative")[-1]
+        for house in (skin, replace(skin, sunlit=None))
+    )
+    assert with_it - 278.15 == pytest.approx(without - 278.15, rel=0.05)
 
 
 @pytest.mark.slow
@@ -184,7 +254,9 @@ def test_more_level_never_cools(emitter, machine):
     house = house_with(emitter=emitter, machine=machine)
     grid = still_grid(2.0, ventilation=house.ventilation_W_K)
     rng = np.random.default_rng(1)
-    states = [np.r_[np.full(6, 20.0), 0.0, 0.0] for _ in range(2)]
+    states = [np.full(physics.N_STATES, 20.0) for _ in range(2)]
+    for state in states:
+        state[physics.INTEGRAL :] = 0.0
     least = np.inf
     for _ in range(48):
         low = rng.uniform(0.0, 1.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -37,6 +37,28 @@ _DESIGN_OUT_C, DESIGN_ROOM_C = -8.0, 20.0
 
 
 @dataclass(frozen=True)
+class SunlitPart:
+    """What the sun heats first, before structure and surfaces: a floor under a window, or a double-skin glazing.
+
+    It takes `share` of the sun that comes in, has `capacity_J_K`, and gives heat to the room's air, surfaces and
+    structure and, a glazing, to outdoors, by `air_W_K`, `surface_W_K`, `mass_W_K` and `out_W_K`.
+    """
+
+    kind: Literal["floor", "double skin"]
+    share: float
+    capacity_J_K: float
+    air_W_K: float
+    surface_W_K: float = 0.0
+    mass_W_K: float = 0.0
+    out_W_K: float = 0.0
+
+    @property
+    def through_W_K(self) -> float:
+        """Transmission from the room's air through it to outdoors, W/K."""
+        return self.air_W_K * self.out_W_K / (self.air_W_K + self.out_W_K)
+
+
+@dataclass(frozen=True)
 class House:
     """Parameters of one house. Powers in W, temperatures in °C, areas in m², times in s.
 
@@ -61,6 +83,8 @@ class House:
 
     Sensor: noise `noise_sd_K`, resolution `resolution_K` (0: none), time constant `lag_s`, `sun_bias_K` at 800 W/m²
     on `sun_facade`. `heat_metered`: whether delivered heat and return temperature are measured.
+
+    `sunlit`: what the sun heats first; None: structure and surfaces alone. Its transmission is part of `windows_W_K`.
     """
 
     seed: int
@@ -109,6 +133,7 @@ class House:
     sun_bias_K: float
     sun_facade: Facade
     heat_metered: bool
+    sunlit: SunlitPart | None = None
 
     @property
     def name(self) -> str:
@@ -155,8 +180,9 @@ class House:
         flaws += [f"{self.resolution_K:g} K steps"] if self.resolution_K else []
         flaws += [f"{self.lag_s / 60:.0f} min lag"] if self.lag_s >= 30 else []
         flaws += [f"{self.sun_bias_K:.1f} K in the {self.sun_facade} sun"] if self.sun_bias_K else []
+        lit = {"floor": ", floor in the sun", "double skin": " in two skins"}[self.sunlit.kind] if self.sunlit else ""
         return (
-            f"{self.floor_area_m2:.0f} m2 {self.mass}, {watts:.1f} W/m2K, {glass:.0f} m2 glass, {self.emitter}, "
+            f"{self.floor_area_m2:.0f} m2 {self.mass}, {watts:.1f} W/m2K, {glass:.0f} m2 glass{lit}, {self.emitter}, "
             f"{self.machine} x{self.sizing:.1f}, {self.pattern} {self.lower_C:g}-{self.upper_C:g}; "
             f"sensor {', '.join(flaws) or 'exact'}"
         )
@@ -293,6 +319,40 @@ def draw_house(seed: int, index: int) -> House:
         sun_facade=FACADES[rng.choice(4, p=[0.5, 0.25, 0.0, 0.25])],
         heat_metered=bool(rng.uniform() < 0.4) and emitter != "air" and machine != "electric",
     )
+
+
+def with_sunlit_part(house: House) -> House:
+    """Return a drawn house with a floor in the sun or a double-skin glazing, equally likely; the rest stays as drawn.
+
+    Light rooms follow the sun within minutes then, as a sensor in the sun does.
+    """
+    rng = np.random.default_rng([house.seed, house.index, 3])  # a stream of its own: 1 draws gains, 2 noise
+    glass_m2 = sum(house.windows_m2)
+    if rng.uniform() < 0.5:
+        # The patch of sun: about the size of the glass. Carpet, wood or tiles; upward convection 5 and radiation
+        # 5.1 W/m²K (EN ISO 6946), and a covering of 0.1 to 0.5 m²K/W on the structure.
+        area_m2 = glass_m2 * rng.uniform(0.5, 1.5)
+        part = SunlitPart(
+            "floor",
+            share=float(rng.uniform(0.4, 0.8)),
+            capacity_J_K=float(area_m2 * rng.uniform(4e3, 20e3)),
+            air_W_K=float(5.0 * area_m2),
+            surface_W_K=float(5.1 * area_m2),
+            mass_W_K=float(area_m2 / rng.uniform(0.1, 0.5)),
+        )
+    else:
+        # 8 to 18 mm of glass and a blind; the inner pane single or open to the room, and 50 to 90 % of the
+        # transmission of the windows through it.
+        air_W_K = glass_m2 * rng.uniform(3.0, 8.0)
+        through_W_K = house.windows_W_K * rng.uniform(0.5, 0.9)
+        part = SunlitPart(
+            "double skin",
+            share=float(rng.uniform(0.3, 0.7)),
+            capacity_J_K=float(glass_m2 * rng.uniform(17e3, 40e3)),
+            air_W_K=float(air_W_K),
+            out_W_K=float(through_W_K * air_W_K / (air_W_K - through_W_K)),
+        )
+    return replace(house, sunlit=part)
 
 
 def heat_pump_cop(carnot: float, T_out_C: float, water_C: float) -> float:

@@ -1,8 +1,9 @@
 """Equations of a generated house: envelope of EN ISO 13790 with an air node, emitter, machine, sensor; one step 30 s.
 
-Nodes: room air, room surfaces, structure, slab, emitter water. Unlike in the hourly method of the standard, the
-surfaces have the heat capacity of their first centimetre, taken from that of the structure: without it a heater's
-swings of some minutes would show fully in the operative temperature.
+Nodes: room air, room surfaces, structure, slab, emitter water, and where a house has it the part that the sun heats
+first (`draw.SunlitPart`). Unlike in the hourly method of the standard, the surfaces have the heat capacity of their
+first centimetre, taken from that of the structure: without it a heater's swings of some minutes would show fully in the
+operative temperature.
 
 All couplings are implicit (backward Euler) and every heat flow leaves one node and enters another, or crosses the
 boundary and is recorded: the energy balance closes to rounding. The machine's heat is that of the water temperature at
@@ -21,8 +22,8 @@ from thermoforce_mpc.plants import drawn_houses
 from thermoforce_mpc.plants.random_houses.draw import House, ground_C, heat_pump_cop
 
 # States, °C. PI integral in levels, on/off flag of the native thermostat.
-AIR, SURFACE, MASS, SLAB, WATER, SENSOR, INTEGRAL, ON = range(8)
-N_STATES = 8
+AIR, SURFACE, MASS, SLAB, WATER, SUNLIT, SENSOR, INTEGRAL, ON = range(9)
+N_STATES = 9
 # Columns of the weather and schedule grid: °C, W/m², W, W/K, W, share 0 to 1, °C. The last two columns are held for
 # 15 min, the others interpolated.
 T_OUT, GLOBAL, SUN_IN, VENTILATION, SUN_ON_SENSOR, GAINS, SETPOINT = range(7)
@@ -48,15 +49,16 @@ _INTEGRAL_S = {"floor": 4 * 3600.0, "radiator": 1.5 * 3600.0, "air": 0.75 * 3600
 (P_AIR_J, P_MASS_J, P_SLAB_J, P_WATER_J, P_IS, P_WINDOWS, P_MS, P_EM, P_SLAB_ROOM, P_SLAB_GROUND, P_GROUND_C,
  P_STRENGTH, P_EXPONENT, P_CONVECTIVE, P_FLOOR, P_MASS_SHARE, P_MACHINE, P_CAPACITY, P_CAPACITY_K, P_DESIGN_C,
  P_LOWEST, P_CARNOT, P_FIXED, P_EFFICIENCY, P_SPREAD, P_LIMIT, P_LAG, P_BIAS, P_NOISE, P_RESOLUTION, P_TI,
- P_MODULATES, P_SURFACE_J) = range(33)  # fmt: skip
-N_PARAMETERS = 33
+ P_MODULATES, P_SURFACE_J, P_SUNLIT_SHARE, P_SUNLIT_J, P_SUNLIT_AIR, P_SUNLIT_SURFACE, P_SUNLIT_MASS,
+ P_SUNLIT_OUT) = range(39)  # fmt: skip
+N_PARAMETERS = 39
 _HEAT_PUMP, _BOILER, _ELECTRIC = 0.0, 1.0, 2.0
 
 _cop = njit(cache=True)(heat_pump_cop)
 
 
 def parameters(house: House) -> np.ndarray:
-    """Return the parameter vector of a house for `advance`, shape (33,), SI units and °C."""
+    """Return the parameter vector of a house for `advance`, shape (39,), SI units and °C."""
     p = np.zeros(N_PARAMETERS)
     area = house.floor_area_m2
     surface_m2 = drawn_houses.SURFACE_PER_FLOOR * area
@@ -78,6 +80,12 @@ def parameters(house: House) -> np.ndarray:
     p[P_LAG], p[P_BIAS], p[P_NOISE] = house.lag_s, house.sun_bias_K, house.noise_sd_K
     p[P_RESOLUTION], p[P_TI] = house.resolution_K, _INTEGRAL_S[house.emitter]
     p[P_MODULATES] = float(house.machine in ("heat pump", "boiler"))
+    p[P_SUNLIT_J] = 1.0
+    if (part := house.sunlit) is not None:
+        p[P_SUNLIT_SHARE], p[P_SUNLIT_J] = part.share, part.capacity_J_K
+        p[P_SUNLIT_AIR], p[P_SUNLIT_SURFACE], p[P_SUNLIT_MASS] = part.air_W_K, part.surface_W_K, part.mass_W_K
+        # What is lost through the part is lost by no other way.
+        p[P_SUNLIT_OUT], p[P_WINDOWS] = part.out_W_K, house.windows_W_K - part.through_W_K
     return p
 
 
@@ -141,6 +149,7 @@ def stored_J(p: np.ndarray, state: np.ndarray) -> float:
         + p[P_MASS_J] * state[MASS]
         + p[P_SLAB_J] * state[SLAB]
         + p[P_WATER_J] * state[WATER]
+        + p[P_SUNLIT_J] * state[SUNLIT]
     )
 
 
@@ -156,13 +165,13 @@ def advance(
     p: np.ndarray,
     record: np.ndarray,
 ) -> None:
-    """Advance `state` (8,) in place by `n_steps` of `dt` s and fill `record` (n_steps, 12).
+    """Advance `state` (9,) in place by `n_steps` of `dt` s and fill `record` (n_steps, 12).
 
     `forced`: level in [0, 1], NaN: native control. `grid`: weather and schedules of a year every 15 min, (35041, 7).
     `noise`: standard normal noise of the sensor, one value per 30 s of the year. `p`: see `parameters`.
     """
     w = np.empty(GAINS)
-    a, b = np.empty((5, 5)), np.empty(5)
+    a, b = np.empty((6, 6)), np.empty(6)
     for k in range(n_steps):
         now = time_s + k * dt
         held = grid[drawn_houses.read(grid, now, w)]
@@ -181,17 +190,21 @@ def advance(
         to_air = 0.0 if p[P_FLOOR] > 0.5 else emission * p[P_CONVECTIVE]
         to_surface = 0.0 if p[P_FLOOR] > 0.5 else emission * (1.0 - p[P_CONVECTIVE])
         T_out, ventilation = w[T_OUT], w[VENTILATION]
-        # Half of the internal gains to the air, the rest and the sun to structure and surfaces (EN ISO 13790, C.2).
-        radiant = 0.5 * gains + w[SUN_IN]
+        # Half of the internal gains to the air, the rest and the sun to structure and surfaces (EN ISO 13790, C.2),
+        # less what a part in the sun takes first.
+        sunlit = p[P_SUNLIT_SHARE] * w[SUN_IN]
+        radiant = 0.5 * gains + w[SUN_IN] - sunlit
         a[:] = 0.0
-        a[0, 0] = p[P_AIR_J] / dt + ventilation + p[P_IS] + to_air
-        a[0, 1], a[0, 4] = -p[P_IS], -to_air
+        a[0, 0] = p[P_AIR_J] / dt + ventilation + p[P_IS] + p[P_SUNLIT_AIR] + to_air
+        a[0, 1], a[0, 4], a[0, 5] = -p[P_IS], -to_air, -p[P_SUNLIT_AIR]
         b[0] = p[P_AIR_J] / dt * state[AIR] + ventilation * T_out + 0.5 * gains
-        a[1, 1] = p[P_SURFACE_J] / dt + p[P_IS] + p[P_WINDOWS] + p[P_MS] + p[P_SLAB_ROOM] + to_surface
+        a[1, 1] = p[P_SURFACE_J] / dt + p[P_IS] + p[P_WINDOWS] + p[P_MS] + p[P_SLAB_ROOM] + p[P_SUNLIT_SURFACE]
+        a[1, 1] += to_surface
         a[1, 0], a[1, 2], a[1, 3], a[1, 4] = -p[P_IS], -p[P_MS], -p[P_SLAB_ROOM], -to_surface
+        a[1, 5] = -p[P_SUNLIT_SURFACE]
         b[1] = p[P_SURFACE_J] / dt * state[SURFACE] + p[P_WINDOWS] * T_out + (1.0 - p[P_MASS_SHARE]) * radiant
-        a[2, 2] = p[P_MASS_J] / dt + p[P_MS] + p[P_EM]
-        a[2, 1] = -p[P_MS]
+        a[2, 2] = p[P_MASS_J] / dt + p[P_MS] + p[P_EM] + p[P_SUNLIT_MASS]
+        a[2, 1], a[2, 5] = -p[P_MS], -p[P_SUNLIT_MASS]
         b[2] = p[P_MASS_J] / dt * state[MASS] + p[P_EM] * T_out + p[P_MASS_SHARE] * radiant
         a[3, 3] = p[P_SLAB_J] / dt + p[P_SLAB_ROOM] + p[P_SLAB_GROUND] + to_slab
         a[3, 1], a[3, 4] = -p[P_SLAB_ROOM], -to_slab
@@ -199,8 +212,11 @@ def advance(
         a[4, 4] = p[P_WATER_J] / dt + to_air + to_surface + to_slab
         a[4, 0], a[4, 1], a[4, 3] = -to_air, -to_surface, -to_slab
         b[4] = p[P_WATER_J] / dt * state[WATER] + heat
+        a[5, 5] = p[P_SUNLIT_J] / dt + p[P_SUNLIT_AIR] + p[P_SUNLIT_SURFACE] + p[P_SUNLIT_MASS] + p[P_SUNLIT_OUT]
+        a[5, 0], a[5, 1], a[5, 2] = -p[P_SUNLIT_AIR], -p[P_SUNLIT_SURFACE], -p[P_SUNLIT_MASS]
+        b[5] = p[P_SUNLIT_J] / dt * state[SUNLIT] + p[P_SUNLIT_OUT] * T_out + sunlit
         drawn_houses.solve(a, b)
-        for i in range(5):
+        for i in range(6):
             state[i] = b[i]
 
         operative = drawn_houses.AIR_SHARE * state[AIR] + (1.0 - drawn_houses.AIR_SHARE) * state[SURFACE]
@@ -218,6 +234,7 @@ def advance(
             + p[P_WINDOWS] * (state[SURFACE] - T_out)
             + p[P_EM] * (state[MASS] - T_out)
             + p[P_SLAB_GROUND] * (state[SLAB] - p[P_GROUND_C])
+            + p[P_SUNLIT_OUT] * (state[SUNLIT] - T_out)
         )
         row[9] = gains + w[SUN_IN]
         row[10] = stored_J(p, state)
