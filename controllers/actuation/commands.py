@@ -45,10 +45,12 @@ class CommandedLoop:
     """A loop over the N steps of a plan: its command with the limits of each step, and the outdoor temperature.
 
     `low`, `high`, `usual` (N,): limits of the command and what it is when left alone; `T_out_C` (N,): mean of the step;
-    `age_s`: how long ago `learned.last` was read, s; `off`: see `off_commands`.
+    `room`: number of the zone whose temperature it works against; `age_s`: how long ago `learned.last` was read, s;
+    `off`: see `off_commands`.
     """
 
     learned: LearnedCommand
+    room: int
     low: Array
     high: Array
     usual: Array

@@ -156,13 +156,14 @@ class BuildingCommands:
         loops, T_out_C = {}, 0.5 * (boundary.T_out_C[:-1] + boundary.T_out_C[1:])
         for a, learned in self._learned.items():
             time_s = learned.from_origin_s(boundary.time_s[:-1], origin)
-            z, usual, age_s = self._layout.home[a], learned.usual_at(time_s, T_out_C), float(time_s[0]) - learned.last_s
+            z = learned.room_of(self._layout.names.zones, self._layout.home[a])
+            usual, age_s = learned.usual_at(time_s, T_out_C), float(time_s[0]) - learned.last_s
             low, high = learned.within_seen(
                 *learned.command.limits(boundary.lower_C[z, 1:], boundary.upper_C[z, 1:], usual)
             )
             meter = self._meters.get(learned.machine)
             off = off_commands(learned, meter)
-            loops[a] = CommandedLoop(learned, low, high, usual, T_out_C, boundary.step_s, age_s, off)
+            loops[a] = CommandedLoop(learned, z, low, high, usual, T_out_C, boundary.step_s, age_s, off)
         groups: dict[str | int, list[int]] = {}
         for a, learned in self._learned.items():
             groups.setdefault(learned.machine or a, []).append(a)
@@ -302,7 +303,7 @@ class CommandedPlan:
         return {
             a: loop.reach(0.5 * (T_C[z, :-1] + T_C[z, 1:]), float(self._tables.before[a]))
             for a, loop in self.loops.items()
-            for z in [self.operator.home[a]]
+            for z in [loop.room]
         }
 
     def realise(self, u: Array, states: Sequence[ActuationState], evaluator: Evaluator) -> Commanded:
@@ -382,7 +383,7 @@ class CommandedPlan:
                 return self._usual_row(a).reshape(self.problem.n_steps, -1)[None, k]
             first = of[a]
             if len(rows[first]) == k:
-                z = self.operator.home[first]
+                z = self.loops[first].room
                 # From where the commands have brought the room, the rest of the way is as planned.
                 T_end_C = planned[z, k + 1 :] + (T_C[0, z] - planned[z, k])
                 turns, set_now[first] = self.loops[first].choose(
@@ -652,7 +653,7 @@ class CommandedPlan:
         found = []
         for one in self.beside:
             loop, usual = self.loops[one.first], float(self._usual_row(one.first)[0])
-            state, T_C = loop.begin(), float(self.problem.T_now_C[self.operator.home[one.first]])
+            state, T_C = loop.begin(), float(self.problem.T_now_C[loop.room])
             now = one.meter.begin(state.value, usual, state.held_s, float(self.hour[0]))
             found.append((now, left_of(loop.learned, one.meter, usual, T_C, float(loop.T_out_C[0]))))
         return tuple(found)
@@ -781,7 +782,7 @@ class _LoopTables:
 
         self._of_loop = (
             np.array(list(loops), dtype=np.int64),
-            np.array([operator.home[a] for a in loops], dtype=np.int64),
+            np.array([loop.room for loop in loops.values()], dtype=np.int64),
             np.array([one.zone for one in maps]),
             np.array([one.carry for one in maps]),
             np.array([one.knots.size for one in maps], dtype=np.int64),
@@ -794,7 +795,7 @@ class _LoopTables:
             np.zeros(len(operator.home)) if problem.last_u is None else problem.last_u,
             {a: one.learned for a, one in loops.items()},
             {a: float(one.usual[0]) for a, one in loops.items()},
-            problem.T_now_C[list(operator.home)],
+            problem.T_now_C[[loops[a].room if a in loops else z for a, z in enumerate(operator.home)]],
             float(next(iter(loops.values())).T_out_C[0]),
         )
 
@@ -852,7 +853,7 @@ def _between(x: float, count: int, knots: np.ndarray, values: np.ndarray) -> flo
 def _settle(
     level: np.ndarray, scatter: np.ndarray, before: np.ndarray, asked: np.ndarray, z: np.ndarray, T_C: np.ndarray,
     at_rest_C: np.ndarray, factor: np.ndarray, heat: np.ndarray, per_drive: np.ndarray, per_u: np.ndarray,
-    acts: np.ndarray, homes: np.ndarray, zone: np.ndarray, carry: np.ndarray, count: np.ndarray, knots: np.ndarray,
+    acts: np.ndarray, rooms: np.ndarray, zone: np.ndarray, carry: np.ndarray, count: np.ndarray, knots: np.ndarray,
     levels: np.ndarray, uncertain: np.ndarray, spread: np.ndarray, shut_count: np.ndarray, shuts_C: np.ndarray,
     opens: np.ndarray,
 ) -> None:  # fmt: skip
@@ -878,10 +879,10 @@ def _settle(
                     T_end[j] += per_drive[j, a] * drive
             worst = 0.0
             for i in range(acts.size):
-                a, home = acts[i], homes[i]
+                a, own = acts[i], rooms[i]
                 mean = x_mean[i] = 0.0
                 for part in range(n):
-                    room = T_C[s, home] + (part + 0.5) / n * (T_end[home] - T_C[s, home])
+                    room = T_C[s, own] + (part + 0.5) / n * (T_end[own] - T_C[s, own])
                     x = asked[i, s, part] - zone[i] * room
                     up = _between(x, count[i], knots[i], levels[i])
                     if z[s] != 0.0:
@@ -896,9 +897,9 @@ def _settle(
             for i in range(acts.size):
                 level[s, acts[i]] = moved[i]
         for i in range(acts.size):
-            home, before[s, acts[i]] = homes[i], x_mean[i]
+            own, before[s, acts[i]] = rooms[i], x_mean[i]
             for part in range(n):
-                room = T_C[s, home] + (part + 0.5) / n * (T_end[home] - T_C[s, home])
+                room = T_C[s, own] + (part + 0.5) / n * (T_end[own] - T_C[s, own])
                 x = asked[i, s, part] - zone[i] * room
                 scatter[s] += per_u[acts[i]] * _between(x, count[i], knots[i], spread[i]) / n
 

@@ -23,7 +23,7 @@ def loop_of(kind, effects, step_s=3600.0, **keys):
     usual = np.full(N, 2.0)
     low, high = command.limits(np.full(N, 20.0), np.full(N, 22.0), usual)
     learned = LearnedCommand(command, loop, 2.0, 3600.0, usual, 0.0)
-    return CommandedLoop(learned, low, high, usual, np.zeros(N), step_s)
+    return CommandedLoop(learned, 0, low, high, usual, np.zeros(N), step_s)
 
 
 def chosen(loop, state, wanted=0.0):

@@ -246,7 +246,8 @@ TWO_ROOMS = {
     "time": {"zone": "UTC"}, "step": "1h", "outdoor": "out",
     "zones": {z: {"temperature": z, "lower": 20.0, "upper": 23.0} for z in ("hall", "bath")},
     "actuators": {f"{z}_valve": {"zone": z, "level": f"u_{z}", "machine": "pump"} for z in ("hall", "bath")},
-    "machines": {"pump": {"power": "P", "price": 0.25, "command": {"kind": "setpoint", "column": "supply"}}},
+    "machines": {"pump": {"power": "P", "price": 0.25, "command": {"kind": "setpoint", "column": "set",
+    "reference": "hall"}}},
 }  # fmt: skip
 
 

@@ -83,6 +83,14 @@ class Command(StrictModel):
     def in_words(self, value: float) -> str:
         """A command, or what else its column holds, with its unit."""
 
+    def reference_of(self, room: str) -> str:
+        """The room whose temperature its loop works against where it heats `room`."""
+        return room
+
+    def check_rooms(self, rooms: Sequence[str], *, of_machine: bool) -> None:
+        """Raise `ValueError` where it does not say all that is needed of a command for these `rooms`, of all that a
+        machine feeds (`of_machine`) or of one actuator."""
+
     def most_change(self, seconds: float) -> float:
         """Largest change from one value to the next, of which the first was held for `seconds` s."""
         return float("inf")

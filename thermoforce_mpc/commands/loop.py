@@ -3,6 +3,8 @@
     u_k = o(T_zone,k) x_k,   x_k = clip(c x_{k−1} + g(s_k), 0, 1)
     s_k = e(command_k) − w_zone T_zone,k − w_out T_out,k
 
+(T_zone: of the actuator's room; of a thermostat of the whole house, of the room where it is.)
+
 g and e do not fall, o is not negative, c lies in [0, 1] and the weights are not negative: more of a command is never
 less heat, in the same step and in all later ones, whatever was learned. A valve with a P band and a thermostat have
 c = 0 (g is the valve's line, or the share of a step that the thermostat is on); the integral part of a PI controller is
@@ -18,7 +20,7 @@ brings was soon undone (`bench commands`, houses 9503 and 9508, 2026-11-28).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -163,6 +165,7 @@ class LearnedCommand:
     the times of a week, in equal parts, from `origin` on, at 0 °C outdoors where it is `usual_per_K` more per K there.
     Seconds count from there; None: from where a plan's do.
     `machine`: name of the machine of whose actuators all are set by this one command; '': the actuator's own.
+    `reference`: the room whose temperature its loop works against; '': the actuator's own.
     `untold`: why the record does not tell what it does to this actuator, '' where it does. `record`, `set_to` (n,):
     what it was learned from, where the command is a machine's, and what was set over its steps.
     """
@@ -179,11 +182,26 @@ class LearnedCommand:
     record: Record | None = None
     set_to: Array | None = None
     usual_per_K: float = 0.0
+    reference: str = ""
 
     @property
     def in_words(self) -> str:
         """What is set, and what is known of its loop."""
-        return f"set by {self.command.name_in_words}, whose map {self.loop.in_words}"
+        where = f" in {self.reference}" if self.reference else ""
+        return f"set by {self.command.name_in_words}{where}, whose map {self.loop.in_words}"
+
+    def room_of(self, zones: Sequence[str], home: int) -> int:
+        """Number, of `zones`, of the room whose temperature its loop works against; `home`: the actuator's own.
+
+        Raises `DataError` where they do not hold it.
+        """
+        if not self.reference:
+            return home
+        if self.reference not in zones:
+            raise DataError(
+                f"the command's thermostat is in '{self.reference}', of which the model says nothing: identify it too"
+            )
+        return list(zones).index(self.reference)
 
     def within_seen(self, low: Array, high: Array) -> tuple[Array, Array]:
         """Limits `low` and `high` (N,) no further than what the record holds: of more it does not say what comes of it.
@@ -243,7 +261,7 @@ def learn_command(
     Args:
         command: the command.
         was: what was set.
-        T_zone_C, T_out_C: at the boundaries (n + 1,), °C.
+        T_zone_C, T_out_C: of the room that its loop works against, and outdoors, at the boundaries (n + 1,), °C.
         u: mean level of each step (n,).
         time_s: boundaries (n + 1,), s.
         where: what it is the command of, for messages.

@@ -13,10 +13,13 @@ from thermoforce_mpc.data import Array
 
 # A trial moves a set-point across the temperature of its room by so much, K, where that is no farther away.
 _CLEARLY_K, _NEAR_K = 0.5, 4.0
+_EACH = "each"
 
 
 class Setpoint(TemperatureCommand):
-    """Room set-point. Its loop answers to the difference of set-point and room temperature."""
+    """Set-point of a room or, at a machine, of the house. Its loop answers to the difference of set-point and room
+    temperature, of a house's thermostat to that of its `reference` room.
+    """
 
     of_zone: ClassVar[float | None] = -1.0
     of_outdoor: ClassVar[float | None] = 0.0
@@ -30,6 +33,26 @@ class Setpoint(TemperatureCommand):
     beyond_K: float = Field(
         2.0, ge=0, le=10, description="how far commands may lie outside the comfort bounds of the room, K"
     )
+    reference: str | None = Field(
+        None,
+        description="room of the thermostat, of a machine that feeds several; each: all rooms have one, set alike",
+    )
+
+    def reference_of(self, room: str) -> str:
+        """See `Command.reference_of`."""
+        return room if self.reference in (None, _EACH) else str(self.reference)
+
+    def check_rooms(self, rooms: Sequence[str], *, of_machine: bool) -> None:
+        """See `Command.check_rooms`."""
+        if not of_machine and self.reference is not None:
+            raise ValueError("reference: of the command of a machine; an actuator's goes by its own room")
+        if self.reference is None and len(rooms) > 1:
+            raise ValueError(
+                f"reference: say in which room the thermostat is, of {', '.join(rooms)}, or {_EACH}: all rooms have "
+                "one, set alike"
+            )
+        if self.reference not in (None, _EACH, *rooms):
+            raise ValueError(f"reference: it heats no room '{self.reference}'; it heats {', '.join(rooms)}")
 
     def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
         """See `Command.limits`."""

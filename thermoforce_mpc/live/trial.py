@@ -151,7 +151,10 @@ def _planned(
         return replace(plan, refused=wrong[0])
     if not math.isfinite(before) and command is not None:
         return replace(plan, refused=f"what it is now is not known ({told.problem if told else 'no column'})")
-    in_rooms = [point.last for point, _ in rooms], [bounds for _, bounds in rooms]
+    # A thermostat of the house is moved by the room where it is.
+    by = set(zones) if command is None else {command.reference_of(zone) for zone in zones}
+    acts = [one for zone, one in zip(zones, rooms, strict=True) if zone in by]
+    in_rooms = [point.last for point, _ in acts], [bounds for _, bounds in acts]
     if command is None:
         before = before if math.isfinite(before) else 0.0
         value = 0.0 if before >= 0.5 else 1.0

@@ -469,12 +469,16 @@ def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
         if found is not None:
             (where, command), was = found, measured.commands[name]
             kind, _, machine = where.partition(".")
-            T_zone_C, shared = record.T_zone_C[measured.layout.home[a]], kind == "machines"
+            own, shared = record.names.zones[measured.layout.home[a]], kind == "machines"
+            room = command.reference_of(own)
+            if room not in record.names.zones:
+                raise DataError(f"{where}.command: reference: the room '{room}' is not among those that are looked at")
+            T_zone_C = record.T_zone_C[record.names.zones.index(room)]
             where = f"{where}.command (column {command.column})" + (f" for {name}" if shared else "")
             signals = T_zone_C, record.T_out_C, record.u[a], record.time_s
             habits_s = clock_s(record.time_s, record.origin)
             learned = learn_command(command, was, *signals, where, clock_s=habits_s, may_be_untold=True)
-            out[name] = replace(learned, origin=record.origin)
+            out[name] = replace(learned, origin=record.origin, reference="" if room == own else room)
             if shared:
                 out[name] = replace(out[name], machine=machine, record=record, set_to=was.mean)
     check_told(out.values())

@@ -97,6 +97,8 @@ class IdentifiedHouse(Releasing):
         self.model, self._conditions, self._error = model, conditions, error
         self._forecasts, self._before = forecasts, before
         self._loops = {record.names.actuators.index(name): one for name, one in (commands or {}).items()}
+        zones, home = model.names.zones, list(model.operator.home)
+        self._rooms = [self._loops[a].room_of(zones, z) if a in self._loops else z for a, z in enumerate(home)]
         whole, _ = bridged(model.in_rooms(record))
         begins_s, T_out_C = record.time_s[:-1], 0.5 * (whole.T_out_C[:-1] + whole.T_out_C[1:])
         self._usual = {
@@ -267,8 +269,9 @@ class IdentifiedHouse(Releasing):
         return behind_levels(u, loops, usual, self._rooms_C(k), float(self._was.T_out_C[k]))
 
     def _rooms_C(self, k: int) -> Array:
-        """The home zone of each actuator (A,) with the forced states of now over the free part of step `k`, °C."""
-        return np.asarray((self._free_C[:, k] + self.forced_K.sum(axis=(1, 2)))[list(self.model.operator.home)])
+        """The room that each actuator's loop works against (A,), with the forced states of now over the free part of
+        step `k`, °C."""
+        return np.asarray((self._free_C[:, k] + self.forced_K.sum(axis=(1, 2)))[self._rooms])
 
     def _commands_on_meters(self, meters: Mapping[str, MeterEffect]) -> list[CommandOnMeter]:
         """What commands of machines do on `meters`; each is told by the first of its actuators that has it."""

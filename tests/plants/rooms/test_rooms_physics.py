@@ -68,6 +68,7 @@ class Still:
             np.zeros(0),
             np.zeros(0),
             2.0,
+            -1,
         )
         self.now += hours * HOUR_S
         return rows

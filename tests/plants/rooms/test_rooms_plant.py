@@ -233,3 +233,27 @@ def test_other_wrong_inputs_are_refused():
         plant.forecast(0.0, 900.0)
     with pytest.raises(InputError, match="history"):
         plant.past(0.0)
+
+
+def test_one_thermostat_switches_all_circuits_by_its_room():
+    plant = plant_at()
+    plant.reference = "living"
+    begin_s = plant.forecast(HOUR_S, HOUR_S).time_s[0]
+    plant.advance(None, 2 * HOUR_S, (24.0,) * 3)
+    warm = plant.advance(None, 900.0, (24.0,) * 3)
+    cold = plant.advance(None, 900.0, (10.0,) * 3)
+    assert (warm.u == 1.0).all()
+    assert (cold.u == 0.0).all()
+    plant.advance(None, DAY_S)
+    _, rows = plant.recorded(begin_s, begin_s + 2.5 * HOUR_S + DAY_S)
+    room_C, levels = rows[:, physics.ROOMS], rows[:, physics.ROOMS + 3 : physics.ROOMS + 6]
+    assert (levels == levels[:, :1]).all()
+    by_itself = slice(-round(DAY_S / 30.0), None)
+    begins = np.flatnonzero(np.diff(levels[by_itself, 0]) > 0.0)
+    assert begins.size > 1
+    assert room_C[by_itself][begins].max() < plant.thermostat_C[0]
+    with pytest.raises(InputError, match="the thermostat in living sets all rooms"):
+        plant.advance(None, 900.0, (21.0, 22.0, 21.0))
+    plant.reference = "cellar"
+    with pytest.raises(InputError, match="there is no room 'cellar'; there are living, bath, bedroom"):
+        plant.advance(None, 900.0)

@@ -71,12 +71,16 @@ def rules_by(kind: str, column: str, **keys) -> dict:
 
 SG_RULES = rules_by("sg_ready", "contact", usual=2)
 ENABLE_RULES = rules_by("enable", "enabled", usual=1)
+# The thermostat of the house is in the living room; other rooms have open valves.
+HOUSE_RULES = rules_by("setpoint", "set", reference="living")
 # Left alone it is what the curve asks for: the record tells.
 FLOW_RULES = rules_by("flow_temperature", "flow_set")
 # What SG-Ready does to the curve, K; blocked, or not enabled, the pump stands.
 SG_OFFSET_K = {1: 0.0, 2: 0.0, 3: 3.0, 4: 3.0}
-# What trials set: from, up to and without, and for so long, h; of the flow temperature beside what the curve asks for.
+# What trials set: from, up to and without, and for so long, h; of a temperature beside what it usually is.
 TRIALS = {"curve_offset": (-3, 4, 4), "sg_ready": (1, 4, 2), "enable": (0, 4, 2), "flow_temperature": (-3, 4, 4)}
+TRIALS |= {"setpoint": (-1, 2, 4)}
+_DEAD_BAND_K = 0.2
 
 
 class HomeByCurve:
@@ -88,7 +92,7 @@ class HomeByCurve:
     def __init__(self, days: int = 21, trials: int = 5, set_by: str = "curve_offset", swing_K: float = 0.0) -> None:
         self._set_by, self._swing_K = set_by, swing_K
         self.at, self.rows, self.told, self.written = START - pd.Timedelta(days=days), [], None, []
-        self.T = {"living": 21.5, "bedroom": 19.0}
+        self.T, self._is_on = {"living": 21.5, "bedroom": 19.0}, True
         self._trials, self._rng = START - pd.Timedelta(days=trials), np.random.default_rng(3)
         self.wait_until(START)
 
@@ -103,7 +107,7 @@ class HomeByCurve:
     def usual(self, out_C: float) -> float:
         """What is set when it is left alone."""
         own = {"curve_offset": 0.0, "sg_ready": 2.0, "enable": 1.0, "flow_temperature": round(curve_C(out_C))}
-        return own[self._set_by]
+        return (own | {"setpoint": 21.5 if 6 <= self.at.hour < 22 else 20.5})[self._set_by]
 
     def wait_until(self, at: pd.Timestamp) -> None:
         low, high, hold_h = TRIALS[self._set_by]
@@ -115,7 +119,7 @@ class HomeByCurve:
                 self._trial = min(self._trial, 1.0) if self._set_by == "enable" else self._trial
             told = self.usual(out)
             if self._trials <= self.at < START and hasattr(self, "_trial"):
-                told = self._trial + (told if self._set_by == "flow_temperature" else 0.0)
+                told = self._trial + (told if self._set_by in ("flow_temperature", "setpoint") else 0.0)
             told = told if self.told is None else self.told
             set_by = {"curve_offset": 0.0, "sg_ready": 2.0, "enable": 1.0} | {self._set_by: told}
             offset = set_by["curve_offset"] + SG_OFFSET_K[round(set_by["sg_ready"])]
@@ -124,9 +128,13 @@ class HomeByCurve:
             flow = float(np.clip(asked, 20.0, 55.0)) if runs else 15.0
             row = {"time": self.at, "out": out, "sun": 0.0, "flow": flow, "price": price(self.at)}
             row |= {"offset": offset, "contact": set_by["sg_ready"], "enabled": set_by["enable"], "flow_set": asked}
+            row["set"] = set_by.get("setpoint", np.nan)
+            if abs(row["set"] - self.T["living"]) > _DEAD_BAND_K:
+                self._is_on = row["set"] > self.T["living"]
             heat_W = {}
             for name in ROOMS:
                 valve = float(np.clip((SETPOINT_C[name] + 0.5 - self.T[name]) / 2.0 + 0.5, 0.0, 1.0))
+                valve = float(self._is_on) if self._set_by == "setpoint" else valve
                 heat_W[name] = valve * EMITTER_W_K[name] * max(flow - self.T[name], 0.0) * 0.8
                 row |= {f"T_{name}": self.T[name], f"valve_{name}": valve}
             row["P"] = sum(heat_W.values()) / cop(flow, out)

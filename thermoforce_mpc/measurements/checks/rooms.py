@@ -85,7 +85,7 @@ def command_remarks(
             continue
         if (remark := _no_command(record, layout, name, command, set_to[name].at)) is not None:
             found.append(remark)
-        elif command.of_zone == -1.0:
+        elif command.of_zone == -1.0 and command.reference_of(home := layout.names.zones[layout.home[a]]) == home:
             of_rooms.setdefault(layout.home[a], (name, set_to[name].at))
     for one, other in combinations(of_rooms, 2):
         straight = [_apart_K(record, zone, of_rooms[zone][1]) for zone in (one, other)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -432,10 +432,13 @@ class MeasurementMap(StrictModel):
             if zone.temperature.columns == self.outdoor.columns:
                 raise ValueError(f"zones.{name}.temperature and outdoor are the same column")
         set_by: dict[str, str] = {}
+        rooms = dict(zip(self.actuators, (self.names.zones[z] for z in self.layout.home), strict=False))
         for m, (machine_name, machine) in enumerate(self.machines.items()):
             if machine.command is None:
                 continue
             set_by[machine.command.column] = machine_name
+            heated = [room for room, of in zip(rooms.values(), machine_of, strict=False) if of == m]
+            self._check_rooms(f"machines.{machine_name}", machine.command, heated)
             for a, (name, actuator) in enumerate(self.actuators.items()):
                 if machine_of[a] == m and (actuator.command is not None or actuator.mode != "heating"):
                     raise ValueError(
@@ -443,6 +446,8 @@ class MeasurementMap(StrictModel):
                         + ("has a command of its own: name one of the two" if actuator.command else "does not heat")
                     )
         for name, actuator in self.actuators.items():
+            if actuator.command is not None:
+                self._check_rooms(f"actuators.{name}", actuator.command, [rooms[name]])
             if actuator.command is not None and (other := set_by.setdefault(actuator.command.column, name)) != name:
                 raise ValueError(
                     f"actuators.{name}.command: column '{actuator.command.column}' is the command of {other} too, and "
@@ -466,6 +471,14 @@ class MeasurementMap(StrictModel):
         if estimates and (self.site is None or self.time.zone is None):
             raise ValueError("sun.estimate needs site (latitude, longitude) and time.zone")
         return self
+
+    @staticmethod
+    def _check_rooms(where: str, command: Command, rooms: Sequence[str]) -> None:
+        """Raise `ValueError` where a command does not fit the `rooms` that it heats."""
+        try:
+            command.check_rooms(list(dict.fromkeys(rooms)), of_machine=where.startswith("machines."))
+        except ValueError as error:
+            raise ValueError(f"{where}.command.{error}") from error
 
     def _check_tank(self, tank: MappedTank, set_by: Mapping[str, str]) -> None:
         """Raise `ValueError` where the tank has no machine or clock, or shares a column with something else."""

@@ -312,6 +312,7 @@ def advance(
     device: np.ndarray,
     draws: np.ndarray,
     contact: float,
+    leads: int,
 ) -> None:
     """Advance nodes `T` (5 Z,) °C and thermostats `on` (Z,) in place by `n_steps` of `dt` s and fill `record`.
 
@@ -323,6 +324,7 @@ def advance(
         record: one row per step, shape (n_steps, 9 + 4 Z), see `POWER` and following.
         state, device, draws: of the machine's own controller, see `device`; no `device`: an ideal machine.
         contact: state of its SG-Ready contacts.
+        leads: room whose thermostat switches all circuits; −1: each room's switches its own.
     """
     n = on.size
     nodes = T.size
@@ -336,6 +338,8 @@ def advance(
         now = time_s + k * dt
         row = drawn_houses.read(weather, now, w)
         thermostats(on, room_C, setpoints[row])
+        if leads >= 0:
+            on[:] = on[leads]
         for i in range(n):
             levels[i] = on[i] if math.isnan(forced[i]) else forced[i]
         if device.size:

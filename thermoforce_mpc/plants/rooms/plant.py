@@ -194,6 +194,8 @@ class HouseOfRooms(DrawnHousePlant):
         flow_target_C: temperature of the water that is set for all circuits, °C, up to the limit of each; None: what
             their heating curves ask for.
         device: the controller of the heat pump itself; None: an ideal machine, which gives what is asked at once.
+        reference: the room whose thermostat switches all circuits, whose valves are open otherwise; None: each room's
+            switches its own. Commands of all valves are then its set-point.
         contact: state of its SG-Ready contacts, from 1 to 4; only with a device.
         is_enabled: its enable contact: whether it may run at all; only with a device.
         tank_target_C: target of the tank of hot water, °C; None: the device's own.
@@ -207,6 +209,7 @@ class HouseOfRooms(DrawnHousePlant):
     curve_offset_K: float = 0.0
     flow_target_C: float | None = None
     device: Device | None = None
+    reference: str | None = None
     contact: int = NORMAL
     is_enabled: bool = True
     tank_target_C: float | None = None
@@ -298,6 +301,11 @@ class HouseOfRooms(DrawnHousePlant):
                     f"command of '{name}': its thermostat takes a set-point from {LEAST_SETPOINT_C:g} to "
                     f"{MOST_SETPOINT_C:g} °C"
                 )
+        if self.reference is not None:
+            if self.reference not in self.zones:
+                raise InputError(f"reference: there is no room '{self.reference}'; there are {', '.join(self.zones)}")
+            if len(set(told)) > 1:
+                raise InputError(f"command: the thermostat in {self.reference} sets all rooms: give all the same")
         self._told = tuple(told)
         try:
             return self._advanced(block)
@@ -307,12 +315,13 @@ class HouseOfRooms(DrawnHousePlant):
     def _simulate(self, forced: Array, before_s: float, dt_s: float, rows: Array) -> None:
         weather, gains = self._lived
         setpoints, network = self._setpoints, self._network
+        leads = -1 if self.reference is None else self.zones.index(self.reference)
         if any(value is not None for value in self._told):
             setpoints, forced = setpoints.copy(), forced.copy()
             first, last = (int(t // GRID_S) for t in (before_s, before_s + len(rows) * dt_s))
             for a, value in enumerate(self._told):
                 if value is not None:
-                    forced[a], setpoints[first : last + 1, a] = math.nan, value
+                    forced[a], setpoints[first : last + 1, a if leads < 0 else leads] = math.nan, value
         if self.curve_offset_K or self.flow_target_C is not None:
             curve = network.curve.copy()
             if self.flow_target_C is not None:  # a curve that is the same in all weather
@@ -324,7 +333,7 @@ class HouseOfRooms(DrawnHousePlant):
         if self.device is not None:
             parameters, draws = self.device.told(self.tank_target_C, self.charges), self.device.draw_W
         own = self._device_state, parameters, draws, float(self.contact if self.is_enabled else BLOCKED)
-        physics.advance(*state, forced, weather, gains, setpoints, network, rows, *own)
+        physics.advance(*state, forced, weather, gains, setpoints, network, rows, *own, leads)
 
     def _measured(self, before_s: float) -> Measurement:
         rooms, valves, heats = self._blocks()
