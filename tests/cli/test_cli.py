@@ -236,6 +236,7 @@ def test_a_stretch_longer_than_a_year_is_refused_by_its_option():
         (["run", "--config", "absent.yaml"], "absent.yaml: no such file"),
         (["nonsense"], "No such command 'nonsense'"),
         (["inspect", "absent"], "absent"),
+        (["identify", "--data", __file__, __file__, "--map", "map.yaml"], "--data stands before each file: --data"),
     ],
 )
 def test_bad_input_is_one_message_and_exit_code_2(words, message, tf_mpc, tmp_path):

@@ -109,6 +109,13 @@ def test_a_controller_that_raises_is_told_with_its_line_and_loses_nothing(folder
     assert isinstance(tf_run("--out", "odd", "--controller", "my_rules.py:Odd").exception, ControllerRaised)
 
 
+def test_what_did_not_act_is_told_with_the_first_reason(folder):
+    (folder / "my_rules.py").write_text(RULES.replace("float(hour < self.from_h)", "1.5 if hour else 1.0"))
+    done = tf_run("--controller", "my_rules.py:Night", "--baselines", "")
+    assert "23 of 24 plans did not act: refused level of 1.5: expected a number from 0 to 1" in done.output, done.output
+    assert "Fallbacks" not in done.output
+
+
 @pytest.mark.parametrize(
     ("name", "said"),
     [

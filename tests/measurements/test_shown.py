@@ -187,6 +187,19 @@ LANGUAGES = {
 }
 
 
+def test_a_station_in_fahrenheit_is_outdoors_and_does_not_move_the_house_to_america(tmp_path):
+    at, k = pd.date_range("2025-01-20", periods=384, freq="15min"), np.arange(384)
+    of_day = np.sin(2 * np.pi * (k - 36) / 96)
+    room = {"Zeit": at.strftime("%d.%m.%Y %H:%M"), "Raumtemperatur Bad [°C]": 21 + of_day, "Leistung [kW]": k % 11 / 5}
+    pd.DataFrame(room).to_csv(tmp_path / "haus.csv", index=False, sep=";", decimal=",")
+    weather = {"timestamp": at.strftime("%Y-%m-%dT%H:%M:%SZ"), "temperature (°F)": 40 + 9 * of_day}
+    weather["solar radiation (W/m2)"] = np.maximum(0, 300 * of_day)
+    pd.DataFrame(weather).to_csv(tmp_path / "station.csv", index=False)
+    rules = yaml.safe_load(starting_map([tmp_path / "haus.csv", tmp_path / "station.csv"]))
+    assert rules["outdoor"] == {"column": "temperature (°F)", "unit": "°F"}
+    assert rules["time"]["zone"] == "Europe/Berlin"
+
+
 @pytest.mark.parametrize("names", LANGUAGES.values(), ids=LANGUAGES)
 def test_names_in_languages_of_europe(tmp_path, names):
     """The sheet has the same columns in each: when, room, weather, what acts, is set, two of no use, window."""
@@ -210,6 +223,8 @@ def test_names_in_languages_of_europe(tmp_path, names):
     assert (zone["lower"], zone["upper"], zone["window"]) == (19.5, 24, {"column": window})
     assert rules["machines"]["machine"]["power"] == {"column": power, "unit": "kW"}
     assert f"# not used: {', '.join(unused)}" in text
+    assert "lower: 19.5  # CHECK: from what is usually set, 20 to 21 °C: bounds by the hour are the key comfort" in text
+    assert text.count("by the hour") == 1
 
 
 @pytest.mark.parametrize(

@@ -148,6 +148,20 @@ def _files(value: object) -> list[Path]:
         return []
 
 
+def _repeated(error: click.UsageError) -> str:
+    """What to write where files stand behind an option that takes one at a time: its name before each of them."""
+    extra = re.match(r"Got unexpected extra arguments? \((.+)\)$", error.message)
+    if extra is None or error.ctx is None:
+        return ""
+    files = [name for name in (extra[1], extra[1].split()[0]) if _files(name)]
+    for option in error.ctx.command.params:
+        given = error.ctx.params.get(option.name or "", ())
+        if files and option.multiple and _files(given):
+            name = option.opts[-1]
+            return f"; {name} stands before each file: {name} {given[-1]} {name} {files[0]}"
+    return ""
+
+
 class _KeepingInputs(click.Context):
     """The context of a command, which is not run where a file that it would write is one that it reads."""
 
@@ -213,6 +227,10 @@ class CommandGroups(click.Group):
         """Run the command; an error of a key that an option gave names that option (`NAMED_BY`)."""
         try:
             return super().invoke(ctx)
+        except click.UsageError as error:
+            if hint := _repeated(error):
+                raise click.UsageError(error.message + hint, error.ctx) from None
+            raise
         except InputError as error:
             words = str(error)
             for key, option in ctx.meta.get(NAMED_BY, {}).items():

@@ -203,11 +203,15 @@ def print_summary(
     if outcome.experiment.own.chosen.needs_model:
         display.say(f"{outcome.result.controller}: {outcome.planning[outcome.result.controller].in_words()}")
     levels = outcome.result.fallback_levels()
-    fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "acceptable", "rule", "gate")}
+    others = ("solved", "acceptable", "rule", "gate", "refused")
+    fallbacks = ", ".join(f"{n} {level}" for level, n in levels.items() if n and level not in others)
     if unproved := levels["acceptable"]:
         display.say(f"Not shown to be the cheapest: {counted(unproved, 'plan')}, checked as all are")
     if fallbacks:
         display.say(f"Fallbacks: {fallbacks}; reasons in {folder / 'steps.csv'}")
+    if refused := [step.refused for step in outcome.result.steps if step.refused]:
+        of = f"{len(refused)} of {counted(len(outcome.result.steps), 'plan')}"
+        display.say(f"{of} did not act: {refused[0]}; all in {folder / 'steps.csv'}")
     for spell in watch_spells(outcome.result):
         display.say(f"Watch: {spell.in_words()}")
 

@@ -831,8 +831,8 @@ def _outdoor_apart(found: list[Guess], looks: Mapping[str, _Look]) -> list[Guess
             Guess(look.name, "zone", look.celsius(False)[0]) for look in looks.values()
             if not look.text and (look.is_temperature or "temperature" in look.tags) and "other" not in look.tags
             and all(g.name != look.name or g.role == "" for g in found)
-            and not look.tags & {"supply", "return", "water", "hot water", "setpoint"} and not look.binary and
-            look.median < 33.0
+            and not look.tags & {"supply", "return", "water", "hot water", "setpoint"} and not look.binary
+            and float(np.median(look.celsius(False)[1])) < 33.0
         ]  # fmt: skip
         if free:
             widest = max(free, key=lambda g: float(np.ptp(celsius(g)[1])))

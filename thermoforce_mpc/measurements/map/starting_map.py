@@ -39,6 +39,8 @@ _CHECK = "CHECK: "
 # Comfort bounds of a room of which nothing is known, °C: the least of EN 16798-1's category II for dwellings in winter,
 # and 4 K above it.
 _COMFORT_C = (20.0, 24.0)
+# A set-point that is lowered by this, K, tells of hours in which less is asked for.
+_SETBACK_K = 1.0
 _HEAT_PAID = "heat, as no electric power is metered: so district heat is billed; of a boiler or heat pump set factor"
 # Words amid numbers that a map says to be empty cells, at most; and what may be a number that is written otherwise.
 _MOST_MISSING, _NUMBER = 6, re.compile(r"\d[.,' ]?\d|^\W*\d\W*$")
@@ -48,7 +50,8 @@ _ZONES = {
     "°F": "America/New_York",
 }  # fmt: skip
 _LANGUAGES = {
-    "de": "zimmer|aussen|temperatur$|vorlauf|raum|ventil|leistung|strahlung|feucht|datum|zeit|pumpe|kuche|buro|wohn",
+    "de": "zimmer|aussen|temperatur$|vorlauf|raum|ventil(?!at)|leistung|strahlung|feucht|datum|zeit|pumpe|kuche|"
+    "buro|wohn",
     "fr": "exterieur|chambre|salon|puissance|vanne|consigne|cuisine|sejour|horodat|ensoleil|chauffage",
     "nl": "buiten|kamer|temperatuur|vermogen|klep|keuken|verbruik|tijd|straling|vocht|badkamer",
 }
@@ -235,12 +238,12 @@ class _Text:
         return zone, certain
 
     def _of_language(self) -> str:
-        if any(guess.unit == "°F" for guess in self.found):
-            return _ZONES["°F"]
         words = [word for guess in self.found for word in words_of(guess.name)]
         counts = {code: sum(bool(re.search(told, word)) for word in words) for code, told in _LANGUAGES.items()}
         best = max(counts, key=lambda code: counts[code])
-        return _ZONES[best if counts[best] > 0 else "en"]
+        if counts[best] > 0:
+            return _ZONES[best]
+        return _ZONES["°F" if any(guess.unit == "°F" for guess in self.found) else "en"]
 
     def _written_otherwise(self) -> list[str]:
         """Lines of the files that are not written as the first one is."""
@@ -331,17 +334,20 @@ class _Text:
 
     def _comfort(self, name: str, zone: Guess, note: str) -> list[str]:
         """Both bounds of a zone: columns that say so, else numbers below and above what people usually set there."""
-        low, high = _COMFORT_C
+        (low, high), by_hour = _COMFORT_C, ""
         if (asked := self._only_one("setpoint", name)) is not None:
-            usual = _median_over_time(self.column[asked.name], asked.unit)
+            low_set, usual, high_set = _over_time(self.column[asked.name], asked.unit, (0.1, 0.5, 0.9))
             low = np.floor(2.0 * usual) / 2.0 - 0.5
             high, note = max(high, low + 3.0), f"  # {_CHECK}from what is usually set"
+            if high_set - low_set >= _SETBACK_K:
+                by_hour = f", {low_set:g} to {high_set:g} °C: bounds by the hour are the key comfort"
         lines = []
         for key, number in (("lower", low), ("upper", high)):
             sure = [g for g in self.of(key) if g.sure]
             bound = sure if len(self.zones) == 1 else self._there([g for g in sure if g.place & zone.place], name)
             told = self._signal(bound[0]) if bound else f"{number:g}"
-            lines.append(f"    {key}: {told}{note if not bound or 'usually' not in note else ''}")
+            said = note + (by_hour if key == "lower" else "")
+            lines.append(f"    {key}: {told}{said if not bound or 'usually' not in note else ''}")
         return lines
 
     def _acting(self) -> list[str]:
@@ -531,14 +537,14 @@ def _told(form: CsvFormat | TableForm) -> list[str]:
     return [f"{key}: {_value(getattr(form, key))}" for key in keys if getattr(form, key) != getattr(usual, key)]
 
 
-def _median_over_time(column: Column, unit: str) -> float:
-    """Median of a set-point over time, °C, each reading for as long as it holds: it is often stored when it changes."""
+def _over_time(column: Column, unit: str, shares: Sequence[float]) -> list[float]:
+    """Quantiles of a set-point over time, °C, each reading for as long as it holds: it is often stored on change."""
     known = np.isfinite(column.values)
     celsius, time_s = converted(column.values[known], unit or "°C"), column.time_s[known]
     lasts_s = np.diff(time_s, append=time_s[-1:] + 1.0)
     order = np.argsort(celsius, kind="stable")
     until = np.cumsum(lasts_s[order])
-    return float(celsius[order][np.searchsorted(until, 0.5 * until[-1])])
+    return [float(celsius[order][np.searchsorted(until, share * until[-1])]) for share in shares]
 
 
 def _comment(doubt: str) -> str:
