@@ -25,7 +25,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.chaos.mosquitto import Broker, Listener, missing, wire
-from benchmarks.commands.bench import KINDS, ROOMS, Home, price_per_kWh
+from benchmarks.commands.bench import ROOMS, USUAL_KINDS, Home, price_per_kWh
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.comparison.outcome import Target, results_json
@@ -459,7 +459,7 @@ class _Course:
 
 def run_over_mqtt(
     *,
-    kinds: Sequence[str] = KINDS,
+    kinds: Sequence[str] = USUAL_KINDS,
     seed: int = 100,
     days: int = 14,
     quick: bool = False,

@@ -228,11 +228,17 @@ def detectors_command(
 @click.option("--seed", type=click.IntRange(0), default=100, show_default=True, help="Seed of the first house.")
 @click.option("--houses", type=click.IntRange(1), default=6, show_default=True, help="Houses.")
 @click.option("--days", type=click.IntRange(1, 21), default=14, show_default=True, help="Cold days under control.")
+@click.option(
+    "--kinds", multiple=True, help="How the houses are set; repeatable.  [default: the first three]",
+    type=click.Choice(["set-points", "curve offset", "SG-Ready", "flow temperature", "enable"]),
+)  # fmt: skip
 @execution_options()
 @QUICK
 @JSON
-def commands_command(seed: int, houses: int, days: int, engine: Opening, quick: bool, json_file: Path | None) -> None:
-    """Control houses that only take set-points, offsets of the heating curve or SG-Ready, and compare with left alone.
+def commands_command(
+    seed: int, houses: int, days: int, kinds: tuple[str, ...], engine: Opening, quick: bool, json_file: Path | None
+) -> None:
+    """Control houses that only take commands, such as set-points or SG-Ready, and compare with left alone.
 
     Houses of rooms, each with a heat pump behind its own controller (curve, hysteresis, minimum times, defrosting, hot
     water): 27 ordinary days, three of polite trials, then cold days both ways at a day-ahead price.
@@ -241,10 +247,12 @@ def commands_command(seed: int, houses: int, days: int, engine: Opening, quick: 
     Example:
       tf-mpc bench commands --seed 100 --houses 6 --days 7 --jobs 2
     """
-    from benchmarks.commands.bench import run_commands_bench
+    from benchmarks.commands.bench import USUAL_KINDS, run_commands_bench
 
     with engine(say) as where:
-        found = run_commands_bench(engine=where, houses=houses, seed=seed, days=days, quick=quick, progress=say)
+        found = run_commands_bench(
+            engine=where, houses=houses, seed=seed, days=days, kinds=kinds or USUAL_KINDS, quick=quick, progress=say
+        )
     show(found, json_file)
 
 

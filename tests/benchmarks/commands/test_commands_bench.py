@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.commands.bench import KINDS, ROOMS, Home, Lived, came_true, priced, targets
+from benchmarks.commands.bench import KINDS, ROOMS, Home, Lived, came_true, priced, targets, with_direct
 from thermoforce_mpc.data import DAY_S, HOUR_S, HeldCommand, Plan, PlanStatus
 
 
@@ -49,3 +49,40 @@ def test_a_house_that_was_left_alone_is_not_cheaper_and_the_width_of_bands_stand
     assert found["set-points: share of houses of which nothing could be learned"] == 0.25
     assert found["share of plans whose saving lay in the 90 % band that they gave"] == pytest.approx(10.0 / 12.0)
     assert found["median width of these bands, as a share of the cost left alone"] == pytest.approx(0.2)
+
+
+def test_a_flow_temperature_follows_the_weather_when_left_alone_and_is_the_water_when_set():
+    home = Home(17, "flow temperature")
+    begin_s = 36 * DAY_S
+    home.plant.reset(begin_s, DAY_S)
+    at_s = begin_s + HOUR_S * np.arange(7 * 24)
+    usual_C, outdoors_C = home.usual(at_s)[0], home.plant.weather.at("T_dry_C", at_s)
+    coldest, mildest = int(np.argmin(outdoors_C)), int(np.argmax(outdoors_C))
+    assert usual_C[coldest] > usual_C[mildest] + 0.3 * np.ptp(outdoors_C)
+    water_C = []
+    for told in (None, float(usual_C[0] - 8.0)):
+        for _ in range(2):
+            home.advance((told,) * ROOMS, HOUR_S)
+            begin_s += HOUR_S
+        water_C.append(home.plant.flow_C(np.array([begin_s - HOUR_S, begin_s]))[:, 0])
+    np.testing.assert_allclose(water_C, [[usual_C[0]] * ROOMS, [usual_C[0] - 8.0] * ROOMS], atol=2.5)
+
+
+def test_a_machine_that_is_not_enabled_stands():
+    home = Home(17, "enable")
+    home.plant.reset(36 * DAY_S, DAY_S)
+    runs, stands, again = (home.advance((told,) * ROOMS, HOUR_S).power_W[0] for told in (None, 0.0, 1.0))
+    assert stands < 0.05 * runs < again
+
+
+def test_levels_of_the_valves_stand_beside_every_way_in_which_the_same_house_is_set():
+    told = {"note": "", "colder_Kh": 0.0, "judged": 0.0}
+    rows = [told | {"house": "a", "by": KINDS[0], "saved": 0.1, "saved_direct": 0.2}]
+    rows += [told | {"house": house, "by": KINDS[3], "saved": 0.1, "saved_direct": None} for house in "ab"]
+    rows = with_direct([*rows, {"house": "a", "by": KINDS[4], "note": "refused: short"}])
+    assert [row.get("saved_direct") for row in rows] == [0.2, 0.2, None, None]
+    found = {one.name: one.value for one in targets(rows)}
+    named = "{}: median share saved by levels of the valves of the same houses"
+    assert [found[named.format(kind)] for kind in (KINDS[0], KINDS[3])] == [0.2, 0.2]
+    assert np.isnan(found[named.format(KINDS[4])])
+    assert not any(name.startswith(KINDS[1]) for name in found)
