@@ -231,7 +231,7 @@ class WatchState:
     level) that the last plans requested. `ratios`: (time s, measured heat or power over modelled). `alarm`: why control
     was handed back at `since_s`, empty while the model is in use; `of_levels`: for levels that were not followed.
     `wait_h`: shortest time of standing back; `returned_s`: last return, and `news` what to say of it in this step's
-    plan.
+    plan. `tried`: (begin s, level) of the hour that was last tried though plans would do without it.
     """
 
     tracks: tuple[Track, ...] = (Track(),)
@@ -245,6 +245,17 @@ class WatchState:
     wait_h: float = 0.0
     returned_s: float = -math.inf
     news: str = ""
+    tried: tuple[float, float] = (-math.inf, 0.0)
+
+    @property
+    def without_hours(self) -> WatchState:
+        """The same as if all hours of the day were alike."""
+        return replace(self, blocked=tuple(BlockedHours() for _ in self.blocked), hours=HourEffects(self.hours.sign))
+
+    def trial(self, time_s: float) -> float:
+        """The level by which an hour is being tried at `time_s`, s; 0 where none is."""
+        begin_s, level = self.tried
+        return level if begin_s - 1.0 < time_s < begin_s + HOUR_S - 1.0 else 0.0
 
     def reason(self, time_s: float) -> str:
         """Why control was handed back, and how long before `time_s`."""
@@ -547,6 +558,22 @@ class Watch:
             blocked=tuple(one.moved(later_s) for one in known), hours=effects.moved(later_s),
             news=f"{news}; found while probing" if news else "",
         )  # fmt: skip
+
+    def level_to_try(self, state: WatchState, time_s: float, *, heats: bool) -> float:
+        """Level to ask for in the hour that begins at `time_s`, s, to see whether what is believed of it holds; else 0.
+
+        `heats`: whether the zone needs heat, where levels are signed; the level is below 0 where it does not.
+        """
+        if round(time_s) % round(HOUR_S):
+            return 0.0
+        if self._signed:
+            return state.blocked[0 if heats else -1].level_to_try(time_s, state.tried[0]) * (1.0 if heats else -1.0)
+        operator = self._model.operator
+        effect_K = float(operator.step_response(self.leads[0])[-1]) * operator.heat_input.winter_share
+        return max(
+            state.blocked[0].level_to_try(time_s, state.tried[0]),
+            state.hours.level_to_try(time_s, state.tried[0], effect_K),
+        )
 
     def due(self, time_s: float) -> bool:
         """Whether a prediction is to be recorded at `time_s`."""
@@ -877,6 +904,11 @@ class Watch:
             after.append(way.after(list(zip(time_s.tolist(), asked.tolist(), strict=True)), record, sign))
         changed = [way.hours for way in after] != [way.hours for way in state.blocked]
         news = said(tuple(way.moved(clock_s) for way in after)) if changed else state.news if not state.asked else ""
+        if state.trial(float(history.time_s[-1]) - HOUR_S):
+            if changed:
+                state = replace(state, tried=WatchState.tried)
+            elif any(way.last_s > state.tried[0] for way in after):
+                news = "nothing came in the hour that was tried, as it was believed"
         return replace(state, blocked=tuple(after), news=news)
 
     def _with_hour_effects(self, state: WatchState, now: float, origin: Any) -> WatchState:
@@ -894,7 +926,8 @@ class Watch:
         if hours.laws.keys() == state.hours.laws.keys():
             return replace(state, hours=hours)
         # What gathered against the model may be of these hours.
-        state = replace(state, tracks=tuple(track.cleared() for track in state.tracks))
+        tracks = tuple(track.cleared() for track in state.tracks)
+        state = replace(state, tracks=tracks, tried=WatchState.tried if state.trial(now - HOUR_S) else state.tried)
         news = hours.moved(ahead_s(now, origin)).in_words() or "acting does in all hours of the day what was predicted"
         return replace(state, hours=hours, news="; ".join(filter(None, [state.news, news])))
 

@@ -41,6 +41,15 @@ class Instance(NamedTuple):
     cap_W: float
     news: str
 
+    def asking(self, a: int, level: float, steps: int) -> Instance:
+        """The same with at least `level` of actuator `a` in the first steps; a level below 0: with at most that."""
+        least, most = (bounds.copy() for bounds in self.problem.level_bounds)
+        if level > 0.0:
+            least[a, :steps] = np.minimum(level, most[a, :steps])
+        else:
+            most[a, :steps] = np.maximum(level, least[a, :steps])
+        return self._replace(problem=replace(self.problem, least_u=least, most_u=most))
+
 
 class Formulation:
     """Formulates the instances of one controller.

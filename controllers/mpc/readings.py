@@ -225,6 +225,10 @@ class WatchedPredictions:
                 news.append(self._model.names.of_actuator(a, f"watch: {states[a].news}"))
         return replace(plan.with_news(*news), state=replace(plan.state, watch=tuple(states)))
 
+    def level_to_try(self, now: MPCState, a: int, time_s: float, *, heats: bool) -> float:
+        """See `Watch.level_to_try`."""
+        return self._watches[a].level_to_try(now.watch[a], time_s, heats=heats) if self.enabled else 0.0
+
     def doubtful(self, now: MPCState, a: int) -> bool:
         """See `Watch.doubtful`."""
         return self._watches[a].doubtful(now.watch[a])

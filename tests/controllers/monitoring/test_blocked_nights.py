@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+import simple_house
 from faults import FaultyHouse
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
@@ -53,6 +54,55 @@ def test_the_night_is_kept_though_the_plant_sleeps():
     assert max(standing_back) < 10.3 * DAY_S, "it has worked again at 5:00"
     (news,) = [step.plan.news for step in steps if step.plan.news]
     assert news.startswith("watch: nothing comes from 0:00 to 5:00, whatever is asked for")
+
+
+def tried_before_six(monkeypatch, gives, hours: int = 7, **house) -> list:
+    """The steps of a night of a house, its bound from 6:00 on, whose card says that nothing comes from 2:00 on."""
+    for name, value in house.items():
+        monkeypatch.setattr(simple_house, name, value)
+
+    def from_six(_, boundary):
+        hour = boundary.time_s % DAY_S / HOUR_S
+        day = (hour >= 6) & (hour <= 22)
+        lower_C, upper_C = np.where(day, 21.0, 16.0), np.where(day, 25.0, 28.0)
+        return replace(boundary, lower_C=lower_C[None], upper_C=upper_C[None])
+
+    model = simple_model()
+    model = replace(model, cards=(replace(model.only.card, blocked_hours=(2, 3, 4, 5)),))
+    mpc = ThermoForceMPC(model, MPCConfig(step_s=None), free_response=OutdoorResponse())
+    plant = FaultyHouse(gives=gives, says=from_six)
+    return run_closed_loop(plant, mpc, replace(plant.period("x"), start_s=10 * DAY_S, scored_s=hours * HOUR_S)).steps
+
+
+LIGHT = {"POLE": 0.93, "GAIN_K": 6.0}
+
+
+def test_a_wrong_belief_that_costs_is_put_to_the_test(monkeypatch):
+    """Plans heat before the hours of the card and would never see that heat comes in them."""
+    steps = tried_before_six(monkeypatch, lambda house, u: u, **LIGHT)
+    told = [(step.time_s % DAY_S / HOUR_S, step.plan.news) for step in steps if "to see whether" in step.plan.news]
+    assert told[0][0] == 2.0
+    assert "dearer by the same model (" in told[0][1]
+    assert ": 30% is asked for in this hour" in told[0][1]
+    assert steps[2].plan.u[0, 0] == pytest.approx(0.3, abs=1e-3), "no more than tells"
+    assert "nothing comes from 3:00 to 6:00" in steps[3].plan.news, "heat came in that one"
+
+
+def test_a_right_belief_outlives_the_test(monkeypatch):
+    steps = tried_before_six(
+        monkeypatch, lambda house, u: 0.0 if 2 <= house.began_s % DAY_S // HOUR_S < 6 else u, 5, **LIGHT
+    )
+    told = {step.time_s % DAY_S / HOUR_S: step.plan.news for step in steps if step.plan.news}
+    assert "to see whether it holds" in told[2.0]
+    assert told[3.0] == "watch: nothing came in the hour that was tried, as it was believed"
+    assert list(told) == [0.0, 2.0, 3.0], "one hour in a night"
+    assert PlanStatus.WATCH not in {step.plan.status for step in steps}
+
+
+def test_a_belief_that_costs_nothing_is_left_alone(monkeypatch):
+    """A heavy house keeps what it was given before."""
+    steps = tried_before_six(monkeypatch, lambda house, u: u, 5, POLE=0.999, GAIN_K=0.4)
+    assert not [step.plan.news for step in steps if "to see whether" in step.plan.news]
 
 
 def cold_at_seven(**known) -> list:

@@ -10,6 +10,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from two_houses import TwoHouses, two_model, two_observation
 
 from controllers import MPCConfig, ThermoForceMPC
+from controllers.mpc.formulation import Instance
 from controllers.mpc.solved import end_of_move_C, reason_of
 from controllers.optimisation.problem import Cooling, EquipmentLayout
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation
@@ -126,3 +127,16 @@ def test_a_plan_that_starts_too_cold_says_that_its_machine_does_what_it_can():
 )
 def test_loops_are_sent_to_the_end_of_the_steps_that_work(u, expected_C):
     assert end_of_move_C(np.array(u), np.array([19.0, 20.0, 21.0, 22.0]), -0.6) == expected_C
+
+
+@pytest.mark.parametrize(("level", "bounds"), [(0.3, (0.3, 1.0)), (-0.3, (-1.0, -0.3)), (2.0, (1.0, 1.0))])
+def test_an_instance_that_asks_for_a_level_keeps_it_in_its_first_steps(level, bounds):
+    controller = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    seen = observation()
+    problem = controller.instance(controller.predictor.context(seen), seen.history)
+    signed = np.full((1, HOURS), -1.0) if level < 0.0 else None
+    found = Instance(replace(problem, least_u=signed), None, np.inf, "").asking(0, level, 2).problem
+    low, high = found.level_bounds
+    assert (low[0, :2].tolist(), high[0, :2].tolist()) == ([bounds[0]] * 2, [bounds[1]] * 2)
+    assert (low[0, 2:] == (0.0 if signed is None else -1.0)).all()
+    assert (high[0, 2:] == 1.0).all()

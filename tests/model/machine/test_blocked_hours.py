@@ -151,6 +151,29 @@ def test_plans_count_on_what_comes_and_try_an_hour_again_after_a_week():
     assert (found.share(later, 900.0) == 1.0).all()
 
 
+def test_a_blocked_hour_is_tried_again_where_it_was_not_refused_lately():
+    now_s, never = 30 * DAY_S, -np.inf
+    known = BlockedHours.known((0, 1, 2), now_s)
+    assert 0.25 < known.level_to_try(now_s, never) < 0.5
+    assert known.level_to_try(now_s + 5 * HOUR_S, never) == 0.0, "it is not blocked"
+    assert known.level_to_try(now_s + DAY_S, now_s) == 0.0, "no answer came: not again tomorrow"
+    assert known.level_to_try(now_s + 8 * DAY_S, now_s) > 0.0
+    refused = replace(known, last_s=now_s + HOUR_S, days=1)
+    assert refused.level_to_try(now_s + HOUR_S, now_s) == 0.0
+    assert refused.level_to_try(now_s + DAY_S, now_s) > 0.0, "a second day confirms it"
+    assert replace(refused, days=2).level_to_try(now_s + DAY_S, now_s) == 0.0
+
+
+def test_an_hour_with_less_effect_is_tried_with_what_tells_after_a_week():
+    found, never = effects(seen(0, -1.0), seen(1, -1.0)), -np.inf
+    begin_s = 9 * DAY_S + 6 * HOUR_S
+    assert found.level_to_try(begin_s, never, 0.5) == pytest.approx(0.6), "0.3 K at least"
+    assert found.level_to_try(begin_s, never, 0.2) == 0.0, "full level would not tell"
+    assert found.level_to_try(begin_s + HOUR_S, never, 2.0) == 0.0, "another hour"
+    assert found.level_to_try(begin_s - 7 * DAY_S, never, 2.0) == 0.0, "asked lately"
+    assert found.level_to_try(begin_s + DAY_S, begin_s, 2.0) == 0.0, "tried lately"
+
+
 def test_cooling_misses_its_effect_to_the_warm_side():
     assert set(effects(seen(0, 1.0, -1.0), seen(1, 1.0, -1.0), sign=-1).laws) == {6}
     assert not effects(seen(0, -1.0, -1.0), seen(1, -1.0, -1.0), sign=-1).laws

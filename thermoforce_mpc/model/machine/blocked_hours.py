@@ -9,6 +9,9 @@ has seen them, later after some days, so that a wrong claim or a schedule that e
 by weekday is taken for one of every day; hours here and there are none. Schedules go by the clock on the wall, hours
 here by seconds from a new year: after the clock is changed, what is known is moved (`moved`).
 
+What plans do without, readings cannot contradict: who has heated before an hour has no need to ask for anything in it.
+Where such an hour costs, it is asked for something once (`level_to_try`).
+
 Where the plant reports what it was asked for, or its schedule blows cold air, no level tells: `HourEffects` compares
 predictions an hour ahead with what came, by hour of the day.
 """
@@ -40,6 +43,9 @@ _MOST, _MOST_STRETCHES = 12, 2
 _AGAIN_DAYS = (0.5, 7.0)
 # Distance of the reading from the set-point from which any loop acts, K: proportional bands and dead bands are less.
 _CALLS_K = 0.5
+# Level that is asked for to try an hour: just above what tells, since twice as much costs more than a wrong belief in a
+# light house of 6 K an hour (2026-11-30).
+_TRIED = 0.3
 # Parts of a step that are looked up each: of a step of an hour, its quarters, since schedules begin at these.
 _PARTS = 4
 
@@ -94,9 +100,22 @@ class BlockedHours:
         """Share of the steps from `time_s` (n,), s, on in which heat comes, (n,), as plans count with it."""
         parts_s = time_s[:, None] + step_s * (np.arange(_PARTS) + 0.5) / _PARTS
         blocked = np.isin(parts_s % DAY_S // HOUR_S, list(self.hours))
-        if time_s[0] - self.last_s > _AGAIN_DAYS[self.days > 1] * DAY_S:
+        if self.may_be_tried(float(time_s[0])):
             blocked &= parts_s // HOUR_S != parts_s[0, 0] // HOUR_S
         return np.asarray(1.0 - blocked.mean(axis=1))
+
+    def may_be_tried(self, time_s: float) -> bool:
+        """Whether it is so long ago that an hour was refused that the one of `time_s`, s, may come all the same."""
+        return time_s - self.last_s > _AGAIN_DAYS[self.days > 1] * DAY_S
+
+    def level_to_try(self, now_s: float, tried_s: float) -> float:
+        """Level by which the hour that begins at `now_s`, s, is tried, 0 where it is not blocked or was tried lately.
+
+        `tried_s`: when an hour was last tried. What was not answered is tried again after a week.
+        """
+        answered = self.last_s > tried_s
+        again = answered or now_s - tried_s > _AGAIN_DAYS[1] * DAY_S
+        return _TRIED if again and self.may_be_tried(now_s) and _hour(now_s) in self.hours else 0.0
 
     def outside(self, asked: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
         """What was `asked` (start of the step s, level) outside blocked hours."""
@@ -322,12 +341,24 @@ class HourEffects:
         """
         parts_s = time_s[:, None] + step_s * (np.arange(_PARTS) + 0.5) / _PARTS
         hours, shares = parts_s % DAY_S // HOUR_S, np.ones(parts_s.shape)
+        now = parts_s // HOUR_S == parts_s[0, 0] // HOUR_S
         for hour, law in self.laws.items():
-            asked_s = max(one.time_s for one in self.seen if one.hour == hour and abs(one.effect_K) >= _TELLS_K)
-            again = time_s[0] - asked_s > _AGAIN_DAYS[1] * DAY_S
-            now = parts_s // HOUR_S == parts_s[0, 0] // HOUR_S
-            shares[(hours == hour) & ~(again & now)] = law.share
+            shares[(hours == hour) & ~(self.may_be_tried(hour, float(time_s[0])) & now)] = law.share
         return np.asarray(shares.mean(axis=1))
+
+    def may_be_tried(self, hour: int, time_s: float) -> bool:
+        """Whether nothing was asked of this hour, of those believed to differ, for some days before `time_s`, s."""
+        asked_s = max(one.time_s for one in self.seen if one.hour == hour and abs(one.effect_K) >= _TELLS_K)
+        return time_s - asked_s > _AGAIN_DAYS[1] * DAY_S
+
+    def level_to_try(self, now_s: float, tried_s: float, effect_K: float) -> float:
+        """Level by which the hour that begins at `now_s`, s, is tried, 0 where it does not differ or cannot tell.
+
+        `tried_s`: when an hour was last tried; `effect_K`: what an hour at full level adds to the zone by the model, K.
+        """
+        hour, needed_K = _hour(now_s), _TRIED / _ASKED * _TELLS_K
+        waits = hour not in self.laws or now_s - tried_s < _AGAIN_DAYS[1] * DAY_S or not self.may_be_tried(hour, now_s)
+        return 0.0 if waits or abs(effect_K) < needed_K else max(needed_K / abs(effect_K), _TRIED)
 
     def dips_K(self, time_s: Array, step_s: float) -> Array:
         """What the hours do to the zone besides, at the end of each step from `time_s` (n,), s, on, (n,), K."""
