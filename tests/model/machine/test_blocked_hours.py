@@ -63,6 +63,10 @@ def test_what_is_no_schedule_blocks_nothing():
     assert unknown.hours == frozenset(), "what several actuators take of a machine that is too small is not known"
     outage = told([1] * 14 + [1], [0] * 14 + [1], [20.0] * 15)
     assert outage.hours == frozenset(), "most of a day is an outage"
+    after = told([1] * 3, [1] * 3, [20.0] * 3, first_hour=24, known=outage)
+    assert after.hours == frozenset(), "and so are the hours of it that have not worked since"
+    known = told([1] * 20, [0] * 19 + [1], [20.0] * 20, first_hour=24, known=told(*NIGHT))
+    assert told([1] * 2, [1] * 2, [20.0] * 2, first_hour=6, known=known).hours == {0, 1, 2, 3, 4}, "nights as before"
 
 
 def test_an_hour_that_works_is_free_again_and_a_longer_schedule_is_believed_at_once():

@@ -136,7 +136,11 @@ class BlockedHours:
         if math.isnan(got):
             return self
         if got >= _WORKS:
-            kept = tuple(item for item in self.refused if item[0] != hour)
+            # A stretch without work that is longer than a schedule's is an outage: none of its hours is one, also not
+            # those that are left once others have worked again.
+            since = [item for item in self.refused if item[1] >= self.worked_s]
+            outage = since if len(since) > _MOST else []
+            kept = tuple(item for item in self.refused if item[0] != hour and item not in outage)
             return replace(self, refused=kept, since_C=math.nan, worked_s=now)
         T_C, needs = float(last.T_zone_C[0, -1]), np.abs(levels).sum() / steps >= _ASKED
         waits = not levels or not np.isfinite(levels).all()
