@@ -78,6 +78,17 @@ class RoomSetpointPlant(Plant, Protocol):
 
 
 @runtime_checkable
+class TankPlant(Plant, Protocol):
+    """Plant one of whose machines heats a tank of hot water, too."""
+
+    def tank_now(self) -> tuple[float, bool]:
+        """Temperature of the tank, °C, NaN where it is not known, and whether it is charged."""
+
+    def set_tank(self, command: float | None) -> None:
+        """What is set at the tank from now on, in the unit of its command; None leaves it to the device."""
+
+
+@runtime_checkable
 class OutlivingPlant(Plant, Protocol):
     """Plant that goes on existing where the process that runs it dies: a service."""
 
@@ -239,6 +250,11 @@ class Provider(Protocol):
 def outlives(plant: Plant) -> TypeGuard[OutlivingPlant]:
     """Whether `plant` is an `OutlivingPlant`, also one that hands on what it is asked for (`__getattr__`)."""
     return hasattr(plant, "go_on") and hasattr(plant, "leave")
+
+
+def has_tank(plant: Plant) -> TypeGuard[TankPlant]:
+    """Whether `plant` is a `TankPlant`, also one that hands on what it is asked for (`__getattr__`)."""
+    return hasattr(plant, "tank_now") and hasattr(plant, "set_tank")
 
 
 def can_restart(plant: Plant) -> TypeGuard[RestartingPlant]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -205,6 +206,13 @@ class ThermoForceMPC(ActuatedController):
         `controller.options.terms` names.
         """
         return load_terms(self.config.terms)
+
+    def with_warmer_tank(self, more_K: float) -> ThermoForceMPC:
+        """The same controller, whose tank of hot water is to be `more_K` warmer than is wanted."""
+        assert self.hot_water is not None
+        other = copy.copy(self)
+        other._tank = HotWater(self.hot_water, self._layout, self.step_s, more_K)
+        return other
 
     @property
     def model(self) -> ThermalModel:

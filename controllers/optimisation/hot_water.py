@@ -60,9 +60,9 @@ class TankWay:
 class HotWater:
     """The tank of a building, `tank` as learned, with a plan every `step_s` seconds."""
 
-    def __init__(self, tank: LearnedTank, layout: Layout, step_s: float) -> None:
-        """The machine that heats it is one of `layout`."""
-        self.tank, self._step_s = tank, step_s
+    def __init__(self, tank: LearnedTank, layout: Layout, step_s: float, warmer_K: float = 0.0) -> None:
+        """The machine that heats it is one of `layout`; its lowest temperatures are `warmer_K` above what is wanted."""
+        self.tank, self._step_s, self._warmer_K = tank, step_s, warmer_K
         self.machine = layout.names.machines.index(tank.machine)
         self._fed = layout.fed_by(self.machine)
 
@@ -80,7 +80,8 @@ class HotWater:
             bounds_C = tank.comfort.bounds_C(boundary.time_s, ("tank",), "monday")
         else:
             bounds_C = tank.comfort.bounds_at(pd.DatetimeIndex(stamps(boundary.time_s, origin)), ("tank",))
-        lower_C, upper_C = (bound[0] for bound in bounds_C)
+        upper_C = bounds_C[1][0]
+        lower_C = np.minimum(bounds_C[0][0] + self._warmer_K, upper_C)
         hour = clock_s(begins, origin) / HOUR_S % 24.0
         T_out_C = 0.5 * (boundary.T_out_C[:-1] + boundary.T_out_C[1:])
         draws_K = tank.draws_from(float(hour[0]), N, self._step_s)

@@ -58,6 +58,8 @@ _MOST_BAND_SD_K = 4.0
 _OLD_S = HOUR_S
 # Parts of a step in which a tank is followed.
 _PARTS = 4
+CHARGED = 0.02
+"""Share of a step that its machine charges a tank from which on the meter says nothing of the rooms."""
 
 
 TANK_NAME = "hot_water"
@@ -308,12 +310,16 @@ def tank_in_words(told: HotWaterPlan) -> str:
 
 @dataclass(frozen=True, eq=False)
 class TankCourse:
-    """K courses of a tank on S days over N steps, (K, S, N): °C at their end, lowest °C, Wh, share of charging."""
+    """K courses of a tank on S days over N steps, (K, S, N): °C at their end, lowest °C, Wh, share of charging.
+
+    `is_charged` (K, S): at the end of all.
+    """
 
     T_C: Array
     lowest_C: Array
     Wh: Array
     share: Array
+    is_charged: NDArray[np.bool_]
 
 
 def follow_tank(
@@ -331,9 +337,10 @@ def follow_tank(
     `target_C` (K, N), and where it begins `at_once`, without its band (K, N); `draws_K` (S, N); `T_out_C` (N,).
     """
     shape = (len(target_C), len(draws_K), target_C.shape[1])
-    course = TankCourse(*(np.empty(shape) for _ in range(4)))
+    empty = [np.empty(shape) for _ in range(4)]
+    course = TankCourse(empty[0], empty[1], empty[2], empty[3], np.empty(shape[:2], dtype=np.bool_))
     _follow(
-        *(course.T_C, course.lowest_C, course.Wh, course.share),
+        *(course.T_C, course.lowest_C, course.Wh, course.share, course.is_charged),
         *(float(T_C), bool(is_charged), np.ascontiguousarray(target_C, dtype=np.float64), at_once),
         *(np.ascontiguousarray(draws_K), np.ascontiguousarray(T_out_C), step_s / HOUR_S),
         *(tank.energy, tank.T_out_mean_C, tank.rise, tank.loss_1_h, tank.band_K),
@@ -343,7 +350,7 @@ def follow_tank(
 
 @njit(cache=True)
 def _follow(
-    T_C: np.ndarray, lowest_C: np.ndarray, Wh: np.ndarray, share: np.ndarray,
+    T_C: np.ndarray, lowest_C: np.ndarray, Wh: np.ndarray, share: np.ndarray, at_end: np.ndarray,
     now_C: float, is_charged: bool, target_C: np.ndarray, at_once: np.ndarray,
     draws_K: np.ndarray, T_out_C: np.ndarray, step_h: float,
     energy: np.ndarray, T_out_mean_C: float, rise: np.ndarray, loss_1_h: float, band_K: float,
@@ -371,6 +378,7 @@ def _follow(
                         T += gained
                     lowest = min(lowest, T)
                 T_C[i, s, k], lowest_C[i, s, k], Wh[i, s, k], share[i, s, k] = T, lowest, used, charged
+            at_end[i, s] = on and target_C[i, N - 1] > T
 
 
 def learn_tank(record: TankRecord, command: Command | None, machine: str, where: str) -> LearnedTank:

@@ -15,9 +15,11 @@ import numpy as np
 import pandas as pd
 
 from controllers.mpc.commanding import meters_of
+from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.meter import beyond_sd, chance_sd
+from thermoforce_mpc.commands.tank import LearnedTank, TankRecord
 from thermoforce_mpc.data import (
     DAY_S,
     HOUR_S,
@@ -38,6 +40,7 @@ from thermoforce_mpc.model.machine.change import Share, weight_of_demand
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.whatif.identified_house import HouseState, IdentifiedHouse
+from thermoforce_mpc.whatif.lived_tank import LivedTank
 
 LEAST_BEFORE_DAYS = 7.0
 """Days of a record before what is lived through again: forecasts begin there."""
@@ -72,6 +75,8 @@ _VALVES_SD = 0.05
 # What a plan may be outside the bounds beyond what the house was, K·h a day in all zones, the step by which lower
 # bounds are then raised, K, and how often.
 _EQUAL_KH, _RAISED_K, _MOST_ROUNDS = 0.3, 0.25, 2
+# The same of a tank of hot water: by as much its lowest temperature is raised, K.
+_TANK_RAISED_K = 1.0
 
 
 Acted = Mapping[str, Mapping[str, float]]
@@ -104,6 +109,26 @@ def planned_share(acted: Acted) -> float:
 
 
 @dataclass(frozen=True, eq=False)
+class TankWorth:
+    """A tank as it was set and under plans, both by its model with what was drawn: temperature (n,) at the end of each
+    step, °C, and K·h below what is wanted.
+    """
+
+    T_was_C: Array
+    T_C: Array
+    below_was_Kh: float
+    below_Kh: float
+
+    @property
+    def in_words(self) -> str:
+        """How warm it was in both."""
+        return (
+            f"Hot water: {self.below_Kh:.1f} instead of {self.below_was_Kh:.1f} K·h below what is wanted, "
+            f"{float(np.mean(self.T_C - self.T_was_C)):+.1f} K on average"
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class Lived:
     """A house under plans: its record beside what it was, what it cost, its energy, and K·h outside the bounds in all
     zones. `acted`: see `who_acted`; `after`, `controller`: where both stand at the end.
@@ -116,6 +141,7 @@ class Lived:
     energy_kWh: float
     outside_Kh: float
     acted: Acted
+    tank: TankWorth | None
     after: HouseState
     controller: object
 
@@ -126,9 +152,9 @@ class Worth:
 
     `saved` with its 90 % band `low` to `high`, `cost` and `cost_was`, currency; energies, kWh; `outside_Kh`, K·h in all
     zones; `warmer_K` (Z,): mean change of the zones' temperatures. `as_was`, `planned`: records of both, the latter in
-    the house that the model takes for the likeliest. `raised_K`: how much bounds of plans were raised until these
-    were as comfortable. `power`: how much of what its law says of other levels the record shows, by machine.
-    `acted`: see `who_acted`. `rests_on`: one sentence.
+    the house that the model takes for the likeliest. `raised_K`, `tank_raised_K`: how much lowest temperatures of plans
+    were raised until these were as comfortable. `tank`: None where none is lived through. `power`: how much of what its
+    law says of other levels the record shows, by machine. `acted`: see `who_acted`. `rests_on`: one sentence.
     """
 
     saved: float
@@ -146,6 +172,8 @@ class Worth:
     price_per_kWh: Array
     draws: tuple[float, ...]
     raised_K: float
+    tank_raised_K: float
+    tank: TankWorth | None
     acted: Acted
     power: tuple[Share, ...]
     rests_on: str
@@ -174,7 +202,7 @@ class Worth:
         return tuple(f"What acted at {', '.join(names)}: {told} of the time" for told, names in same.items())
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row per step, at its start: price; level, temperature at its end and power, as it was and planned."""
+        """One row per step, at its start: price; level, power, and temperatures at its end, as it was and planned."""
         names, columns = self.as_was.names, dict[str, Array]()
         for what, record in (("was", self.as_was), ("planned", self.planned)):
             signals = {"u": record.u, "T_zone_C": record.T_zone_C[:, 1:], "power_W": record.power_W}
@@ -182,6 +210,8 @@ class Worth:
                 name, bracket, row = label.partition("[")
                 columns[f"{name}_{what}{bracket}{row}"] = values
         columns |= names.columns(price_per_kWh=self.price_per_kWh)
+        if self.tank is not None:
+            columns |= {"T_tank_C_was": self.tank.T_was_C, "T_tank_C_planned": self.tank.T_C}
         return table(self.as_was.time_s[:-1], self.as_was.origin, **columns)
 
 
@@ -195,7 +225,7 @@ def worth(
     days: float,
     draws: int = 6,
     commands: Mapping[str, LearnedCommand] | None = None,
-    tank: str = "",
+    hot_water: LoggedTank | str = "",
     error: ForecastError | None = None,
     seed: int = 0,
     progress: Callable[[str], None] = lambda line: None,
@@ -210,7 +240,8 @@ def worth(
         start_s, days: the stretch.
         draws: houses drawn from what the model does not know, beside the likeliest one; 2 or more.
         commands: learned commands of actuators that the controller sets by them.
-        tank: name of the machine that heats a tank of hot water too, '' without one; its hot water stays as it was.
+        hot_water: the tank that the controller plans with; or the name of a machine that heats one of which nothing is
+            known, so that hot water stays as it was; '' without one.
         error: of the weather forecasts; None: what was measured later.
         seed: of the draws.
         progress: called with a line for each house.
@@ -230,20 +261,22 @@ def worth(
     for name, after in (("lower_C", 1), ("upper_C", 1), ("price_per_kWh", 0)):  # a price is that of a step
         if not np.isfinite(getattr(conditions, name)[:, first : first + n + after]).all():
             raise DataError(f"{name} is not known throughout: name bounds in the map, and give prices of these days")
-    houses = Houses(model, record, controller, draws=draws, seed=seed, commands=commands)
+    logged = None if isinstance(hot_water, str) else hot_water
+    houses = Houses(model, record, controller, draws=draws, seed=seed, commands=commands, hot_water=logged)
     period = Period("record", float(record.time_s[first]), n * step_s, 0.0)
-    raised_K = 0.0
+    raised = Raised()
     for _ in range(_MOST_ROUNDS + 1):
-        likeliest = houses.lived(0, period, conditions, raised_K=raised_K, error=error)
+        likeliest = houses.lived(0, period, conditions, raised=raised, error=error)
         outside_was_Kh = outside_Kh(likeliest.was, conditions, first)
         progress(f"likeliest house: {likeliest.saved:+.2f}")
-        if likeliest.outside_Kh <= outside_was_Kh + _EQUAL_KH * days or raised_K >= _MOST_ROUNDS * _RAISED_K:
+        more = raised.further(likeliest, outside_was_Kh, days)
+        if more == raised:
             break
-        raised_K += _RAISED_K
-        progress(f"colder than it was: plans with bounds raised by {raised_K:g} K")
+        raised = more
+        progress(f"colder than it was: plans with {raised.in_words}")
     others = []
     for k in range(1, draws + 1):
-        others.append(houses.lived(k, period, conditions, raised_K=raised_K, error=error))
+        others.append(houses.lived(k, period, conditions, raised=raised, error=error))
         progress(f"house {k} of {draws}: {others[-1].saved:+.2f}")
     low, high = band_of(likeliest.saved, [one.saved for one in others])
     price, was = conditions.price_per_kWh[:, first : first + n], likeliest.was
@@ -263,16 +296,54 @@ def worth(
         planned=likeliest.record,
         price_per_kWh=price,
         draws=tuple(one.saved for one in others),
-        raised_K=raised_K,
+        raised_K=raised.rooms_K,
+        tank_raised_K=raised.tank_K,
+        tank=likeliest.tank,
         acted=likeliest.acted,
         power=houses.shares,
-        rests_on=_rests_on(model, houses.spread, houses.shares, draws, error, likeliest.acted, tank),
+        rests_on=_rests_on(model, houses.spread, houses.shares, draws, error, likeliest.acted, hot_water),
     )
+
+
+@dataclass(frozen=True)
+class LoggedTank:
+    """A tank of hot water as it was learned, and what was measured of it over a record."""
+
+    tank: LearnedTank
+    logged: TankRecord
+
+
+@dataclass(frozen=True)
+class Raised:
+    """By how much lowest temperatures of plans, of rooms and of the tank, are raised, K."""
+
+    rooms_K: float = 0.0
+    tank_K: float = 0.0
+
+    @property
+    def in_words(self) -> str:
+        """What is raised by how much."""
+        parts = [f"bounds raised by {self.rooms_K:g} K"] * (self.rooms_K > 0.0)
+        return " and ".join(parts + [f"a tank warmer by {self.tank_K:g} K"] * (self.tank_K > 0.0))
+
+    def further(self, lived: Lived, outside_was_Kh: float, days: float) -> Raised:
+        """What is colder than it was over `days` raised by a step more, to two steps."""
+        rooms_K, tank_K, most_Kh = self.rooms_K, self.tank_K, _EQUAL_KH * days
+        if lived.outside_Kh > outside_was_Kh + most_Kh:
+            rooms_K = min(rooms_K + _RAISED_K, _MOST_ROUNDS * _RAISED_K)
+        if lived.tank is not None and lived.tank.below_Kh > lived.tank.below_was_Kh + most_Kh:
+            tank_K = min(tank_K + _TANK_RAISED_K, _MOST_ROUNDS * _TANK_RAISED_K)
+        return Raised(rooms_K, tank_K)
+
+
+_AS_IT_IS = Raised()
 
 
 @dataclass(frozen=True, eq=False)
 class _Beside:
-    """What commands take on meters beside levels, more than as they were: `kWh` (M, n) in n steps, `later_kWh` (M,)."""
+    """What commands and a tank take on meters beside levels, more than as they were: `kWh` (M, n) in n steps,
+    `later_kWh` (M,).
+    """
 
     kWh: Array
     later_kWh: Array
@@ -294,8 +365,9 @@ class Houses:
         draws: int,
         seed: int,
         commands: Mapping[str, LearnedCommand] | None,
+        hot_water: LoggedTank | None = None,
     ) -> None:
-        """Draw `draws` houses beside the likeliest; see `worth`. Raises as `effect_spreads`."""
+        """Draw `draws` houses beside the likeliest; see `worth`. Raises as `effect_spreads` and `LivedTank`."""
         self._model, self._record, self._controller, self._commands = model, record, controller, commands
         self.spread, rng = effect_spreads(model), np.random.default_rng(seed)
         self.shares = tuple(model.power_change(m, record) for m in range(len(model.machines)))
@@ -314,6 +386,10 @@ class Houses:
             for _ in range(draws)
         ]
         self._meters, self._beyond = [found, *drawn], np.append(0.0, rng.standard_normal(draws))
+        self._tanks: list[LivedTank | None] = [None] * (draws + 1)
+        if hot_water is not None:
+            z = np.vstack([np.zeros(3), rng.standard_normal((draws, 3))])
+            self._tanks = [LivedTank(_drawn_tank(hot_water.tank, one), hot_water.logged, record) for one in z]
 
     def lived(
         self,
@@ -321,7 +397,7 @@ class Houses:
         period: Period,
         conditions: Boundary,
         *,
-        raised_K: float = 0.0,
+        raised: Raised = _AS_IT_IS,
         error: ForecastError | None = None,
         forecasts: Mapping[float, Boundary] | None = None,
         before: HouseState | None = None,
@@ -329,15 +405,18 @@ class Houses:
     ) -> Lived:
         """House `k` lived through `period` under plans.
 
-        `raised_K`: lower bounds of plans are higher by so much; `before`, `state`: where house and controller stand at
-        its begin, for others see `IdentifiedHouse`.
+        `raised`: by how much lowest temperatures of plans are higher; `before`, `state`: where house and controller
+        stand at its begin, for others see `IdentifiedHouse`.
         """
-        model, record = self._model, self._record
+        model, record, controller = self._model, self._record, self._controller
+        if raised.tank_K:
+            assert isinstance(controller, ThermoForceMPC)  # it plans a tank
+            controller = controller.with_warmer_tank(raised.tank_K)
         first, n = record.nearest(period.start_s), round(period.scored_s / record.step_s)
         house = IdentifiedHouse(
             model,
             record,
-            replace(conditions, lower_C=np.minimum(conditions.lower_C + raised_K, conditions.upper_C)),
+            replace(conditions, lower_C=np.minimum(conditions.lower_C + raised.rooms_K, conditions.upper_C)),
             effects=self._effects[k],
             less_per_K=self._less_per_K[k],
             commands=self._commands,
@@ -345,12 +424,13 @@ class Houses:
             error=error,
             forecasts=forecasts,
             before=before,
+            tank=self._tanks[k],
         )
         was = replace(record.slice(first, first + n), u=house.u[:, first : first + n])
         was = replace(was, power_W=house.power_W[:, first : first + n])
         house.reset(period.start_s, 0.0)
         began_Kh, began_kWh = house.warmth_Kh, house.later_kWh
-        result = run_closed_loop(house, self._controller, period, state=state)
+        result = run_closed_loop(house, controller, period, state=state)
         lived, price = house.lived(period.start_s), conditions.price_per_kWh[:, first : first + n]
         beside_kWh = house.beside_W[:, first : first + n] * record.step_s / J_PER_KWH
         beside = _Beside(beside_kWh, house.later_kWh - began_kWh)
@@ -361,6 +441,7 @@ class Houses:
             *counted,
             outside_Kh(lived, conditions, first),
             who_acted(result.steps, record.names),
+            None if self._tanks[k] is None else _of_tank(house, slice(first + 1, first + n + 1)),
             house.state,
             result.state,
         )
@@ -468,6 +549,22 @@ def band_of(saved: float, drawn: Sequence[float]) -> tuple[float, float]:
     return saved - half, saved + half
 
 
+def _drawn_tank(tank: LearnedTank, z: Array) -> LearnedTank:
+    """A tank that `tank` cannot exclude: its energy, standing loss and band by standard normal numbers `z` (3,)."""
+    share = float(np.clip(tank.energy_sd / tank.energy[0] * z[0], -_MOST_LOG, _MOST_LOG))
+    return replace(
+        tank,
+        energy=tank.energy * np.exp(share),
+        loss_1_h=max(tank.loss_1_h + tank.loss_sd * float(z[1]), 0.0),
+        band_K=max(tank.band_K + tank.band_sd * float(z[2]), 0.0),
+    )
+
+
+def _of_tank(house: IdentifiedHouse, at: slice) -> TankWorth:
+    was_Kh, now_Kh = house.tank_below_Kh.tolist()
+    return TankWorth(house.tank_C[0, at], house.tank_C[1, at], was_Kh, now_Kh)
+
+
 def without_tank(machine: str) -> str:
     """What is said where `machine` heats a tank of hot water too, of which the identified house knows nothing."""
     return (
@@ -483,7 +580,7 @@ def _rests_on(
     draws: int,
     error: ForecastError | None,
     acted: Acted,
-    tank: str,
+    hot_water: LoggedTank | str,
 ) -> str:
     home = model.operator.home
     own = [float(spread[z, a]) for a, z in enumerate(home)]
@@ -498,8 +595,13 @@ def _rests_on(
         else "power between what its law says of levels and what the rooms ask for, since the record does not tell",
         "the weather as it was measured" + (", with errors as of a forecast" if error is not None else ", known ahead"),
     ]
-    if tank:
-        parts.append(without_tank(tank))
+    if isinstance(hot_water, LoggedTank):
+        parts.append(
+            "hot water by the model of its tank, whose energy is known to "
+            f"± {100 * NORMAL_95 * hot_water.tank.energy_sd / hot_water.tank.energy[0]:.0f} %, with what was drawn then"
+        )
+    elif hot_water:
+        parts.append(without_tank(hot_water))
     if doubted:
         parts.append(f"plans for {', '.join(doubted)}, although the verdict on the model there is that it may not act")
     return f"It rests on {'; '.join(parts)}."

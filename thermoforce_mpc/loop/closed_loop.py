@@ -27,7 +27,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.loop.inputs import OUTAGE_H, UnitDoubts
 from thermoforce_mpc.loop.loop import CLOCK_TOLERANCE_S, Believed, Decided, KeptSteps, Loop, wrong_blocks
 from thermoforce_mpc.model.screening import ReadingLimits, limits_of, screened, screened_history
-from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
+from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant, has_tank
 
 # A plant's clock that is further off after a step has jumped, s.
 _CLOCK_JUMP_S = 0.01
@@ -260,7 +260,8 @@ class _Simulated(PlantDriver):
     def read(self) -> Believed:
         """See `LoopDriver.read`."""
         as_read = self._history if self.steps else self._as_read
-        return Believed(self._history, as_read, self._notes, self._end_s - self._now_s, self._u_min)
+        tank = self._plant.tank_now() if has_tank(self._plant) else (math.nan, False)
+        return Believed(self._history, as_read, self._notes, self._end_s - self._now_s, self._u_min, tank)
 
     def units(self) -> UnitDoubts | None:
         """See `LoopDriver.units`."""
@@ -273,6 +274,9 @@ class _Simulated(PlantDriver):
         assert observation is not None
         assert boundary is not None
         blocks = self._kept(decided, observation)
+        if has_tank(self._plant):
+            of_tank = decided.plan.hot_water
+            self._plant.set_tank(None if of_tank is None or decided.refused else of_tank.command[0])
         notes, samples = decided.notes, list[Sample]()
         parts: list[tuple[float, Measurement]] = []
         ahead_s = 0.0

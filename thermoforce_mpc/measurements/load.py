@@ -12,7 +12,7 @@ import pandas as pd
 
 from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, check_told, learn_command
-from thermoforce_mpc.commands.tank import LearnedTank, TankRecord, learn_tank
+from thermoforce_mpc.commands.tank import CHARGED, LearnedTank, TankRecord, learn_tank
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.dataframes import clock_s, new_year, seconds_at, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError, counted
@@ -47,9 +47,8 @@ _STEPS_S = (900.0, 3600.0)
 _LEAST_STEPS = 2
 # Rows that are looked at for rooms outside the map.
 _ROWS = 2000
-# Steps of a tank of hot water, s, and of how many days it is learned: habits of a season. From this share of a step on
-# that its machine charges it, the meter says nothing of the rooms.
-_TANK_STEPS_S, _TANK_DAYS, _CHARGED = (60.0, 900.0), 42.0, 0.02
+# Steps of a tank of hot water, s, and of how many days it is learned: habits of a season.
+_TANK_STEPS_S, _TANK_DAYS = (60.0, 900.0), 42.0
 # A command that is not logged anew holds for so long, h.
 _COMMAND_HOLDS_H = 14 * 24.0
 # A single reading so long after the clock has a wrong stamp.
@@ -363,7 +362,7 @@ def _from_table(
         meter_W = reader.mean("meter", rules.meter, readings.POWER)
     elif for_water.any() and ahead.load is None and ahead.generation is None:
         meter_W = power.sum(axis=0)  # hot water is in peaks so far, though not in the power for rooms
-    rooms_W, power = power * (1.0 - for_water), np.where(for_water > _CHARGED, np.nan, power)
+    rooms_W, power = power * (1.0 - for_water), np.where(for_water > CHARGED, np.nan, power)
     u, of_levels = actuator_levels(rules, reader, heat, rooms_W)
     set_by = {name: found for name, _ in actuators if (found := rules.command_of(name)) is not None}
     commands = {

@@ -3,12 +3,12 @@
 What the weather, sun and people did to the rooms is in the record once the forced part is taken off; other levels put
 another forced part in its place. Power is what was measured, and what the law of power says that the other levels
 change, and other commands beside them. Left alone, the house is the record. Where water carries the heat, a level gives
-less to a room that is warmer than it was.
+less to a room that is warmer than it was. While a machine charges its tank of hot water it gives the rooms nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -17,9 +17,12 @@ import numpy as np
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.commands.loop import LearnedCommand, behind_levels
 from thermoforce_mpc.commands.meter import CourseState, MeterEffect, off_commands, share_on
+from thermoforce_mpc.commands.tank import CHARGED
 from thermoforce_mpc.data import (
     HOUR_S,
+    J_PER_KWH,
     Array,
+    Block,
     Boundary,
     Commands,
     CommandValue,
@@ -36,25 +39,35 @@ from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.shell import Releasing, check_levels, day_period, forecast_times
 from thermoforce_mpc.version import VERSION
+from thermoforce_mpc.whatif.lived_tank import LivedTank, TankPart, TankState
 from thermoforce_mpc.whatif.on_meter import CommandOnMeter
 
 # Times that are nearer than this are one, s.
 _CLOCK_S = 1e-6
 # Least and most heat of a level, over what it gives in a room that is as warm as it was.
 _HEAT_RANGE = (0.0, 2.0)
+_NO_TANK = TankPart(0.0, 0.0, 0.0)
+# Least share of a step without charging over which a level is taken to be that of this time.
+_LEAST_LEFT = 0.05
+# Own control is off or at full level beyond these: how far, nobody knows. Between them a room that is a kelvin warmer
+# asks for less by one level (thermostatic valves, EN 215: 1 to 2 K from open to shut).
+_OFF, _FULL, _P_BAND_K = 0.02, 0.98, 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class HouseState:
     """Where a house stands: its `record` until then, and by how much its forced states are more than they were then,
     `more_K` (Z, A, r), K. `behind` (A,): x of the last step of loops that answer commands, see `LoopMap`. `on_meters`:
-    of each machine's command, see `CommandOnMeter.at`.
+    of each machine's command, see `CommandOnMeter.at`. `tanks`: as it was set, and as it is lived through, () without;
+    `owed_J`: what is taken off its power later.
     """
 
     record: Record
     more_K: Array
     behind: Array
     on_meters: tuple[CourseState, ...]
+    tanks: tuple[TankState, ...] = ()
+    owed_J: float = 0.0
 
 
 class IdentifiedHouse(Releasing):
@@ -63,8 +76,11 @@ class IdentifiedHouse(Releasing):
     Attributes:
         steps: number of the record's steps.
         u, power_W: levels (A, n) and power (M, n) of each step lived through so far, else as they were.
-        beside_W: of it what commands do on meters beside levels, more than as they were (M, n).
+        beside_W: of it what commands do on meters beside levels and a tank takes, more than as they were (M, n).
         forced_K: forced states now (Z, A, r), K.
+        tank_C: temperature of the tank (2, n + 1), as it was set by its model, and as it is lived through, °C; NaN
+            where it was not lived through.
+        tank_below_Kh: K·h that it was below what is wanted, of both (2,).
     """
 
     def __init__(
@@ -80,6 +96,7 @@ class IdentifiedHouse(Releasing):
         error: ForecastError | None = None,
         forecasts: Mapping[float, Boundary] | None = None,
         before: HouseState | None = None,
+        tank: LivedTank | None = None,
     ) -> None:
         """`conditions`: bounds and prices at the record's boundaries.
 
@@ -88,14 +105,16 @@ class IdentifiedHouse(Releasing):
         that answer commands, by actuator; `meters`: what they do on meters beside levels, by machine. `error`: of its
         weather forecasts; None: what was measured later. `forecasts`: those that were given then, by their begin in
         whole s, in the place of both. `before`: where the house stands when it is reset to the end of that record,
-        instead of as it was.
+        instead of as it was. `tank`: of hot water; of the machine that heats it the record has the power of steps
+        without charging.
 
         Raises `DataError` where a zone or the weather was never measured, or `conditions` are of other times.
         """
         if conditions.time_s.shape != record.time_s.shape or not np.allclose(conditions.time_s, record.time_s):
             raise DataError("the bounds and prices are not those of the record's times")
         self.model, self._conditions, self._error = model, conditions, error
-        self._forecasts, self._before = forecasts, before
+        self._tank_told: float | None = None
+        self._forecasts, self._before, self._tank = forecasts, before, tank
         self._loops = {record.names.actuators.index(name): one for name, one in (commands or {}).items()}
         zones, home = model.names.zones, list(model.operator.home)
         self._rooms = [self._loops[a].room_of(zones, z) if a in self._loops else z for a, z in enumerate(home)]
@@ -118,9 +137,11 @@ class IdentifiedHouse(Releasing):
         self._free_C, self._forced_was = np.array([interpolated(row) for row in free_C]), forced_K
         self.steps = whole.n_steps
         machines = range(len(whole.names.machines))
-        self._law_was = np.array([model.power_by_law(m, whole.u, whole.T_out_C[:-1]) for m in machines])
+        self._free_was = whole.u if tank is None else _while_free(whole.u, tank.share, model.layout.fed_by(tank.m))
+        share = np.zeros(whole.n_steps) if tank is None else tank.share
+        self._law_was = np.array([self._by_law(m, self._free_was, whole.T_out_C[:-1], share) for m in machines])
         self._on_meters = self._commands_on_meters(meters or {})
-        self._power_was = self._known_power(whole)
+        self._rooms_was, self._power_was = self._known_power(whole)
         self.reset(float(whole.time_s[0]), 0.0)
 
     @property
@@ -143,6 +164,13 @@ class IdentifiedHouse(Releasing):
         self._now_s = float(self._was.time_s[self._k])
         self.forced_K = self._forced_was[:, :, self._k].copy()
         self.u, self.power_W, self.beside_W = self._was.u.copy(), self._power_was.copy(), 0.0 * self._power_was
+        self._rooms_W, self._share = self._rooms_was.copy(), np.zeros(self.steps)
+        self.tank_C, self.tank_below_Kh = np.full((2, self.steps + 1), np.nan), np.zeros(2)
+        self._tanks: tuple[TankState, ...] = ()
+        self._tank_owed_J = 0.0
+        if self._tank is not None:
+            self._share = self._tank.share.copy()
+            self._tanks = (self._tank.at(self._now_s),) * 2
         self._meter_states = [one.at(self._k) for one in self._on_meters]
         self._T_C = self._free_C + self._forced_was.sum(axis=(1, 3))
         self._part_s, self._owed_J = 0.0, np.zeros(len(self.power_W))
@@ -150,6 +178,7 @@ class IdentifiedHouse(Releasing):
         self._behind, self._behind_part = self._behind_levels(self.u[:, last], self._loops, last), np.zeros(len(self.u))
         if self._before is not None and abs(self._now_s - float(self._before.record.time_s[-1])) < _CLOCK_S:
             self._go_on_from(self._before)
+        self._note_tank()
         return self._measured(np.full(len(self.u), np.nan), np.full(len(self.power_W), np.nan))
 
     def _go_on_from(self, before: HouseState) -> None:
@@ -158,15 +187,31 @@ class IdentifiedHouse(Releasing):
         self.forced_K, self._behind = self.forced_K + before.more_K, before.behind.copy()
         if [one.lagged.shape for one in before.on_meters] == [one.lagged.shape for one in self._meter_states]:
             self._meter_states = list(before.on_meters)  # not of commands that were learned anew since
+        if len(before.tanks) == len(self._tanks):
+            self._tanks, self._tank_owed_J = before.tanks, before.owed_J
         self._T_C[:, self._k - n : self._k + 1] = before.record.T_zone_C[:, before.record.n_steps - n :]
         for row, values in ((self.u, before.record.u), (self.power_W, before.record.power_W)):
             row[:, self._k - n : self._k] = values[:, before.record.n_steps - n :]
+        if self._tank is not None:
+            over = slice(self._k - n, self._k)
+            self._rooms_W[:, over] = np.nan_to_num(self.power_W[:, over])
+            self._share[over] = np.isnan(self.power_W[self._tank.m, over])
 
     @property
     def state(self) -> HouseState:
         """Where the house stands now."""
         more_K = self.forced_K - self._forced_was[:, :, self._k]
-        return HouseState(self._lived(0, self._k), more_K, self._behind, tuple(self._meter_states))
+        return HouseState(
+            self._seen(0), more_K, self._behind, tuple(self._meter_states), self._tanks, self._tank_owed_J
+        )
+
+    def tank_now(self) -> tuple[float, bool]:
+        """See `TankPlant`; NaN without a tank."""
+        return (self._tanks[1].T_C, self._tanks[1].is_charged) if self._tanks else (float("nan"), False)
+
+    def set_tank(self, command: float | None) -> None:
+        """See `TankPlant`: None is as it was set then."""
+        self._tank_told = command
 
     def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
         """See `RoomSetpointPlant.advance`: with a command the loop that was learned answers.
@@ -180,10 +225,13 @@ class IdentifiedHouse(Releasing):
         left_s, u_sum, power_sum = float(duration_s), np.zeros(len(self.u)), np.zeros(len(self.power_W))
         while left_s > _CLOCK_S:
             seconds = min(left_s, self._was.step_s - self._part_s)
-            level, behind = self._levels(block.u, block.command)
-            power_W, beside_W = self._power(level, block.command, seconds)
-            self._go_on(level, behind, power_W, beside_W, seconds)
-            u_sum, power_sum, left_s = u_sum + level * seconds, power_sum + power_W * seconds, left_s - seconds
+            tank = self._of_tank(seconds)
+            free, behind = self._levels(block.u, block.command)
+            free, level = self._beside_tank(free, block, tank)
+            parts_W = self._power(free, block.command, seconds, tank)
+            self._go_on(level, behind, parts_W, tank[1].share, seconds)
+            rooms_W = self._of_rooms(parts_W[2], tank[1].share)
+            u_sum, power_sum, left_s = u_sum + level * seconds, power_sum + rooms_W * seconds, left_s - seconds
         return self._measured(u_sum / duration_s, power_sum / duration_s)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
@@ -207,10 +255,18 @@ class IdentifiedHouse(Releasing):
         )  # fmt: skip
 
     def past(self, step_s: float) -> Record:
-        """See `Plant.past`: what was, and what was lived through."""
+        """See `Plant.past`: what was, and what was lived through; power is that of steps without charging."""
         every = max(1, round(step_s / self._was.step_s))
         first = self._k % every
-        return self._lived(first, self._k).resample(every)
+        return self._seen(first).resample(every)
+
+    def _seen(self, first: int) -> Record:
+        """What a controller may know from step `first` on."""
+        part = self._lived(first, self._k)
+        if self._tank is None:
+            return part
+        over = slice(first, self._k)
+        return replace(part, power_W=self._of_rooms(self._rooms_W[:, over], self._share[over]))
 
     def lived(self, start_s: float) -> Record:
         """The record of this house from `start_s` until now."""
@@ -231,6 +287,9 @@ class IdentifiedHouse(Releasing):
         out = np.zeros(len(self.power_W))
         for one, state in zip(self._on_meters, self._meter_states, strict=True):
             out[one.m] = one.later_kWh(state)
+        if self._tank is not None:
+            was_kWh, now_kWh = map(self._tank.stored_kWh, self._tanks)
+            out[self._tank.m] += was_kWh - now_kWh - self._tank_owed_J / J_PER_KWH
         return out
 
     def kpis(self) -> dict[str, float]:
@@ -248,8 +307,10 @@ class IdentifiedHouse(Releasing):
         )
 
     def _levels(self, u: tuple[float | None, ...], command: tuple[CommandValue | None, ...]) -> tuple[Array, Array]:
-        """Levels (A,) now, as set, as loops answer, or as they were, and x (A,) of their loops."""
-        was, T_out_C = self._was.u[:, self._k], float(self._was.T_out_C[self._k])
+        """Levels (A,) now while a machine is free of its tank, as set, as loops answer, or as they were, and x (A,) of
+        their loops.
+        """
+        was, T_out_C = self._free_was[:, self._k], float(self._was.T_out_C[self._k])
         level = np.array([was[a] if one is None else one for a, one in enumerate(u)], dtype=np.float64)
         untold = {a: one for a, one in self._loops.items() if command[a] is None}
         behind = self._behind_levels(level, untold, self._k)
@@ -262,6 +323,34 @@ class IdentifiedHouse(Releasing):
             behind[a] = loop.behind(told, T_C, T_out_C, self._behind[a])
             level[a] = loop.opened(T_C) * behind[a] * float(share_on(np.full((1, 1), told), self._off.get(a, ()))[0])
         return np.clip(level, np.array(self.model.layout.u_min), 1.0), behind
+
+    def _beside_tank(self, free: Array, block: Block, tank: tuple[TankPart, TankPart]) -> tuple[Array, Array]:
+        """Levels (A,) while the machine is free of the tank, and over a step; `free`: the former, set or as they were.
+
+        Levels that the building's own control gave are as they were, but for what the tank takes more or less of them,
+        and for the room that is warmer or colder for it since.
+        """
+        if self._tank is None:
+            return free, free
+        free, level, layout = free.copy(), free.copy(), self.model.layout
+        warmer_K = (self.forced_K - self._forced_was_now()).sum(axis=(1, 2))
+        was, now = tank[0].share, tank[1].share
+        for a in layout.fed_by(self._tank.m):
+            if block.u[a] is not None or block.command[a] is not None:
+                level[a] = free[a] * (1.0 - now)
+                continue
+            less = warmer_K[layout.home[a]] * layout.signs[a] / _P_BAND_K if _OFF < abs(free[a]) < _FULL else 0.0
+            level[a] = self._was.u[a, self._k] + free[a] * (was - now) - less * (1.0 - now)
+            free[a] -= less
+        u_min = np.array(layout.u_min)
+        return np.clip(free, u_min, 1.0), np.clip(level, u_min, 1.0)
+
+    def _forced_was_now(self) -> Array:
+        """Forced states as they were now, (Z, A, r), K."""
+        share = self._part_s / self._was.step_s
+        if share == 0.0:
+            return self._forced_was[:, :, self._k]
+        return np.asarray((1.0 - share) * self._forced_was[:, :, self._k] + share * self._forced_was[:, :, self._k + 1])
 
     def _behind_levels(self, u: Array, loops: Mapping[int, LearnedCommand], k: int) -> Array:
         """x (A,) of levels `u` (A,) that no command set, in step `k` of the record."""
@@ -283,37 +372,96 @@ class IdentifiedHouse(Releasing):
                 out[one.machine] = CommandOnMeter(a, m, one, meters[one.machine], self._was, self._law_was[m])
         return list(out.values())
 
-    def _power(self, level: Array, command: tuple[CommandValue | None, ...], seconds: float) -> tuple[Array, Array]:
-        """Power of each machine (M,) at levels (A,) under commands (A,): as it was, and what other levels change by the
-        law, and other commands beside them, which is given for itself too (M,).
+    def _of_tank(self, seconds: float) -> tuple[TankPart, TankPart]:
+        """What the tank did in the next `seconds`, as it was set and as it is lived through."""
+        if self._tank is None:
+            return _NO_TANK, _NO_TANK
+        (was, now), at_s = self._tanks, self._now_s
+        was, of_was = self._tank.lived(was, at_s, seconds, None)
+        now, of_now = self._tank.lived(now, at_s, seconds, self._tank_told)
+        self._tanks = was, now
+        self.tank_below_Kh = self.tank_below_Kh + np.array([of_was.below_Kh, of_now.below_Kh])
+        return of_was, of_now
+
+    def _note_tank(self) -> None:
+        if self._tanks:
+            self.tank_C[:, self._k] = [one.T_C for one in self._tanks]
+
+    def _by_law(self, m: int, free: Array, T_out_C: Array, share: Array) -> Array:
+        """Power of machine `m` for rooms (n,), W, with levels `free` (A, n) in what `share` (n,) of the tank leaves."""
+        power_W = self.model.power_by_law(m, free, T_out_C)
+        return np.asarray(power_W * (1.0 - share) if self._tank is not None and m == self._tank.m else power_W)
+
+    def _of_rooms(self, power_W: Array, share: Array | float) -> Array:
+        """Power (M, n) or (M,) as a record has it: NaN of the machine of the tank where that was charged."""
+        if self._tank is None:
+            return power_W
+        out = power_W.copy()
+        out[self._tank.m] = np.where(np.asarray(share) > CHARGED, np.nan, out[self._tank.m])
+        return out
+
+    def _power(
+        self,
+        free: Array,
+        command: tuple[CommandValue | None, ...],
+        seconds: float,
+        tank: tuple[TankPart, TankPart],
+    ) -> tuple[Array, Array, Array]:
+        """Power of each machine (M,) at `free` levels (A,) under commands (A,): as it was, and what other levels change
+        by the law, and other commands beside them and the tank, which is given for itself too (M,), as that of rooms.
 
         What lies below 0, since the law said more of what was than the meter, is taken off later: where only that were
         cut off, all that the meter said beyond the law would be paid twice.
         """
-        T_out_C = self._was.T_out_C[self._k : self._k + 1]
-        law = np.array([self.model.power_by_law(m, level[:, None], T_out_C)[0] for m in range(len(self.power_W))])
+        T_out_C, machines = self._was.T_out_C[self._k : self._k + 1], range(len(self.power_W))
+        was, now = (np.array([one.share]) for one in tank)
+        law = np.array([self._by_law(m, free[:, None], T_out_C, now)[0] for m in machines])
         law_was, beside_W = self._law_was[:, self._k], np.zeros(len(law))
+        if self._tank is not None:
+            free_was, m = self._free_was[:, self._k : self._k + 1], self._tank.m
+            law_was = law_was.copy()
+            law_was[m] = self._by_law(m, free_was, T_out_C, was)[0]
         for i, one in enumerate(self._on_meters):
             told = command[one.first]
             value = None if isinstance(told, tuple) else told
             both = float(law_was[one.m]), float(law[one.m])
             (was_W, now_W), self._meter_states[i] = one.lived(self._k, value, both, seconds, self._meter_states[i])
             beside_W[one.m] = now_W - was_W
-        power_W = self._power_was[:, self._k] + (law - law_was) + beside_W - self._owed_J / seconds
-        self._owed_J = np.maximum(-power_W, 0.0) * seconds
-        return np.maximum(power_W, 0.0), beside_W
+        rooms_W = self._rooms_was[:, self._k] + (law - law_was) + beside_W - self._owed_J / seconds
+        self._owed_J = np.maximum(-rooms_W, 0.0) * seconds
+        rooms_W = np.maximum(rooms_W, 0.0)
+        power_W = rooms_W.copy()
+        if self._tank is not None:
+            more_W = tank[1].power_W - tank[0].power_W
+            for_tank_W = (
+                self._power_was[m, self._k] - self._rooms_was[m, self._k] + more_W - self._tank_owed_J / seconds
+            )
+            self._tank_owed_J = max(-for_tank_W, 0.0) * seconds
+            power_W[m] += max(for_tank_W, 0.0)
+            beside_W[m] += more_W
+        return power_W, beside_W, rooms_W
 
-    def _known_power(self, whole: Record) -> Array:
-        """Power as it was (M, n), by the law where it was not measured; raises `DataError` where a machine has none."""
+    def _known_power(self, whole: Record) -> tuple[Array, Array]:
+        """Power as it was (M, n), for the rooms and in all, by the law where it was not measured.
+
+        Raises `DataError` where a machine has none.
+        """
         for name, law in zip(whole.names.machines, self.model.power, strict=True):
             if law is None:
                 raise DataError(f"the power of '{name}' was not measured: what other levels cost cannot be said")
         by_law = self._law_was.copy()
         for one in self._on_meters:
             by_law[one.m] += one.was_W
-        return np.where(np.isfinite(whole.power_W), whole.power_W, by_law)
+        rooms_W = np.where(np.isfinite(whole.power_W), whole.power_W, by_law)
+        if self._tank is None:
+            return rooms_W, rooms_W
+        power_W, m, metered_W = rooms_W.copy(), self._tank.m, self._tank.power_W
+        power_W[m] = np.where(np.isfinite(metered_W), metered_W, rooms_W[m] + self._tank.charge_W)
+        return rooms_W, power_W
 
-    def _go_on(self, level: Array, behind: Array, power_W: Array, beside_W: Array, seconds: float) -> None:
+    def _go_on(
+        self, level: Array, behind: Array, parts_W: tuple[Array, Array, Array], share: float, seconds: float
+    ) -> None:
         operator, k, step_s = self._resampled(seconds), self._k, self._was.step_s
         share = self._part_s / step_s
         free_now = (1.0 - share) * self._free_C[:, k] + share * self._free_C[:, k + 1]
@@ -327,12 +475,19 @@ class IdentifiedHouse(Releasing):
         heat = np.array(
             [float(operator.of_actuator(a).heat_input(np.asarray(one), T_out_C)) for a, one in enumerate(level)]
         )
-        was_K = (1.0 - share) * self._forced_was[:, :, k] + share * self._forced_was[:, :, k + 1]
-        warmer_K = (self.forced_K - was_K).sum(axis=(1, 2))[list(operator.home)]
+        warmer_K = (self.forced_K - self._forced_was_now()).sum(axis=(1, 2))[list(operator.home)]
         heat *= np.clip(1.0 - self._less_per_K * warmer_K, *_HEAT_RANGE)
         self.forced_K = operator.advance(self.forced_K, operator.modulated(heat, x, self.forced_K))
         weight = seconds / step_s
-        for row, values in ((self.u, level), (self.power_W, power_W), (self.beside_W, beside_W)):
+        power_W, beside_W, rooms_W = parts_W
+        rows = (
+            (self.u, level),
+            (self.power_W, power_W),
+            (self.beside_W, beside_W),
+            (self._rooms_W, rooms_W),
+            (self._share[None], np.array([share])),
+        )
+        for row, values in rows:
             row[:, k] = values * weight if self._part_s == 0.0 else row[:, k] + values * weight
         self._behind_part = self._behind_part + behind * weight
         self._part_s += seconds
@@ -342,6 +497,7 @@ class IdentifiedHouse(Releasing):
             self._behind, self._behind_part = self._behind_part, np.zeros(len(behind))
             self._now_s = float(self._was.time_s[self._k])
             self._T_C[:, self._k] = self._free_C[:, self._k] + self.forced_K.sum(axis=(1, 2))
+            self._note_tank()
 
     def _measured(self, u: Array, power_W: Array) -> Measurement:
         now = np.array([self._now_s])
@@ -358,3 +514,19 @@ class IdentifiedHouse(Releasing):
 
     def _weather(self, name: str, at_s: Array) -> Array:
         return np.asarray(np.interp(at_s, self._was.time_s, getattr(self._was, name)))
+
+
+def _while_free(u: Array, share: Array, fed: Sequence[int]) -> Array:
+    """Levels (A, n) while the machine of actuators `fed` was free of its tank, which it charged for a `share` (n,).
+
+    A level by heat or power is none while the tank is charged, a valve may stay open: which of both it is, steps beside
+    those without charging tell.
+    """
+    out = u.copy()
+    k = np.flatnonzero((share[1:-1] > CHARGED) & (share[:-2] <= CHARGED) & (share[2:] <= CHARGED)) + 1
+    for a in fed:
+        beside = 0.5 * (u[a, k - 1] + u[a, k + 1])
+        shut = float((beside * share[k]).sum())
+        stays = 1.0 if abs(shut) < 1e-9 else float(np.clip((u[a, k].sum() - (beside.sum() - shut)) / shut, 0.0, 1.0))
+        out[a] = u[a] / np.maximum(1.0 - share * (1.0 - stays), _LEAST_LEFT)
+    return np.clip(out, -1.0, 1.0)

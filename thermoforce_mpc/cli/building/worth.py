@@ -22,6 +22,7 @@ from thermoforce_mpc.cli.options import (
     out_option,
     own_prices_option,
     plot_option,
+    said_tank,
 )
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record
 from thermoforce_mpc.data.dataframes import seconds_at
@@ -80,7 +81,7 @@ def worth(
     and what the record does not tell of power. Heat that is stored at the end counts.
 
     Such bands held the truth of 19 of 20 simulated houses known without probing; half their width was 15 % of the cost
-    in the median. Hot water of a tank stays as it was.
+    in the median. A tank of hot water of the map is lived through too, by its model and what was drawn then.
 
     Prices are those of --prices, else of the map; of a bill what a kWh costs, not its peaks and export. With --commands
     plans set what the map names (set-points, offsets).
@@ -92,8 +93,9 @@ def worth(
     from controllers.mpc.config import MPCConfig
     from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.boundary.forecast_error import ForecastError
+    from thermoforce_mpc.experiment.worth import LoggedTank
     from thermoforce_mpc.experiment.worth import worth as worth_of
-    from thermoforce_mpc.measurements.load import learned_commands, read_measurements
+    from thermoforce_mpc.measurements.load import learned_commands, learned_tank, read_measurements
     from thermoforce_mpc.model.thermal_model import load_model
 
     console = Console(highlight=False, markup=False, soft_wrap=True)
@@ -106,7 +108,8 @@ def worth(
     learned = learned_commands(measured) if commands else {}
     conditions = _conditions(measured, prices, console)
     chosen = {"step_s": HOUR_S, "horizon_h": hours} | parse_overrides(assignments)
-    controller = ThermoForceMPC(thermal, validate(MPCConfig, chosen, "--set"), commands=learned)
+    tank = said_tank(lambda: learned_tank(measured), console.print)
+    controller = ThermoForceMPC(thermal, validate(MPCConfig, chosen, "--set"), commands=learned, hot_water=tank)
     start_s = float(record.time_s[-1]) - round(days * DAY_S / HOUR_S) * HOUR_S
     if start is not None:
         start_s = float(record.time_s[0]) + record.nearest(seconds_at(record.origin, start, "--start")) * HOUR_S
@@ -120,7 +123,9 @@ def worth(
         days=days,
         draws=houses,
         commands=learned,
-        tank=measured.map.tank_machine,
+        hot_water=measured.map.tank_machine
+        if tank is None or measured.tank is None
+        else LoggedTank(tank, measured.tank),
         error=error,
         seed=seed,
         progress=lambda line: click.echo(line, err=True),
@@ -164,6 +169,10 @@ def _show(found: Worth, console: Console) -> None:
         console.print(f"  {zone}: {warmer:+.1f} K on average")
     if found.raised_K:
         console.print(f"  Lower bounds of plans were raised by {found.raised_K:g} K, to be as comfortable as it was")
+    if found.tank is not None:
+        console.print(f"  {found.tank.in_words}")
+    if found.tank_raised_K:
+        console.print(f"  Plans kept the tank {found.tank_raised_K:g} K warmer than is wanted, to be as warm as it was")
     for line in found.acted_in_words:
         console.print(f"  {line}")
     console.print(f"  {found.rests_on}")
@@ -173,7 +182,13 @@ def _as_json(found: Worth) -> dict[str, Any]:
     names = ("saved", "low", "high", "cost", "cost_was", "energy_kWh", "energy_was_kWh", "outside_Kh", "outside_was_Kh")
     numbers = {name: round(float(getattr(found, name)), 4) for name in names}
     warmer = zip(found.as_was.names.zones, np.round(found.warmer_K, 3).tolist(), strict=True)
+    of_tank = found.tank and {
+        "below_Kh": round(found.tank.below_Kh, 4),
+        "below_was_Kh": round(found.tank.below_was_Kh, 4),
+        "raised_K": found.tank_raised_K,
+    }
     return numbers | {
+        "hot_water": of_tank,
         "warmer_K": dict(warmer),
         "houses": [round(one, 4) for one in found.draws],
         "raised_K": found.raised_K,
