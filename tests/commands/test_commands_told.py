@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import pandas as pd
@@ -13,11 +14,12 @@ from home_by_setpoint import RULES, HomeBySetpoint
 from pydantic import ValidationError
 from simple_house import simple_model
 
+import thermoforce_mpc as tf
 from controllers.mpc.config import MPCConfig
 from controllers.state_classes import controller_key
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.connections.files import FilesConnection
-from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.live import LiveBuilding
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.plants.rooms import house_of_rooms
@@ -96,11 +98,33 @@ def test_a_command_that_is_left_alone_has_no_value(files, tmp_path):
     result = run(files, "--forecast", tmp_path / "tomorrow.csv", *out)
     assert result.exit_code == 0, result.output
     assert "not better than leaving the building alone" in result.output
+    assert "\nNot set: the commands that were found would save 0.00 against leaving it alone" in result.output
     (row,) = json.loads((tmp_path / "plan.json").read_text())["commands"]
     assert row["value"] is None
     (line,) = pd.read_csv(tmp_path / "commands.csv", keep_default_na=False).to_dict("records")
     assert line["value"] == ""
     assert {row["text"], line["text"]} == {"its own control"}
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ({"kind": "setpoint"}, "are no set temperature between 0 and 40 °C (first 7"),
+        ({"kind": "sg_ready"}, "are no command between 1 and 4 (first 7"),
+        ({"kind": "enable"}, "are no command between 0 and 1 (first 7"),
+        ({"kind": "setpoint", "column": "own", "usual": "set"}, "actuators.actuator.command.usual (column set): 100 %"),
+    ],
+)
+def test_a_column_that_cannot_be_the_command_is_refused(files, command, said):
+    column = RULES["actuators"]["actuator"]["command"]["column"]
+    table = pd.read_csv(files / "house.csv").tail(200)
+    table["set"], table["own"] = (1.8 * table[column] + 32.0).round().clip(68), table[column]
+    rules = RULES | {"actuators": {"actuator": {"level": "u", "command": {"column": "set"} | command}}}
+    table.to_csv(files / "odd.csv", index=False)
+    with pytest.raises(DataError, match=re.escape(said)) as refused:
+        tf.read_measurements(files / "odd.csv", rules)
+    fahrenheit = "they look like °F: set unit: '°F'"
+    assert str(refused.value).endswith(fahrenheit if command["kind"] == "setpoint" else "check column and unit")
 
 
 def test_commands_that_the_map_does_not_name_are_refused(files, tmp_path):

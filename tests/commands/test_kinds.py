@@ -87,6 +87,7 @@ def test_sg_ready_is_blocked_for_two_hours_at_most():
         ({"kind": "setpoint", "minimum": 20.2, "maximum": 20.4}, "no multiple of resolution (0.5) from minimum (20.2)"),
         ({"kind": "setpoint", "minimum": 3}, "minimum (3 °C) lies outside 5 to 30"),
         ({"kind": "setpoint", "unit": "°F", "minimum": 18}, "minimum (18 °F) lies outside 41 to 86"),
+        ({"kind": "setpoint", "usual": 45}, "usual (45 °C) lies outside 5 to 30"),
         ({"kind": "setpoint", "unit": "K"}, "unit"),
         ({"kind": "sg_ready", "hold_min": 5}, "greater than or equal to 10"),
         ({"kind": "setpoint", "setpoint": 21}, "Extra inputs are not permitted"),

@@ -47,6 +47,11 @@ class Command(StrictModel):
     hold_min: float = Field(30.0, ge=0, le=720, description="least time between two changes, min")
 
     @property
+    def reads(self) -> tuple[float, float]:
+        """From where to where a column may say that it was set; what lies outside is something else."""
+        return -np.inf, np.inf
+
+    @property
     def told_in(self) -> str:
         """Unit in which it is read, set and shown."""
         return ""
@@ -112,6 +117,11 @@ def first_of(values: Sequence[float], before: float, falls: bool) -> float | Non
 
 class SwitchCommand(Command):
     """A command that is on (1) or off (0)."""
+
+    @property
+    def reads(self) -> tuple[float, float]:
+        """See `Command.reads`."""
+        return 0.0, 1.0
 
     def values(self, low: float, high: float) -> Array:
         """See `Command.values`."""
@@ -235,8 +245,8 @@ class TemperatureCommand(StepwiseCommand):
 
     @model_validator(mode="after")
     def _are_possible(self) -> TemperatureCommand:
-        for key in ("minimum", "maximum"):
-            if getattr(self, key) is None:
+        for key in ("minimum", "maximum", "usual"):
+            if not isinstance(getattr(self, key), float):  # none, or the name of a column
                 continue
             value_C = self.from_told(getattr(self, key))
             if not self.possible_C[0] - SAME <= value_C <= self.possible_C[1] + SAME:
@@ -249,10 +259,11 @@ class TemperatureCommand(StepwiseCommand):
         """See `Command.told_in`."""
         return self.unit
 
-    def is_another_unit(self, value: float) -> bool:
-        """Whether `value`, °C, cannot have been set."""
+    @property
+    def reads(self) -> tuple[float, float]:
+        """See `Command.reads`."""
         (least, most), (below, above) = self.possible_C, self.another_unit_K
-        return not least - below < value < most + above
+        return least - below, most + above
 
     def as_told(self, value: Any) -> Any:
         """See `Command.as_told`."""

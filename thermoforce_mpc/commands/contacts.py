@@ -36,6 +36,11 @@ class SGReady(Command):
             raise ValueError("states of SG-Ready: blocked alone cannot be held, name another one")
         return tuple(sorted(set(states)))
 
+    @property
+    def reads(self) -> tuple[float, float]:
+        """See `Command.reads`."""
+        return float(min(_SG_STATES)), float(max(_SG_STATES))
+
     def values(self, low: float, high: float) -> Array:
         """See `Command.values`."""
         allowed = np.array(self.states, dtype=np.float64)

@@ -646,7 +646,9 @@ def command_rows(plan: Plan, commands: Mapping[str, LearnedCommand]) -> list[dic
 def saving_in_words(saving: PlannedSaving) -> str:
     """What a plan saves, in two sentences."""
     s, band = saving, f"(90 % band {saving.low:.2f} to {saving.high:.2f})"
-    if s.low > 0.0:
+    if not s.gain > 0.0:
+        what = f"Not set: the commands that were found would save {s.saved:.2f} against leaving it alone {band}"
+    elif s.low > 0.0:
         what = f"Saves {s.saved:.2f} against leaving it alone {band}"
     elif s.high < 0.0:
         what = f"Costs {-s.saved:.2f} more than leaving it alone (90 % band {-s.high:.2f} to {-s.low:.2f} more)"

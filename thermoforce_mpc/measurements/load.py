@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pandas as pd
 
-from thermoforce_mpc.commands.command import Command
+from thermoforce_mpc.commands.command import Command, TemperatureCommand
 from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, check_told, learn_command
 from thermoforce_mpc.commands.tank import CHARGED, LearnedTank, TankRecord, learn_tank
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.dataframes import clock_s, new_year, seconds_at, seconds_since, stamps
+from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.errors import ConfigError, DataError, counted
 from thermoforce_mpc.measurements import readings
 from thermoforce_mpc.measurements.map.guesses import rooms_beside
@@ -489,10 +490,18 @@ def _held(state: Level) -> Level:
     return state.model_copy(update={"hold_h": _COMMAND_HOLDS_H})
 
 
+def _rule_of(command: Command) -> SignalRule:
+    """The rule of readings of a command: what it cannot be was not set, or is in another unit."""
+    if isinstance(command, TemperatureCommand):
+        return SignalRule("set temperature", "°C", command.reads, command.possible_C)
+    return replace(readings.COMMAND, range=command.reads)
+
+
 def _commanded(reader: SignalReader, where: str, command: Command) -> CommandRecord:
     """What was set: a command holds until the next reading."""
     signal = signal_of(command, command.column, _COMMAND_HOLDS_H)
-    at = reader.scheduled(f"{where}.command", signal, readings.COMMAND)
+    rules = _rule_of(command)
+    at = reader.scheduled(f"{where}.command", signal, rules)
     usual = None
     if command.usual is not None:
         own: Signal | float = (
@@ -500,8 +509,8 @@ def _commanded(reader: SignalReader, where: str, command: Command) -> CommandRec
             if isinstance(command.usual, str)
             else command.from_told(command.usual)
         )
-        usual = reader.scheduled(f"{where}.command.usual", own, readings.COMMAND)
-    return CommandRecord(at, reader.again(signal, readings.COMMAND), usual)
+        usual = reader.scheduled(f"{where}.command.usual", own, rules)
+    return CommandRecord(at, reader.again(signal, rules), usual)
 
 
 def _bounds_C(rules: MeasurementMap, reader: SignalReader, origin: pd.Timestamp) -> tuple[Array, Array]:

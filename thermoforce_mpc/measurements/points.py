@@ -189,12 +189,14 @@ def _problem(point: LivePoint, rule: SignalRule, raw: Array, command: AnyCommand
 
 
 def _problem_of_command(point: LivePoint, command: AnyCommand | AnyTankCommand) -> str:
-    if isinstance(command, TemperatureCommand) and command.is_another_unit(point.last):
-        sent = float(command.as_told(point.last))
+    (least, most), sent = command.reads, float(command.as_told(point.last))
+    if least <= point.last <= most:
+        return ""
+    if isinstance(command, TemperatureCommand):
         unit = likelier(np.array([sent]), command.unit, "temperature", command.possible_C)
         hint = f"in {unit} it were one: unit: '{unit}'" if unit else "check column and unit"
         return f"{sent:.4g} {command.unit} cannot be {command.name_in_words}; {hint}"
-    return ""
+    return f"{sent:.4g} cannot be {command.name_in_words}, from {least:g} to {most:g}: check column and csv.words"
 
 
 def _doubts(point: LivePoint, rule: SignalRule, command: AnyCommand | AnyTankCommand | None) -> tuple[str, ...]:

@@ -67,6 +67,8 @@ BOUND = SignalRule("temperature", "°C", ZONE.range, ZONE.usual)
 PRICE = SignalRule("price", "per kWh")
 TANK = SignalRule("temperature", "°C", WATER.range, (25.0, 75.0))
 COMMAND = SignalRule("command", "")
+# Kinds of what was set, whose maps have no `range` and `factor`.
+_SET = ("command", "set temperature")
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,9 @@ def screened(
     outside = limits.outside(values, rules.range)
     if refuse and outside.mean() > _MOST_REFUSED:
         unit = likelier(raw, declared, rules.kind, rules.usual)
-        hint = f"they look like {unit}: set unit: '{unit}'" if unit else "check column, unit and factor"
+        has_range = rules.kind not in _SET
+        check = "check column, unit and factor" if has_range else "check column and unit"
+        hint = f"they look like {unit}: set unit: '{unit}'" if unit else check
         if not unit and np.ptp(raw[outside]) == 0.0 and not outside.all():
             code = f"{raw[outside][0]:.10g}"
             hint = (
@@ -130,10 +134,12 @@ def screened(
                 "speed, on and off), or leave the level out, and the power of its machine over the full one is "
                 "taken for it"
             )
+        possible = f"between {low:g} and {high:g} {rules.unit}".rstrip()
+        read_as = f"read as {declared}; " if declared else ""
         raise DataError(
-            f"{name}: {100 * outside.mean():.0f} % of the readings are no {rules.kind} between {low:g} and {high:g} "
-            f"{rules.unit} (first {values[int(np.argmax(outside))]:.4g} at {where(int(np.argmax(outside)))}, read as "
-            f"{declared}; readings from {np.min(raw):.4g} to {np.max(raw):.4g}); {hint}, or set range"
+            f"{name}: {100 * outside.mean():.0f} % of the readings are no {rules.kind} {possible} "
+            f"(first {values[int(np.argmax(outside))]:.4g} at {where(int(np.argmax(outside)))}, {read_as}"
+            f"readings from {np.min(raw):.4g} to {np.max(raw):.4g}); {hint}{', or set range' if has_range else ''}"
         )
     possible = f", possible are {low:g} to {high:g}"
     if outside.any() and (unit := likelier(raw[outside], declared, rules.kind, rules.usual)):

@@ -62,7 +62,12 @@ def converted(values: Array, unit: str) -> Array:
 
 def likelier(values: Array, declared: str, kind: str, usual: tuple[float, float]) -> str:
     """The unit of `kind` that brings the median of raw `values` into the `usual` range, '' where none other does."""
-    units = {"temperature": ("°C", "K", "°F"), "level": ("0-1", "%"), "irradiance": ("W/m²", "kW/m²")}.get(kind, ())
+    units = {
+        "temperature": ("°C", "K", "°F"), "set temperature": ("°C", "°F"), "level": ("0-1", "%"),
+        "irradiance": ("W/m²", "kW/m²"),
+    }.get(kind, ())  # fmt: skip
+    if not units:
+        return ""
     middle = np.array([float(np.nanmedian(values))])
     if kind == "level":
         middle = np.array([float(np.nanmax(values))])
