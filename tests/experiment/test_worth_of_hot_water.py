@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ from home_by_setpoint import START, price
 from home_with_tank import MAP, HomeWithTank
 from simple_house import simple_model
 
+from controllers.mpc.config import MPCConfig
 from controllers.optimisation.hot_water import HotWater
 from thermoforce_mpc.data import (
     DAY_S,
@@ -25,7 +27,12 @@ from thermoforce_mpc.data import (
 )
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.experiment.worth import LoggedTank, Raised, Worth, worth
+from thermoforce_mpc.live import LiveBuilding, control
+from thermoforce_mpc.live.building import real_run
+from thermoforce_mpc.live.shadow import ShadowBook
 from thermoforce_mpc.measurements.load import Measurements, learned_tank, read_measurements
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.records.live_journal import LiveJournal
 from thermoforce_mpc.whatif.identified_house import IdentifiedHouse
 from thermoforce_mpc.whatif.lived_tank import LivedTank
 
@@ -68,6 +75,10 @@ def _lived(home: HomeWithTank) -> pd.DataFrame:
     return pd.DataFrame(home.rows[begin:])
 
 
+def _by_clock() -> pd.DataFrame:
+    return _lived(_HomeByClock(_BEFORE))
+
+
 @pytest.fixture(scope="module")
 def lived() -> tuple[Measurements, LoggedTank, pd.DataFrame]:
     home = HomeWithTank(_BEFORE)
@@ -107,7 +118,7 @@ def test_a_tank_that_is_set_costs_what_it_costs_in_the_home(
     measured, tank, rows = lived
     controller = _ByClock()
     found = _worth(measured, tank, controller)
-    truth = _lived(_HomeByClock(_BEFORE))
+    truth = _by_clock()
     saved = _cost(rows) - _cost(truth)
     assert saved < -0.5
     assert found.saved == pytest.approx(saved, abs=0.3 * abs(saved))
@@ -211,6 +222,39 @@ def test_a_tank_that_is_colder_than_it_was_is_planned_warmer(
 
 def test_a_tank_that_was_not_measured_then_is_refused(lived: tuple[Measurements, LoggedTank, pd.DataFrame]) -> None:
     measured, tank, _ = lived
-    silent = replace(tank, logged=replace(tank.logged, T_C=np.full_like(tank.logged.T_C, np.nan)))
-    with pytest.raises(DataError, match="temperature of the tank of machine was not measured"):
-        _worth(measured, silent, _ByClock())
+    T_C = tank.logged.T_C.copy()
+    for known, why in ((0.75, "was measured in 25 % of the time"), (1.0, "was never measured")):
+        T_C[T_C.size - round(known * 12 * _HOURS) :] = np.nan
+        silent = replace(tank, logged=replace(tank.logged, T_C=np.full_like(T_C, np.nan) if known == 1.0 else T_C))
+        with pytest.raises(DataError, match=why):
+            _worth(measured, silent, _ByClock())
+
+
+@pytest.mark.slow
+def test_a_shadow_lives_its_tank_through(tmp_path: Path) -> None:
+    home, rules, controller = HomeWithTank(_BEFORE), MeasurementMap.model_validate(MAP), _ByClock()
+    controller.hot_water = learned_tank(read_measurements(home.measurements(), MAP, step_s=HOUR_S).served())
+    building, model, begin = LiveBuilding(home, rules, HOUR_S), simple_model(0.05), len(home.rows)
+    model.save(tmp_path / "given")
+    run = real_run(tmp_path, tmp_path / "given", tmp_path / "m.yaml", rules, MPCConfig(step_s=HOUR_S), "x")
+    book, words = ShadowBook(tmp_path, model, controller, tank_log=building.tank_log), list[str]()
+    control(
+        building,
+        controller,
+        clock=home,
+        steps=26,
+        delay_s=0.0,
+        journal=LiveJournal(tmp_path, run),
+        told=lambda decision: words.append(book.day_over(decision.instant)),
+        acts=False,
+    )
+    (day,), again = book.days, ShadowBook(tmp_path, model, controller)
+    assert again.days == book.days
+    assert words[-1].endswith("; hot water 0.0 instead of 0.0 K·h below what is wanted")
+    both = pd.DataFrame(home.rows[begin:]), _by_clock()
+    alone, other = (rows[rows["time"] < START + pd.Timedelta("1D")] for rows in both)
+    assert day.cost_was == pytest.approx(_cost(alone), rel=1e-3)
+    # A kelvin of the tank takes 83 Wh, at 0.25 on average.
+    less_K = alone["tank"].iloc[-1] - other["tank"].iloc[-1]
+    assert less_K > 5.0
+    assert day.saved[0] == pytest.approx(_cost(alone) - _cost(other) - 0.083 * 0.25 * less_K, abs=0.3)

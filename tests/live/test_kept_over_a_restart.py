@@ -185,6 +185,7 @@ SHADOW_DAY = {
         {"cost_was": "2"},
         {"saved": []},
         {"saved": [0.2, None]},
+        {"tank_below_Kh": [1.0, float("nan")]},
         {"day": "yesterday"},
         {"day": 3},
     ],
@@ -199,14 +200,19 @@ def test_an_account_of_a_shadow_that_makes_no_sense_is_begun_anew(tmp_path, chan
     assert f"{tmp_path}/shadow.json: begun anew" in caplog.text
 
 
-def test_a_shadow_says_that_hot_water_is_not_in_its_days(tmp_path):
+def test_a_shadow_says_whether_hot_water_is_in_its_days(tmp_path):
     controller = mpc()
     (tmp_path / "shadow.json").write_text(json.dumps({"said": "", "of": "k", "days": [SHADOW_DAY]}))
     assert "hot water" not in ShadowBook(tmp_path, simple_model(), controller, key="k").in_words
     controller.hot_water = SimpleNamespace(machine="heat pump")
     told = ShadowBook(tmp_path, simple_model(), controller, key="k").in_words
     assert told.startswith("shadow: 1 day of")
-    assert "; hot water of heat pump as it was, since the house is lived through without its tank" in told
+    without = "hot water of heat pump as it was, since the house is lived through without its tank"
+    assert f"; {without}" in told
+    days = [SHADOW_DAY, SHADOW_DAY | {"day": "2025-01-12", "tank_below_Kh": [2.0, 0.5]}]
+    (tmp_path / "shadow.json").write_text(json.dumps({"said": "", "of": "k", "days": days}))
+    told = ShadowBook(tmp_path, simple_model(), controller, key="k").in_words
+    assert "; hot water 0.5 instead of 2.0 K·h below what is wanted; in 1 day hot water of heat pump as it was" in told
 
 
 def test_days_of_another_model_are_not_added_up_and_stay(tmp_path, caplog):

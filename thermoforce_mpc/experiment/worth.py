@@ -413,6 +413,8 @@ class Houses:
             assert isinstance(controller, ThermoForceMPC)  # it plans a tank
             controller = controller.with_warmer_tank(raised.tank_K)
         first, n = record.nearest(period.start_s), round(period.scored_s / record.step_s)
+        if (tank := self._tanks[k]) is not None:
+            tank.check(period.start_s, period.start_s + period.scored_s)
         house = IdentifiedHouse(
             model,
             record,
@@ -424,7 +426,7 @@ class Houses:
             error=error,
             forecasts=forecasts,
             before=before,
-            tank=self._tanks[k],
+            tank=tank,
         )
         was = replace(record.slice(first, first + n), u=house.u[:, first : first + n])
         was = replace(was, power_W=house.power_W[:, first : first + n])
@@ -441,7 +443,7 @@ class Houses:
             *counted,
             outside_Kh(lived, conditions, first),
             who_acted(result.steps, record.names),
-            None if self._tanks[k] is None else _of_tank(house, slice(first + 1, first + n + 1)),
+            None if tank is None else _of_tank(house, slice(first + 1, first + n + 1)),
             house.state,
             result.state,
         )

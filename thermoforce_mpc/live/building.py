@@ -25,7 +25,7 @@ from controllers.safety.deadline import BoundedCalls, Crashed
 from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.commands.loop import LearnedCommand
-from thermoforce_mpc.commands.tank import TANK_NAME, LearnedTank
+from thermoforce_mpc.commands.tank import TANK_NAME, LearnedTank, TankRecord
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.clock import in_celsius
 from thermoforce_mpc.errors import DataError, InputError, NoForecast, PlantError, StorageError
@@ -198,7 +198,8 @@ class LiveBuilding:
         record = without(record, self._windows)
         self.left_out = (*self.left_out, *self._of_windows(record.names.zones))
         conditions = replace(measured.conditions, time_s=measured.conditions.time_s + shift_s)
-        self._measured = replace(measured, record=record, conditions=conditions)
+        tank = measured.tank and replace(measured.tank, time_s=measured.tank.time_s + shift_s)
+        self._measured = replace(measured, record=record, conditions=conditions, tank=tank)
         return record
 
     def commands(self) -> dict[str, LearnedCommand]:
@@ -213,6 +214,11 @@ class LiveBuilding:
         return learned_tank(
             read_measurements(self._call("measurements"), self._rules, step_s=self._step_s, now=now).served()
         )
+
+    def tank_log(self) -> tuple[TankRecord, pd.Timestamp] | None:
+        """What was measured of the tank until the last `record`, and what its seconds count from; None without one."""
+        tank = None if self._measured is None else self._measured.tank
+        return None if tank is None else (tank, self.origin)
 
     def tank_now(self) -> tuple[float, bool]:
         """Temperature of the tank at the last `record`, °C, NaN where it is not known, and whether it is charged."""

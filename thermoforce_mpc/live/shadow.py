@@ -1,10 +1,10 @@
 """What a controller that only watches would have saved, day by day, with a band: `tf-mpc worth` of its days.
 
 The identified house is lived through each day again under the same controller, which plans anew in every step with the
-forecasts, bounds and prices that the shadow had then. House and controller go on from where the day before left them,
-as those of a building under control do. So are houses drawn from what the model does not know; of their savings, added
-up over the days, comes the band. Heat that is stored at the end of a day counts. As with `tf-mpc saving`, a saving is
-claimed only where all of the band lies above 0.
+forecasts, bounds and prices that the shadow had then. House, tank of hot water and controller go on from where the day
+before left them, as those of a building under control do. So are houses drawn from what the model does not know; of
+their savings, added up over the days, comes the band. Heat that is stored at the end of a day counts. As with `tf-mpc
+saving`, a saving is claimed only where all of the band lies above 0.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import date
@@ -25,9 +25,18 @@ import pandas as pd
 from controllers.state_classes import STATE_CLASSES, model_key
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.meter import CourseState
+from thermoforce_mpc.commands.tank import LearnedTank, TankRecord
 from thermoforce_mpc.data import AT_THE_METER, CONDITIONS, J_PER_KWH, Boundary, Period, Record
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
-from thermoforce_mpc.experiment.worth import Houses, Lived, band_of, outside_Kh, planned_share, without_tank
+from thermoforce_mpc.experiment.worth import (
+    Houses,
+    Lived,
+    LoggedTank,
+    band_of,
+    outside_Kh,
+    planned_share,
+    without_tank,
+)
 from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
@@ -42,6 +51,7 @@ from thermoforce_mpc.records.told_steps import (
 )
 from thermoforce_mpc.state_file import StateFormat
 from thermoforce_mpc.whatif.identified_house import HouseState
+from thermoforce_mpc.whatif.lived_tank import TankState
 from thermoforce_mpc.whatif.saving import LEAST_AFTER
 
 _LOG = logging.getLogger(__name__)
@@ -58,7 +68,8 @@ class ShadowDay:
 
     `saved`: of each house, the likeliest first, currency, with what is stored. `warmer_K`: mean change of the rooms'
     temperature. `planned`: share of its steps in which plans acted. `goes_on`: house and controller began it where
-    the day before had left them; else as the house was.
+    the day before had left them; else as the house was. `tank_below_Kh`: K·h of the tank below what is wanted, as it
+    was and under plans; None where none was lived through.
     """
 
     day: str
@@ -72,12 +83,15 @@ class ShadowDay:
     warmer_K: float
     planned: float
     goes_on: bool
+    tank_below_Kh: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Raise `ValueError` for a day that is none, and numbers that are not finite."""
         date.fromisoformat(self.day)
-        numbers = [value for key, value in vars(self).items() if key not in ("day", "saved", "goes_on")]
-        if len(self.saved) != _DRAWS + 1 or not all(map(math.isfinite, (*numbers, *self.saved))):
+        no_number = ("day", "saved", "goes_on", "tank_below_Kh")
+        numbers = [value for key, value in vars(self).items() if key not in no_number]
+        numbers += [*self.saved, *(self.tank_below_Kh or ())]
+        if len(self.saved) != _DRAWS + 1 or not all(map(math.isfinite, numbers)):
             raise ValueError(f"{self.day}: a number is not finite, or there is not a saving of each house")
 
 
@@ -91,7 +105,7 @@ class ShadowHouses:
     controllers: tuple[object, ...]
 
 
-_FORMAT = StateFormat((*STATE_CLASSES, HouseState, CourseState, Record, ShadowHouses))
+_FORMAT = StateFormat((*STATE_CLASSES, HouseState, CourseState, TankState, Record, ShadowHouses))
 
 
 class ShadowBook:
@@ -104,14 +118,16 @@ class ShadowBook:
         controller: Controller,
         commands: Mapping[str, LearnedCommand] | None = None,
         key: str = "",
+        tank_log: Callable[[], tuple[TankRecord, pd.Timestamp] | None] = lambda: None,
     ) -> None:
         """Go on with the days that are there, if they are of this controller; others, and a file that cannot be read,
         are put aside, and the log says so.
 
-        `controller`: that of the shadow, with what it would set by `commands`; `key`: tells it from others.
+        `controller`: that of the shadow, with what it would set by `commands`; `key`: tells it from others; `tank_log`:
+        what was measured of a tank until now, and what its seconds count from, None where nothing was.
         """
         self._folder, self._model, self._controller = folder, model, controller
-        self._commands, self._key = commands, key
+        self._commands, self._key, self._tank_log = commands, key, tank_log
         self.days: list[ShadowDay] = []
         self._today: date | None = None
         self._over: pd.Timestamp | None = None
@@ -120,7 +136,7 @@ class ShadowBook:
                 told = json.loads(read_bounded(folder / SHADOW, MOST_BYTES, InputError))
                 if told.get("of") != key:
                     raise ValueError("its days are of another model or other options")
-                self.days = [ShadowDay(**{**day, "saved": tuple(day["saved"])}) for day in told["days"]]
+                self.days = [_day_told(day) for day in told["days"]]
             except (InputError, ValueError, KeyError, TypeError, AttributeError) as error:
                 aside = folder / f"{Path(SHADOW).stem}-before.json"
                 _LOG.warning("%s: begun anew (%s); it is kept as %s", folder / SHADOW, error, aside.name)
@@ -148,9 +164,19 @@ class ShadowBook:
 
     @property
     def in_words(self) -> str:
-        """What the days say together, and of a tank that the controller plans for, that it is not in them."""
-        tank = getattr(self._controller, "hot_water", None)
-        return in_words(self.days) + ("" if tank is None else f"; {without_tank(tank.machine)}")
+        """What the days say together, and of a tank that the controller plans for."""
+        tank: LearnedTank | None = getattr(self._controller, "hot_water", None)
+        if tank is None:
+            return in_words(self.days)
+        known = [day.tank_below_Kh for day in self.days if day.tank_below_Kh is not None]
+        told = [in_words(self.days)]
+        if known:
+            was_Kh, planned_Kh = np.sum(known, axis=0)
+            told.append(f"hot water {planned_Kh:.1f} instead of {was_Kh:.1f} K·h below what is wanted")
+        if len(known) < len(self.days):
+            of = f"in {counted(len(self.days) - len(known), 'day')} " * bool(known)
+            told.append(of + without_tank(tank.machine))
+        return "; ".join(told)
 
     def _judged(self, begin: pd.Timestamp) -> ShadowDay:
         """The day from `begin`, midnight, on, from the journal, and where it leaves the houses, which is kept.
@@ -160,7 +186,15 @@ class ShadowBook:
             JournalError: the journal cannot be read.
         """
         told = _told_day(self._folder / NAME, begin)
-        houses = Houses(self._model, told.record, self._controller, draws=_DRAWS, seed=0, commands=self._commands)
+        houses = Houses(
+            self._model,
+            told.record,
+            self._controller,
+            draws=_DRAWS,
+            seed=0,
+            commands=self._commands,
+            hot_water=self._logged_tank(told.record.origin),
+        )
         before = self._before(begin)
         lived: list[Lived] = []
         for k in range(_DRAWS + 1):
@@ -179,6 +213,15 @@ class ShadowBook:
         except (StorageError, TypeError) as error:
             _LOG.warning("the next day of the shadow begins as the house was: %s", error)
         return _day(begin, told, lived, goes_on=before is not None)
+
+    def _logged_tank(self, origin: pd.Timestamp) -> LoggedTank | None:
+        """The tank that is planned, in seconds from `origin`; None where nothing was measured of it."""
+        tank: LearnedTank | None = getattr(self._controller, "hot_water", None)
+        if tank is None or (found := self._tank_log()) is None:
+            return None
+        logged, counted_from = found
+        shift_s = (counted_from - origin).total_seconds()
+        return LoggedTank(tank, replace(logged, time_s=logged.time_s + shift_s))
 
     def _before(self, begin: pd.Timestamp) -> ShadowHouses | None:
         """Where the houses stand at `begin`; None where the day before was not judged."""
@@ -271,7 +314,13 @@ def _day(begin: pd.Timestamp, told: _ToldDay, lived: Sequence[Lived], *, goes_on
         warmer_K=float(np.nanmean(likeliest.record.T_zone_C[:, 1:] - was.T_zone_C[:, 1:])),
         planned=planned_share(likeliest.acted),
         goes_on=goes_on,
+        tank_below_Kh=None if (tank := likeliest.tank) is None else (tank.below_was_Kh, tank.below_Kh),
     )
+
+
+def _day_told(told: Mapping[str, Any]) -> ShadowDay:
+    tank = told.get("tank_below_Kh")
+    return ShadowDay(**{**told, "saved": tuple(told["saved"]), "tank_below_Kh": None if tank is None else tuple(tank)})
 
 
 def in_words(days: Sequence[ShadowDay]) -> str:

@@ -18,6 +18,9 @@ from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.data.dataframes import clock_s, stamps
 from thermoforce_mpc.errors import DataError
 
+# Least share of the time in which the temperature of a tank was measured; without, nobody knows what was drawn.
+_LEAST_KNOWN = 0.9
+
 
 @dataclass(frozen=True)
 class TankState:
@@ -44,14 +47,16 @@ class LivedTank:
     """
 
     def __init__(self, tank: LearnedTank, logged: TankRecord, record: Record) -> None:
-        """`logged`: over the times of `record`. Raises `DataError` where its temperature was never measured there."""
+        """`logged`: over the times of `record`. Raises `DataError` where its temperature was never measured."""
         self.tank, self.m = tank, record.names.machines.index(tank.machine)
         parts = max(1, round(record.step_s / logged.step_s))
         self._part_s, n = record.step_s / parts, record.n_steps
         self._at_s = record.time_s[0] + self._part_s * np.arange(n * parts + 1)
         known = np.isfinite(logged.T_C)
-        if not known[(logged.time_s >= self._at_s[0]) & (logged.time_s <= self._at_s[-1])].any():
-            raise DataError(f"the temperature of the tank of {tank.machine} was not measured in these days")
+        self._known_s = logged.time_s[known]
+        self._logged_every_s = logged.step_s
+        if not known.any():
+            raise DataError(f"the temperature of the tank of {tank.machine} was never measured")
         self._T_C = np.interp(self._at_s, logged.time_s[known], logged.T_C[known])
         self._T_out_C = np.interp(self._at_s, record.time_s, record.T_out_C)
         charged = logged.share_of(self._at_s)
@@ -71,6 +76,16 @@ class LivedTank:
         self._usual_C = tank.usual_C[hour]
         self._set = _held(logged, self._at_s[:-1])
         self._lower_C = _wanted_C(tank, self._at_s, record.origin)
+
+    def check(self, begin_s: float, end_s: float) -> None:
+        """Raise `DataError` where its temperature was not measured in most of the time from `begin_s` to `end_s`."""
+        readings = np.count_nonzero((self._known_s >= begin_s) & (self._known_s <= end_s))
+        share = readings * self._logged_every_s / (end_s - begin_s)
+        if share < _LEAST_KNOWN:
+            raise DataError(
+                f"the temperature of the tank of {self.tank.machine} was measured in {100 * share:.0f} % of the time "
+                f"that is lived through, need {100 * _LEAST_KNOWN:.0f}: take hot_water out of the map, or other days"
+            )
 
     @property
     def charge_W(self) -> Array:

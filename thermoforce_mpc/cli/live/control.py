@@ -274,11 +274,13 @@ class _Run:
         billed = mode == "shadow" and self.prices is not None and self.prices.suffix in SUFFIXES
         if billed and self.prices and (left := read_bill(self.prices).of_whole_house):
             self.say(f"{self.prices}: {', '.join(left)}: not counted in what it would have saved")
+        live = self.live(mpc.step_s, people)
         if not acts and not dry:
-            book = ShadowBook(self.out, thermal, mpc, commands, key) if mode == "shadow" else None
+            shadowed = (self.out, thermal, mpc, commands, key, live.tank_log)
+            book = ShadowBook(*shadowed) if mode == "shadow" else None
             told = _advised(told, self.out / "advice.json", book, self.say)
         control(
-            self.live(mpc.step_s, people),
+            live,
             mpc,
             dry=dry,
             kept=None if dry else KeptState(self.out / "state.npz", key),
