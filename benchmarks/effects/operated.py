@@ -1,4 +1,5 @@
-"""Identify houses of several rooms from ordinary operation, and ask what six hours at full level do in each room.
+"""Identify houses of several rooms from ordinary operation, and ask what six hours at full level do in each room, and
+what other levels would have taken on past days (`energies`).
 
 A drawn house lives by its own thermostats, schedules and night setback, with people who do not keep to them; nobody
 probes it, and heat is not measured. The truth is the difference of two runs, room by room and valve by valve, while the
@@ -14,6 +15,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.effects.asking import Score
+from benchmarks.effects.energies import (
+    EnergyAnswer,
+    energy_answers,
+    energy_rows,
+    energy_targets,
+    lived_until,
+)
 from benchmarks.effects.windows import LONGEST, STEP_S, WINDOWS, band_K, block
 from thermoforce_mpc.comparison.outcome import Target
 from thermoforce_mpc.data import DAY_S, Array, Record
@@ -63,19 +71,20 @@ class PairAnswer:
 
 @dataclass(frozen=True)
 class HouseAnswer:
-    """What the model of a house says of all its pairs; `refused`: why there is no model."""
+    """What the model of a house says of all its pairs, and of energies; `refused`: why there is no model."""
 
     building: str
     words: str
     refused: str = ""
     pairs: tuple[PairAnswer, ...] = ()
+    energies: tuple[EnergyAnswer, ...] = ()
 
 
 def ask_operated(case: OperatedCase) -> HouseAnswer:
     """Live in a house, identify it, and compare what it says with the truth."""
     plant = house_of_rooms(case.building, people=1000 * case.seed + case.number)
     end = _ENDS[case.number % len(_ENDS)]
-    plant.reset(end * DAY_S, case.days * DAY_S)
+    begins = lived_until(plant, end * DAY_S, case.days * DAY_S)
     record = as_homes_measure(plant.past(STEP_S).last(round(case.days * DAY_S / STEP_S)))
     answer = HouseAnswer(case.building, plant.house.words)
     try:
@@ -84,7 +93,8 @@ def ask_operated(case: OperatedCase) -> HouseAnswer:
         model = identify(record, layout=plant.layout, config=config)
     except DataError as error:
         return replace(answer, refused=str(error))
-    return replace(answer, pairs=tuple(_pairs(model, plant, end + _LATER_DAYS)))
+    energies = energy_answers(model, plant, record, begins)
+    return replace(answer, pairs=tuple(_pairs(model, plant, end + _LATER_DAYS)), energies=energies)
 
 
 def as_homes_measure(record: Record) -> Record:
@@ -140,12 +150,12 @@ def operated_rows(answers: Sequence[HouseAnswer]) -> list[Row]:
         rows.append(cells | {"competent": sum(pair.own and pair.competent for pair in answer.pairs)})
     for name, own in (("own", True), ("cross", False)):
         rows.append({"building": f"all, {name} effects"} | _summary(answers, own=own))
-    return rows
+    return [*rows, *energy_rows([one for answer in answers for one in answer.energies])]
 
 
 def operated_targets(answers: Sequence[HouseAnswer]) -> list[Target]:
     """Bands hold what they promise, and no competent own effect is wrong by half."""
-    found = []
+    found = energy_targets([one for answer in answers for one in answer.energies])
     for name, own in (("own", True), ("cross", False)):
         covered, (least, most) = _summary(answers, own=own)["in_90_band"] or float("nan"), _COVERED
         what = f"operation, {name} effects: share of 90 % bands that hold the truth"

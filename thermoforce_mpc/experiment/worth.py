@@ -41,6 +41,7 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.whatif.identified_house import HouseState, IdentifiedHouse
 from thermoforce_mpc.whatif.lived_tank import LivedTank
+from thermoforce_mpc.whatif.water import LESS_PER_K, VALVES_SD, of_water, others_by
 
 LEAST_BEFORE_DAYS = 7.0
 """Days of a record before what is lived through again: forecasts begin there."""
@@ -61,17 +62,8 @@ _WHY = {
 }
 # An effect is at most so many times as large or small (logarithm).
 _MOST_LOG = 1.0
-# Share by which the heat of a level falls per K of the room where water of a heating curve carries it, 1/K, mean and
-# standard deviation: water is about 10 K warmer than rooms and emitters. Of 12 valves of six drawn houses, whose rooms
-# were 0.2 to 2.1 K warmer under plans, 0.07 to 0.24, median 0.11 (houses of `bench saving --mode worth --seed 9`,
-# 28 November 2026).
-_LESS_PER_K = (0.11, 0.04)
 # Error of a change of power, as a share, below which the record bears its law out.
 _EXACT = 0.1
-# Relative standard deviation of what a machine of several valves takes at levels that its record does not hold: which
-# valves are open together sets its water. For what the same six houses took under plans the change by the law errs by
-# −1, 5, 3, −6, 0 and 8 %.
-_VALVES_SD = 0.05
 # What a plan may be outside the bounds beyond what the house was, K·h a day in all zones, the step by which lower
 # bounds are then raised, K, and how often.
 _EQUAL_KH, _RAISED_K, _MOST_ROUNDS = 0.3, 0.25, 2
@@ -372,8 +364,8 @@ class Houses:
         self.spread, rng = effect_spreads(model), np.random.default_rng(seed)
         self.shares = tuple(model.power_change(m, record) for m in range(len(model.machines)))
         self._effects = [np.ones_like(self.spread), *(_drawn(rng, self.spread) for _ in range(draws))]
-        mean, sd = _LESS_PER_K
-        self._of_water = _of_water(model)
+        mean, sd = LESS_PER_K
+        self._of_water = of_water(model)
         self._less_per_K = np.outer([mean, *np.maximum(rng.normal(mean, sd, draws), 0.0)], self._of_water)
         # Standard errors of the change of power; how much of the energy goes by what the rooms ask for, where the
         # record does not tell; and standard errors of what other valves open together cost.
@@ -474,7 +466,7 @@ class Houses:
             planned = cost_law * factor
             planned += (cost_law - cost_was) * share.spread * of_law
             valves = [a for a in layout.fed_by(m) if self._of_water[a]]
-            planned += cost_law * _VALVES_SD * _other(was.u[valves], record.u[valves]) * of_valves
+            planned += cost_law * VALVES_SD * others_by(was.u[valves], record.u[valves]) * of_valves
             mean_price = cost_was / max(float(before.sum()), 1e-9)
             an_hour_kWh = rooms_kWh / max(record.n_steps * hours, 1e-9)
             stored_kWh = float(warmer_Kh[fed].mean()) * an_hour_kWh / over_K
@@ -516,23 +508,8 @@ def effect_spreads(model: ThermalModel) -> Array:
     return spread
 
 
-def _of_water(model: ThermalModel) -> Array:
-    """1 where an actuator is one of several valves of a machine that heats, whose heat was not metered, else 0 (A,)."""
-    layout = model.layout
-    several = [len(layout.fed_by(m)) > 1 for m in layout.machine_of]
-    laws = [model.operator.of_actuator(a).heat_input.law is None for a in range(len(layout.home))]
-    return np.array(
-        [float(one and law and sign > 0) for one, law, sign in zip(several, laws, layout.signs, strict=True)]
-    )
-
-
 def _drawn(rng: np.random.Generator, spread: Array) -> Array:
     return np.asarray(np.exp(np.clip(spread * rng.standard_normal(spread.shape), -_MOST_LOG, _MOST_LOG)))
-
-
-def _other(was: Array, planned: Array) -> float:
-    """How far levels (A, n) are others than they were, 0 to 1; 0 of none."""
-    return float(min(np.abs(planned - was).sum() / max(was.sum(), 1e-9), 1.0))
 
 
 def outside_Kh(record: Record, conditions: Boundary, first: int) -> float:

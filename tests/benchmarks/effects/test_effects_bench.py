@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from click.testing import CliRunner
 
 from benchmarks.effects import bench
 from benchmarks.effects.asking import Answer, Score, said, scored, without_steps
+from benchmarks.effects.energies import QUESTIONS, EnergyAnswer, energy_answers, lived_until
 from benchmarks.effects.operated import (
     HouseAnswer,
     OperatedCase,
@@ -28,6 +31,7 @@ from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant
+from thermoforce_mpc.plants.rooms import house_of_rooms
 
 HOURS = (1, 2, 4, 8, 12, 24, 48)
 STEPS = block().size
@@ -215,6 +219,47 @@ def test_operation_is_scored_by_own_and_cross_effects():
     assert not wrong.holds
     assert operated_targets([answered(0.4, 0.2, competent=False)])[-1].value == 0
     assert operated_rows([HouseAnswer("house:3rooms:1", "made up", "too short")])[-1]["in_90_band"] is None
+
+
+def test_energies_of_other_levels_are_counted_by_question_and_as_told():
+    def energy(question, true_kWh, half_kWh):
+        return EnergyAnswer(question, 12.0, true_kWh, 10.0, 10.0 - half_kWh, 10.0 + half_kWh)
+
+    night, shifted = list(QUESTIONS)[2:4]
+    energies = (energy(night, 11.0, 1.5), energy(night, 8.0, 1.5), energy(shifted, 15.0, 6.0))
+    house = replace(answered(0.9, 0.25, competent=True), energies=energies)
+    rows = {row["energy of"]: row for row in operated_rows([house]) if "energy of" in row}
+    assert (rows[night]["in_90_band"], rows[night]["told"], rows[night]["told_in_band"]) == (0.5, 2, 0.5)
+    assert (rows[shifted]["in_90_band"], rows[shifted]["told"], rows[shifted]["told_in_band"]) == (1.0, 0, None)
+    assert (rows["all"]["days"], rows["all"]["in_90_band"]) == (3, 0.667)
+    every, told = operated_targets([house])[:2]
+    assert every.value == pytest.approx(2 / 3)
+    assert not every.holds
+    assert told.value == 0.5
+    assert np.isnan(operated_targets([answered(0.9, 0.25, competent=True)])[0].value)
+
+
+def test_the_truth_of_an_energy_is_the_day_lived_again_at_other_levels(monkeypatch):
+    plant = house_of_rooms("house:2rooms:3000")
+    begins = lived_until(plant, 36 * DAY_S, 2 * DAY_S)
+    record = plant.past(900.0).last(2 * 96)
+    said = np.array([9.0])
+    answer = SimpleNamespace(energy_other_kWh=said, energy_low_kWh=said - 1.0, energy_high_kWh=said + 1.0)
+    asked = {}
+
+    def told(model, record, levels, start):
+        asked[start] = levels
+        return answer
+
+    monkeypatch.setattr("benchmarks.effects.energies.counterfactual", told)
+    monkeypatch.setattr("benchmarks.effects.energies.QUESTIONS", {"as it was": lambda u: u, "off": lambda u: 0.0 * u})
+    found = energy_answers(None, plant, record, begins)
+    assert list(asked) == [record.time_s[0], record.time_s[96]]
+    was = [float(record.power_W[0, k : k + 96].sum()) / 4000.0 for k in (0, 96)]
+    assert [one.was_kWh for one in found[::2]] == pytest.approx(was)
+    assert [one.true_kWh for one in found[::2]] == pytest.approx(was, rel=0.1)
+    assert [one.true_kWh for one in found[1::2]] == [0.0, 0.0]
+    assert [one.in_band for one in found[1::2]] == [False, False]
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.predictor import Prediction
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole
-from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
+from thermoforce_mpc.whatif.counterfactual import TOLD, Counterfactual, counterfactual
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,8 +29,6 @@ _ROWS, _BACK_DAYS = 25, 28.0
 _HELD, _JUDGED_H, _MATTERS_K = 0.5, 24.0, 0.25
 # Longest stretch that is asked about, h: a year.
 _MOST_H = 8784.0
-# An energy is told as a figure where its 90 % band is no wider than this share of it.
-_TOLD = 0.4
 
 
 @click.command()
@@ -229,7 +227,7 @@ def other_levels(
 
 def _is_told(kWh: float, low: float, high: float) -> bool:
     """Whether an energy is known well enough for a figure."""
-    return bool(low <= kWh <= high and high - low <= _TOLD * max(kWh, 1e-9))
+    return bool(low <= kWh <= high and high - low <= TOLD * max(kWh, 1e-9))
 
 
 def _known(kWh: float) -> float | None:
@@ -265,9 +263,7 @@ def _show_other(result: Counterfactual, console: Console) -> None:
             if _is_told(other, low, high)
             else f"{low:.1f} to {high:.1f} kWh"
         )
-        console.print(
-            f"Energy of {name} by the model: {was:.1f} kWh as it was, {told} under the other levels (90 % band)"
-        )
+        console.print(f"Energy of {name}: {was:.1f} kWh as it was, {told} under the other levels (90 % band)")
         if not _is_told(other, low, high):
             console.print(
                 "  The record does not tell what these levels do to power: levels went with what the rooms asked for, "
