@@ -413,7 +413,7 @@ class ThermoForceMPC(ActuatedController):
                     break
                 guess = solution.u
             began = time.perf_counter()
-            brought, commanded, saving = None, None, None
+            brought, commanded, saving, broken = None, None, None, ""
             if not refused:
                 u = solution.u
                 if own is not None:
@@ -426,7 +426,7 @@ class ThermoForceMPC(ActuatedController):
                     u = commanded.u
                 brought = planner.evaluator.brings(instance.problem, u, solution.own_values)
                 if planner.evaluator.structure.chosen or own is not None:  # levels become blocks, or are answers
-                    brought = replace(brought, broken="")
+                    brought, broken = replace(brought, broken=""), brought.broken
             seconds = {**seconds, "solve": solve_s, "check": time.perf_counter() - began}
         except Exception as error:  # whatever a solver raises, there is another way to act
             if isinstance(error, Overdue):
@@ -440,9 +440,10 @@ class ThermoForceMPC(ActuatedController):
         solution = solution if commanded is None else replace(solution, u=commanded.u)
         if commanded is None:
             solution, brought, ruled = self._by_rule(instance.problem, solution, brought, forecast, readings)
+            broken = brought.broken if ruled else broken
             forecast = replace(forecast, state=replace(forecast.state, ruled=bool(ruled)))
         if self.config.whole_runs and not overrides.keys() >= set(self._in_runs):
-            solution, brought = self._with_runs(instance, solution, brought, forecast, list(overrides))
+            solution, brought = self._with_runs(instance, solution, brought, broken, forecast, list(overrides))
         limit = power_limit(instance, solution, brought, planner.evaluator)
         free_steps = max(1, round(self.config.move_blocking.free_h * HOUR_S / self.step_s))
         plan = solved_plan(instance, solution, brought, seconds, forecast, readings, free_steps)
@@ -602,12 +603,20 @@ class ThermoForceMPC(ActuatedController):
         return [a for a, actuation in enumerate(self._actuators.each) if needs_runs(actuation, self.step_s)]
 
     def _with_runs(
-        self, instance: Instance, solution: Solution, brought: Evaluation, forecast: Forecast, left: Sequence[int]
+        self,
+        instance: Instance,
+        solution: Solution,
+        brought: Evaluation,
+        broken: str,
+        forecast: Forecast,
+        left: Sequence[int],
     ) -> tuple[Solution, Evaluation]:
-        """The solution in whole runs (`MPCConfig.whole_runs`) and what it brings; `left`: who does not follow it."""
+        """The solution in whole runs (`MPCConfig.whole_runs`) and what it brings.
+
+        `broken`: which limit it leaves, '' none; `left`: who does not follow it.
+        """
         evaluator, problem = forecast.planner.evaluator, instance.problem
         numbers = evaluator.numbers(problem)
-        broken = evaluator.evaluate(numbers, solution.u, solution.own_values).broken
 
         def cost(u: Array) -> float:
             found = evaluator.evaluate(numbers, u, solution.own_values)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import bz2
 import gzip
 import lzma
+import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -323,6 +325,43 @@ def test_bad_input_is_one_message_that_says_where_and_what_to_do(case, tmp_path)
     change, changes, message = CASES[case]
     with pytest.raises((DataError, ConfigError), match=f"(?s){message}"):
         tf.read_measurements(*written(tmp_path, change(house()), changes))
+
+
+def _exports(tmp_path: Path, parts: list[pd.DataFrame]) -> tuple[list[Path], Path]:
+    """Files that an export left, in the order of their names, and their map."""
+    _, rules = written(tmp_path, house())
+    files = [tmp_path / f"export{k}.csv" for k in range(len(parts))]
+    for path, part in zip(files, parts, strict=True):
+        part.to_csv(path, index=False)
+    return files, rules
+
+
+def test_exports_that_overlap_and_say_the_same_are_one(tmp_path):
+    """They needed two tries: an order, and which of two rows counts, though both are the same."""
+    df = house()
+    files, rules = _exports(tmp_path, [df.iloc[:100], df.iloc[90:], df.iloc[20:40]])
+    files[2].write_text(files[2].read_text().replace(f"{df['T'].iloc[25]}", "", 1))  # says nothing of that
+    found, whole = tf.read_measurements(files, rules), tf.read_measurements(*written(tmp_path, df))
+    np.testing.assert_array_equal(found.record.T_zone_C, whole.record.T_zone_C)
+    assert found.understood.rows == 192
+    said = [text for text in found.understood.assumed if "overlap" in text]
+    assert len(said) == 1
+    assert re.search(r"export0\.csv and .*export2\.csv overlap from .*: 30 rows in both, which say the same", said[0])
+
+
+def test_exports_that_overlap_and_differ_are_refused_with_what_both_say(tmp_path):
+    df = house()
+    files, rules = _exports(tmp_path, [df.iloc[:100], broken(df.iloc[90:], T=(92, 21.25))])
+    message = r"export1\.csv, line 4: .* stands at .*export0\.csv, line 94 too, and T is 21\.25 here and 20\.92 there; "
+    message += r"the files overlap in 10 rows, of which 1 differ: .*time\.duplicates: first"
+    with pytest.raises(DataError, match=message):
+        tf.read_measurements(files, rules)
+    for which, value in (("first", df["T"].iloc[92]), ("last", 21.25)):
+        found = tf.read_measurements(files, BASE | {"time": {"duplicates": which}})
+        assert found.record.T_zone_C[0, 92] == value
+    files, rules = _exports(tmp_path, [df.iloc[:100], df.iloc[90:].assign(time=df["time"] + pd.Timedelta("3min"))])
+    with pytest.raises(DataError, match=r"sort the table, .*export0\.csv and .*export1\.csv overlap: cut one"):
+        tf.read_measurements(files, rules)
 
 
 def test_lines_with_other_than_all_cells_are_refused(tmp_path):

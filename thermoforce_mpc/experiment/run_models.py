@@ -97,8 +97,7 @@ def _identify(
     doubted = [name for name, card in zip(model.operator.actuators, model.cards, strict=True) if card.unfit]
     if doubted and not chosen.has_gate:
         display.say(f"{', '.join(doubted)}: plans act all the same, since gate.enabled is false")
-    for claim in model.claims:
-        display.say(f"Found: {claim}")
+    model.say_claims(display.say)
     folder = source.folder if isinstance(source, SavedModel) else None
     return IdentifiedModel(model, {"model": folder, "source": model.cards[0].source} | origin(model))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -217,6 +217,11 @@ class ThermalModel:
                         f"count on {share:.0%} of it"
                     )
         return tuple(told)
+
+    def say_claims(self, say: Callable[[str], None]) -> None:
+        """Say each of `claims`."""
+        for claim in self.claims:
+            say(f"Found: {claim}")
 
     def _hours(self, a: int) -> list[str]:
         """Hours of the day in which acting does less, in words."""

@@ -268,8 +268,7 @@ class _Run:
         self.say(f"{does} {names} by connection {self.connection}; log: {self.out}/log.jsonl")
         people = People(self.out / "people.json", self.rules.time.zone)
         self.say(f"Actuation: {mpc.actuation_in_words}")
-        for claim in thermal.claims:
-            self.say(f"Found: {claim}")
+        thermal.say_claims(self.say)
         told = _told(self.say, commands)
         billed = mode == "shadow" and self.prices is not None and self.prices.suffix in SUFFIXES
         if billed and self.prices and (left := read_bill(self.prices).of_whole_house):

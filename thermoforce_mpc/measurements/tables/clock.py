@@ -471,16 +471,71 @@ def _after_one_another(
     """Instants and columns of tables with the same columns."""
     order = sorted(range(len(stamps)), key=lambda i: stamps[i].iloc[0])
     tables, stamps = [tables[i] for i in order], [stamps[i] for i in order]
-    _check_beside(tables, stamps)
     index = pd.DatetimeIndex(pd.concat(stamps, ignore_index=True))
     columns = {
         name: np.concatenate([t.columns[name][s.index] for t, s in zip(tables, stamps, strict=True)])
         for name in tables[0].columns
     }
-    keep = _in_order(index, clock, partial(_place, tables, stamps), notes)
+    where = partial(_place, tables, stamps)
+    if len({table.name for table in tables}) > 1:
+        kept = _once(index, columns, tables, stamps, clock, where, notes)
+        index, columns = index[kept], {name: values[kept] for name, values in columns.items()}
+        where = partial(_place_of, where, kept)
+    keep = _in_order(index, clock, where, notes)
     if keep is not None:
         index, columns = index[keep], {name: values[keep] for name, values in columns.items()}
     return index, columns
+
+
+def _once(
+    index: pd.DatetimeIndex,
+    columns: dict[str, Array],
+    tables: Sequence[RawTable],
+    stamps: Sequence[pd.Series],
+    clock: TimeStampRules,
+    where: Callable[[int], str],
+    notes: list[str],
+) -> NDArray[np.intp]:
+    """The rows to keep of files that overlap: of rows at one time in two files one, if they say the same.
+
+    What one of both does not say is filled in from the other. Raises `DataError` where they differ, unless the map says
+    which counts, and for files that say throughout something else at the same times.
+    """
+    file = np.repeat(np.arange(len(tables)), [len(one) for one in stamps])
+    names = np.array([table.name for table in tables])[file]
+    order = np.lexsort((file, index.asi8))
+    pair = np.flatnonzero((np.diff(index.asi8[order]) == 0) & (names[order[1:]] != names[order[:-1]]))
+    one, other = order[pair], order[pair + 1]
+    if not one.size:
+        return np.arange(len(index))
+    differs = {name: ~np.isclose(values[one], values[other], rtol=1e-9, atol=0.0) for name, values in columns.items()}
+    for name, values in columns.items():
+        differs[name] &= np.isfinite(values[one]) & np.isfinite(values[other])
+    n = int(np.any(list(differs.values()), axis=0).sum())
+    if n:
+        _check_beside(tables, stamps)
+    if n and clock.duplicates == "refuse":
+        name = next(name for name, rows in differs.items() if rows.any())
+        k = int(np.argmax(differs[name]))
+        raise DataError(
+            f"{where(int(other[k]))}: {index[other[k]]} stands at {where(int(one[k]))} too, and {name} is "
+            f"{columns[name][other[k]]:g} here and {columns[name][one[k]]:g} there; the files overlap in {one.size} "
+            f"rows, of which {n} differ: cut off what is wrong, or set time.duplicates: first (of the file that begins "
+            "earlier) or last"
+        )
+    is_last = clock.duplicates == "last"
+    kept, left = (other, one) if is_last else (one, other)
+    if not n:
+        for values in columns.values():
+            values[kept] = np.where(np.isfinite(values[kept]), values[kept], values[left])
+    said = f"the {clock.duplicates} one kept" if n else "which say the same"
+    files = " and ".join(dict.fromkeys([str(names[one[0]]), str(names[other[0]])]))
+    notes.append(f"{files} overlap from {index[one[0]]} to {index[one[-1]]}: {one.size} rows in both, {said}")
+    return np.delete(np.arange(len(index)), left)
+
+
+def _place_of(where: Callable[[int], str], kept: NDArray[np.intp], row: int) -> str:
+    return where(int(kept[row]))
 
 
 def _check_beside(tables: Sequence[RawTable], stamps: Sequence[pd.Series]) -> None:
@@ -527,6 +582,9 @@ def _in_order(
         what = f"{where(row)}: {index[row]} comes after {index[row - 1]}; {back.size} such rows"
         if clock.order == "refuse":
             hint = "; if it is the end of summer time, name time.zone" if autumn and clock.zone is None else ""
+            begins, ends = (where(one).rsplit(", ", 1)[0] for one in (row, row - 1))
+            if begins != ends:
+                hint = f"; {ends} and {begins} overlap: cut one of them off, unless they are of different rooms"
             raise DataError(f"{what}: sort the table, or set time.order: sort{hint}")
         keep = np.argsort(at, kind="stable")
         at = at[keep]

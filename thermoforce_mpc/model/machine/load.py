@@ -16,7 +16,7 @@ the on-times because f is submodular (Lovász 1983; Bach 2013, Learning with Sub
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -228,15 +228,18 @@ def error_of_a_step(error: Array, least: float) -> float:
 
 @dataclass(frozen=True)
 class Quality:
-    """Quality of a fit: `rmse_W` over `n_running` steps, `step_W` what each of them counts with, see
-    `error_of_a_step`, `r2` over all `n_samples`.
-    """
+    """Quality of a fit: `rmse_W` over `n_running` steps, with their errors `running_W`, `r2` over all `n_samples`."""
 
     rmse_W: float
-    step_W: float
     r2: float
     n_samples: int
     n_running: int
+    running_W: Array = field(repr=False, compare=False)
+
+    @property
+    def step_W(self) -> float:
+        """What each running step counts with, see `error_of_a_step`, W."""
+        return error_of_a_step(self.running_W, 0.0)
 
     @classmethod
     def of(cls, fitted_W: Array, steps: Steps) -> Quality:
@@ -246,8 +249,8 @@ class Quality:
         variance = float(np.var(steps.load_W))
         return cls(
             rmse_W=float(np.sqrt(np.mean(of_running**2))),
-            step_W=error_of_a_step(of_running, 0.0),
             r2=1.0 - float(np.mean(error**2)) / variance if variance > 0 else float("nan"),
             n_samples=int(steps.u.size),
             n_running=int(steps.running.sum()),
+            running_W=of_running,
         )
