@@ -132,6 +132,16 @@ def test_an_hour_differs_once_two_days_running_missed_its_effect():
     assert not found.after(seen(2, 0.0)).laws, "taken back when it comes"
 
 
+def test_what_is_known_of_an_hour_outlives_plans_that_keep_out_of_it():
+    found = effects(seen(0, -1.0), seen(1, -1.0))
+    for day in range(2, 20):
+        found = found.after(seen(day, 0.0, effect_K=0.1))
+    assert set(found.laws) == {6}
+    assert len(found.seen) == 6
+    assert not found.after(seen(20, 0.0)).laws, "taken back when it comes"
+    assert not found.after(seen(23, 0.0, effect_K=0.1)).laws, "forgotten in the end"
+
+
 def test_a_day_without_heat_tells_cold_air_from_a_machine_that_stands():
     both = effects(seen(0, -1.5), seen(1, -1.5))
     stands = both.after(seen(2, 0.0, effect_K=0.0))

@@ -222,8 +222,9 @@ def called_for(asked: Array, heating_C: Array, cooling_C: Array, T_zone_C: Array
 # of which one error in 200 is by chance; on how many days running. An office of `bench detectors` whose mornings are
 # blocked went from 8.03 to 2.42 K·h in three days with these (2026-11-28).
 _TELLS_K, _MISSING, _BEYOND, _DAYS = 0.25, 0.5, 2.0, 2
-# Days that are kept of each hour, and for how long, s. By judgement.
-_KEPT, _KEPT_S = 4, 14 * DAY_S
+# Days that are kept of each hour, besides those that told, and for how long, s. By judgement: two tries a week apart
+# stand in for those that are forgotten.
+_KEPT, _KEPT_S = 4, 21 * DAY_S
 # Prior standard deviations of what an hour takes of the effect, and of what it does to the zone besides, K. The same
 # two days tell only their sum: half of each makes plans count on less heat and begin earlier.
 _SHARE_SD, _DIP_SD_K = 0.5, 1.0
@@ -267,7 +268,7 @@ class HourEffects:
 
     An hour is believed to differ where on two days running less than half of the effect of acting came, each time by
     more than twice the promise and 0.3 K; one day on which it comes takes that back. `seen`: the last days of each
-    hour.
+    hour, and the last on which something was asked of it.
     """
 
     sign: int = 1
@@ -286,7 +287,13 @@ class HourEffects:
             return self
         same = [one for one in self.seen if one.hour == told.hour and told.time_s - one.time_s < _KEPT_S]
         others = [one for one in self.seen if one.hour != told.hour]
-        return replace(self, seen=(*others, *same[1 - _KEPT :], told))
+        # Who knows of an hour keeps out of it: days on which nothing was asked do not push out those that told.
+        asked = [one for one in same[: 1 - _KEPT] if self._asked(one)]
+        return replace(self, seen=(*others, *asked[-_DAYS:], *same[1 - _KEPT :], told))
+
+    def _asked(self, one: HourSeen) -> bool:
+        """Whether so much was asked of an hour that what is missing can be told."""
+        return self.sign * one.effect_K >= _TELLS_K
 
     def at(self, now_s: float) -> HourEffects:
         """What was seen before a run, as if it had been seen in the days before `now_s`."""
@@ -310,7 +317,7 @@ class HourEffects:
         for one in self.seen:
             seen[one.hour].append(one)
         for hour, of_hour in sorted(seen.items()):
-            asked = [one for one in of_hour if self.sign * one.effect_K >= _TELLS_K][-_DAYS:]
+            asked = list(filter(self._asked, of_hour))[-_DAYS:]
             if len(asked) == _DAYS and all(map(self._misses, asked)):
                 found[hour] = self._law(of_hour)
         return found
@@ -352,7 +359,7 @@ class HourEffects:
 
     def may_be_tried(self, hour: int, time_s: float) -> bool:
         """Whether nothing was asked of this hour, of those believed to differ, for some days before `time_s`, s."""
-        asked_s = max(one.time_s for one in self.seen if one.hour == hour and abs(one.effect_K) >= _TELLS_K)
+        asked_s = max(one.time_s for one in self.seen if one.hour == hour and self._asked(one))
         return time_s - asked_s > _AGAIN_DAYS[1] * DAY_S
 
     def level_to_try(self, now_s: float, tried_s: float, effect_K: float) -> float:
@@ -379,7 +386,7 @@ class HourEffects:
         """What is believed, for people; empty where nothing is."""
         told = []
         for hour, law in self.laws.items():
-            *_, last = [one for one in self.seen if one.hour == hour and abs(one.effect_K) >= _TELLS_K]
+            *_, last = [one for one in self.seen if one.hour == hour and self._asked(one)]
             came_K = last.effect_K + last.error_K
             besides = f", and {law.dip_K:+.1f} K besides" if abs(law.dip_K) > 0.05 else ""
             told.append(
