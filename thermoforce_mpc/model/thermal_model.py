@@ -244,11 +244,11 @@ class ThermalModel:
 
     def power_change(self, m: int, record: Record) -> Share:
         """How much of what the power law of machine `m` says of other levels was in `record`."""
-        power, own_W = self.power[m], self.power_by_law_of(m, record)
-        if power is None or not np.isfinite(own_W).any():
+        power, by_law_W = self.power[m], self.power_by_law_of(m, record)
+        if power is None or not np.isfinite(by_law_W).any():
             return Share(1.0, UNKNOWN)
-        other = 0.0 if power.foreign is None else power.foreign(record.time_s[:-1], record.T_out_C[:-1])
-        return share_of_change(own_W, record.power_W[m] - other, record)
+        measured_W = own_W(record.power_W[m : m + 1], [power.foreign], record)[0]
+        return share_of_change(by_law_W, measured_W, record)
 
     def power_by_law_of(self, m: int, record: Record) -> Array:
         """`power_by_law` of the levels and temperatures of `record` (n,), W."""

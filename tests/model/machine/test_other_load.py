@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from thermoforce_mpc.data import DAY_S, HOUR_S
-from thermoforce_mpc.model.machine.other_load import OtherLoad, other_load
+from thermoforce_mpc.data import DAY_S, HOUR_S, Record
+from thermoforce_mpc.model.machine.other_load import OtherLoad, other_load, own_W
 
 STEP_S, N = 900.0, 4 * 96
 TIME_S = 30 * DAY_S + STEP_S * np.arange(N)
@@ -102,3 +102,25 @@ def test_a_load_that_the_meter_does_not_hold_while_the_machine_is_on_is_none():
     found = other_load((~off)[None].astype(float), TIME_S, T, np.where(off, hot_water, 4000.0))
     assert found is not None
     assert found.mean_W == pytest.approx(425.0, rel=0.2)
+
+
+def test_hours_in_which_a_load_comes_and_goes_say_nothing_of_the_machine():
+    """Hot water from 6:15 to 7:00 on three of four days: a machine that runs gives its water then, not the rooms'."""
+    rng = np.random.default_rng(6)
+    time_s = 30 * DAY_S + STEP_S * np.arange(30 * 96)
+    T = 5.0 + rng.normal(0.0, 0.3, time_s.size).cumsum() * 0.05
+    u = np.repeat(rng.random(time_s.size // 8) < 0.5, 8).astype(float)[None]
+    hour, day = time_s % DAY_S / HOUR_S, time_s // DAY_S
+    water = (hour >= 6.25) & (hour < 7.0) & (day % 4 > 0)
+    meter = np.where(water, 5000.0, FULL_W * u[0]) + 12.0
+    found = other_load(u, time_s, T, meter)
+    assert found is not None
+    assert found.at_times == (6,)
+    assert "in the hours from 6 it comes and goes" in found.in_words()
+    assert found(np.array([6.5 * HOUR_S]), np.array([5.0]))[0] == pytest.approx(0.75 * 0.75 * 5000.0, rel=0.15)
+    at_s, T = np.append(time_s, time_s[-1] + STEP_S), np.append(T, T[-1])
+    record = Record(at_s, np.full(at_s.size, 20.0), T, np.zeros(at_s.size), u=u[0], power_W=meter, heat_W=u[0] * np.nan)
+    own = own_W(record.power_W, [found], record)[0]
+    assert np.isnan(own[(hour >= 6) & (hour < 7)]).all()
+    on = (u[0] > 0.0) & np.isfinite(own)
+    np.testing.assert_allclose(own[on], FULL_W, rtol=0.02)

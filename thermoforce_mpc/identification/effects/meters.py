@@ -11,13 +11,11 @@ from thermoforce_mpc.data import Array, Layout, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.model.machine.heat_capacity import HeatFit, fit_heat, kinds_for
-from thermoforce_mpc.model.machine.load import LEAST_RUNNING, LEVEL_EDGE, NEARLY_FULL, running_share
+from thermoforce_mpc.model.machine.load import LEAST_RUNNING, LEVEL_EDGE, MEASURED, NEARLY_FULL, running_share
 from thermoforce_mpc.model.machine.other_load import OtherLoad, other_load, own_W
 from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
-# Least share of steps with measured heat or power. By judgement.
-_MEASURED = 0.5
 # Loads to try below which a shared machine cycles, as shares of its capacity; 1: its power is proportional to the load.
 _CYCLES_BELOW = (0.02, *np.linspace(0.1, 0.6, 11).round(2).tolist(), 1.0)
 
@@ -82,7 +80,7 @@ def identified_heat_input(
         return IDENTITY, ["heat input: identity, as configured"]
     heat = np.concatenate([h.heat_W[0] for h in histories]) * sign
     measured = float(np.isfinite(heat).mean())
-    if measured < _MEASURED:
+    if measured < MEASURED:
         return IDENTITY, [f"heat input: identity, heat was measured in {100 * measured:.0f} % of the steps"]
     u = np.concatenate([h.u[0] for h in histories])
     on = int((np.isfinite(heat) & (u > LEVEL_EDGE)).sum())
@@ -119,7 +117,7 @@ def power_of_machine(
 ) -> PowerModel | None:
     """Return the power model of a machine over its own level; None if measured in less than half of the steps."""
     fed, records = layout.fed_by(machine), [machine_record(h, layout, machine) for h in histories]
-    if np.isfinite(np.concatenate([h.power_W[0] for h in records])).mean() < _MEASURED:
+    if np.isfinite(np.concatenate([h.power_W[0] for h in records])).mean() < MEASURED:
         return None
     u, weights = np.concatenate([h.u[fed] for h in histories], axis=1), layout.weights[fed]
     if any(layout.u_min[a] < 0.0 for a in fed):

@@ -2,7 +2,9 @@
 
 It is what the meter shows while all that the machine feeds is off: by hour of the day and by outdoor temperature. Plans
 cannot change it, so laws of the machine are fitted to what is left, and it is added again where a meter of power is
-expected. What fades while the machine stays off is no such load: an emitter gives off what it holds.
+expected. What fades while the machine stays off is no such load: an emitter gives off what it holds. In hours in which
+it comes and goes, as hot water does, a meter of a machine that runs does not tell which of the two it shows, as hot
+water may also come instead of the rooms' heat: laws are fitted to the other hours.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.data.clock import DAY_H
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.machine.load import LEVEL_EDGE, error_of_a_step
+from thermoforce_mpc.model.machine.load import LEVEL_EDGE, MEASURED, error_of_a_step
 
 # Least mean of such a load as a share of full power: below, it is a standby or an error of the meter. By judgement.
 _LEAST_SHARE = 0.03
@@ -36,6 +38,9 @@ _FADES_H, _FADES_SHARE, _SURE_SD = 3.0, 0.3, 3.0
 # machine shows it off for a few hours, in which its hot water was 836 W at 8 and 24 W at 23: on a line between them
 # 26 % more than its meter held, and all of the rooms' energy was another load (`bench commands`, seed 421, 2026-11-28).
 _LACKS = 0.1
+# Mean scatter of an hour of the day, as a share of full power, from which a load comes and goes in it. By judgement:
+# a coil that follows the weather to 20 % scatters less, half an hour of hot water in an hour by five times more.
+_AT_TIMES = 0.1
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,7 @@ class OtherLoad:
     """A foreign load: `by_hour_W` (24,) at `reference_C` outdoors, its change with the outdoor temperature, and error.
 
     The change holds within `T_out_range_C`. `rmse_W`: of the fit, over the steps in which the machine was off.
+    `at_times`: hours of the day in which it comes and goes, of which laws are not fitted.
     """
 
     by_hour_W: tuple[float, ...]
@@ -50,6 +56,7 @@ class OtherLoad:
     reference_C: float
     T_out_range_C: tuple[float, float]
     rmse_W: float
+    at_times: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.by_hour_W) != DAY_H:
@@ -60,6 +67,10 @@ class OtherLoad:
         by_hour = np.asarray(self.by_hour_W)[_hour(time_s)]
         warmer_K = np.clip(T_out_C, *self.T_out_range_C) - self.reference_C
         return np.maximum(by_hour + self.per_K_W * warmer_K, 0.0)
+
+    def steady(self, time_s: Array, T_out_C: Array) -> Array:
+        """The same, NaN in hours in which it comes and goes."""
+        return np.where(np.isin(_hour(time_s), self.at_times), np.nan, self(time_s, T_out_C))
 
     @property
     def mean_W(self) -> float:
@@ -73,6 +84,9 @@ class OtherLoad:
             f"the meter holds another load: {self.mean_W:.0f} W on average ({low:.0f} to {high:.0f} W by hour of the "
             f"day, {self.per_K_W:+.0f} W per K outdoors), known to ± {self.rmse_W:.0f} W; it is taken off"
         )
+        if self.at_times:
+            hours = ", ".join(map(str, self.at_times))
+            words += f"; in the hours from {hours} it comes and goes, and nothing is learned of the machine"
         if self.rmse_W > _UNEXPLAINED * self.mean_W:
             words += "; hour and weather hardly tell it: a meter of the machine alone would"
         return words
@@ -90,19 +104,31 @@ def other_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> Other
     settled = off & known & (off_h > _AFTER_H + 1.0 / HOUR_S)
     if settled.sum() < _LEAST_STEPS or not (known & ~off).any():
         return None
-    load_W, T = meter_W[settled], T_out_C[settled]
-    mean_W = float(load_W.mean())
+    on = known & ~off
+    load_W, T, hour = meter_W[settled], T_out_C[settled], _hour(time_s)
+    mean_W, full_W = float(load_W.mean()), float(np.percentile(meter_W[on], 90.0))
     # A meter against the machine's direction has none, and a machine that never ran tells none.
-    if mean_W <= max(0.0, _LEAST_SHARE * float(np.percentile(meter_W[known & ~off], 90.0))):
+    if mean_W <= max(0.0, _LEAST_SHARE * full_W):
         return None
     reference_C = float(T.mean())
     design = np.zeros((load_W.size, DAY_H + 1))
-    design[np.arange(load_W.size), _hour(time_s[settled])] = 1.0
+    design[np.arange(load_W.size), hour[settled]] = 1.0
     design[:, DAY_H] = T - reference_C
     if _fades(design, load_W, off_h[settled]):
         return None
-    found = _coefficients(design, load_W)
-    found = _coefficients(design, load_W, error_of_a_step(design @ found - load_W, _ERROR * mean_W))
+    at_times = _at_times(design, load_W, full_W)
+    kept = known & ~np.isin(hour, at_times)
+    # What is left must tell the load of other hours and the laws of the machine.
+    enough = kept.sum() >= MEASURED * known.size and (kept & on).sum() >= MEASURED * on.sum()
+    if not enough or (kept & settled).sum() < _LEAST_STEPS:
+        at_times, kept = np.array([], dtype=np.intp), known
+    steady = kept[settled]
+    mean_W, rows, steady_W = float(load_W[steady].mean()), design[steady], load_W[steady]
+    found = _coefficients(rows, steady_W, _ERROR * mean_W)
+    found = _coefficients(rows, steady_W, error_of_a_step(rows @ found - steady_W, _ERROR * mean_W))
+    for one in at_times:
+        of_hour = design[:, one] > 0.0
+        found[one] = float(np.mean(load_W[of_hour] - found[DAY_H] * design[of_hour, DAY_H]))
     rmse_W = float(np.sqrt(np.mean((design @ found - load_W) ** 2)))
     load = OtherLoad(
         tuple(np.maximum(found[:DAY_H], 0.0).tolist()),
@@ -110,18 +136,21 @@ def other_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> Other
         reference_C,
         (float(T.min()), float(T.max())),
         rmse_W,
+        tuple(at_times.tolist()),
     )
-    on = known & ~off
     return None if _lacking(load, time_s[on], T_out_C[on], meter_W[on]) > _LACKS else load
 
 
 def own_W(
     meter_W: Array, foreign: Sequence[OtherLoad | None], record: Record, signs: Sequence[int] | None = None
 ) -> Array:
-    """The meters (k, n) without the `foreign` load on each (k,), W; `signs` (k,): direction of each, 1 by default."""
+    """The meters (k, n) without the `foreign` load on each (k,), W; `signs` (k,): direction of each, 1 by default.
+
+    NaN in hours in which such a load comes and goes.
+    """
     time_s, T_out_C = record.time_s[:-1], record.T_out_C[:-1]
     rows = [
-        row if other is None else sign * np.maximum(sign * row - other(time_s, T_out_C), 0.0)
+        row if other is None else sign * np.maximum(sign * row - other.steady(time_s, T_out_C), 0.0)
         for row, other, sign in zip(meter_W, foreign, signs or [1] * len(foreign), strict=True)
     ]
     return np.stack(rows)
@@ -134,22 +163,29 @@ def _lacking(load: OtherLoad, time_s: Array, T_out_C: Array, meter_W: Array) -> 
     return float(np.maximum(expected - meter, 0.0).sum() / max(expected.sum(), 1e-9))
 
 
+def _at_times(design: Array, load_W: Array, full_W: float) -> NDArray[np.intp]:
+    """The hours in which a load (n,), whose steps are rows of `design`, comes and goes."""
+    by_hour = design[:, :DAY_H]
+    found = np.linalg.lstsq(design, load_W, rcond=None)[0]
+    scatter_W = by_hour.T @ np.abs(load_W - design @ found) / np.maximum(by_hour.sum(axis=0), 1.0)
+    return np.flatnonzero(scatter_W > _AT_TIMES * full_W)
+
+
 def _fades(design: Array, load_W: Array, off_h: Array) -> bool:
     """Whether a good part of the load surely fades with the hours (n,) since the machine was on."""
     fading = np.exp(-np.minimum(off_h, DAY_H) / _FADES_H)
     design = np.column_stack([design, fading])
-    found = _coefficients(design, load_W)
+    found = _coefficients(design, load_W, _ERROR * float(load_W.mean()))
     sd_W = np.std(design @ found - load_W) / max(np.sqrt(fading.size) * np.std(fading), 1e-9)
     return bool(found[-1] * fading.mean() > _FADES_SHARE * load_W.mean() and found[-1] > _SURE_SD * sd_W)
 
 
-def _coefficients(design: Array, load_W: Array, error_W: float | None = None) -> Array:
+def _coefficients(design: Array, load_W: Array, error_W: float) -> Array:
     """Of each hour, of the outdoor temperature and of what may follow (k,), W each, around their priors.
 
-    `error_W`: of a step, by default a share of the mean.
+    `error_W`: of a step.
     """
     mean_W, k = float(load_W.mean()), design.shape[1]
-    error_W = error_W or _ERROR * mean_W
     smooth = np.zeros((DAY_H, k))  # from each hour to the next, around the clock
     smooth[:, :DAY_H] = np.eye(DAY_H) - np.roll(np.eye(DAY_H), 1, axis=1)
     flat = np.zeros((1, k))
