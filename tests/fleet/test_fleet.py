@@ -249,15 +249,32 @@ def test_what_cannot_be_reused_is_refused_before_anything_is_run(tmp_path: Path)
     assert not (tmp_path / "out").exists()
 
 
+def test_files_of_weather_and_prices_are_read_before_the_first_building_runs(tmp_path: Path) -> None:
+    """One that is wrong was found when its building came, hours later, and the next one after it."""
+    (tmp_path / "w.epw").write_text("no weather")
+    (tmp_path / "prices.csv").write_text("no prices\n")
+    rows = [
+        f"{name},bestest_hydronic_heat_pump,{weather}"
+        for name, weather in (("a", "w.epw"), ("b", "gone.mos"), ("c", "w.epw"))
+    ]
+    (tmp_path / "few.csv").write_text("\n".join(["name,testcase,weather", *rows]))
+    prices = {"scenario": {"plant": {"prices_file": str(tmp_path / "prices.csv")}}}
+    code, said = _fleet(_file(tmp_path, buildings=[{"table": "few.csv"}], windows=["44"], **prices), "--count")
+    assert code == 2
+    for text in ("building 'a' and 1 other: plant.weather: ", "building 'b': plant.weather: ", "plant.prices_file: "):
+        assert text in said
+    assert "gone.mos" in said
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("computed_here")
 def test_a_run_that_fails_is_listed_and_the_others_are_kept(tmp_path: Path) -> None:
-    (tmp_path / "w.epw").write_text("no weather")
-    (tmp_path / "few.csv").write_text("name,testcase,weather\nnorth,bestest_hydronic_heat_pump,w.epw\n")
+    (tmp_path / "few.csv").write_text("name,testcase,url\nnorth,bestest_hydronic_heat_pump,http://127.0.0.1:9\n")
     path = _file(
         tmp_path,
         buildings=[{"generated": {"seed": 5, "count": 1}}, {"table": "few.csv"}],
         windows=["peak_heat_day"],
+        scenario={"plant": {"patience_min": 0}},
     )
     code, said = _fleet(path)
     assert code == 3

@@ -22,14 +22,15 @@ from thermoforce_mpc.comparison.input_files import NO_FILES, SentFiles, input_fi
 from thermoforce_mpc.comparison.store import DONE, Identified, Store
 from thermoforce_mpc.comparison.tasks import tasks_of as cell_tasks
 from thermoforce_mpc.data import PlanStatus
-from thermoforce_mpc.errors import ArtifactError, ConfigError, DataError
+from thermoforce_mpc.errors import ArtifactError, ConfigError, DataError, InputError, counted
 from thermoforce_mpc.execution import Task, content_key
 from thermoforce_mpc.experiment.measured_model import model_of_measurements
 from thermoforce_mpc.files import pyarrow_for, storage_errors, write_plain
 from thermoforce_mpc.fleet.file import FleetBuilding, FleetFile
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.thermal_model import load_model
-from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.plants.registry import check_surroundings
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.settings import merge, validate
 
 
@@ -43,6 +44,25 @@ class FleetRun:
     building: FleetBuilding
     cell: Cell
     refused: str = ""
+
+
+def check_surroundings_of(file: FleetFile, buildings: Iterable[FleetBuilding], path: Path) -> None:
+    """Read the files of weather and prices of all buildings; raises `ConfigError` that names all that are wrong."""
+    users: dict[tuple[str, str], list[str]] = {}
+    for building in buildings:
+        plant = merge(dict(file.scenario), dict(building.scenario)).get("plant", {})
+        for key in ("weather", "prices_file"):
+            if building.runs and plant.get(key) not in (None, "synthetic"):
+                users.setdefault((key, str(plant[key])), []).append(building.name)
+    wrong = []
+    for (key, named), names in users.items():
+        try:
+            check_surroundings(validate(PlantSpec, {key: named}, "plant"))
+        except InputError as error:
+            more = f" and {counted(len(names) - 1, 'other')}" if len(names) > 1 else ""
+            wrong.append(f"building '{names[0]}'{more}: plant.{key}: {error}")
+    if wrong:
+        raise ConfigError(f"{path}:\n  " + "\n  ".join(wrong))
 
 
 def runs_of(file: FleetFile, buildings: Iterable[FleetBuilding], path: Path) -> list[FleetRun]:

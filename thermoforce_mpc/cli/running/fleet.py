@@ -26,6 +26,7 @@ from thermoforce_mpc.fleet.runs import (
     FleetRun,
     Measured,
     check_dataset,
+    check_surroundings_of,
     finished_rows,
     models_again,
     place_trajectories,
@@ -97,6 +98,7 @@ def fleet(
     check_named_code([file.scenario, *variants, *(building.scenario for building in buildings)], [], code, str(path))
     measured = tasks_of_records(buildings)
     # Checked before anything is run: those with measurements get their model later.
+    check_surroundings_of(file, buildings, path)
     runs = runs_of(file, [building for building in buildings if building.runs], path)
     identifications = len({run.cell.identification_key for run in runs if run.building.record is None} - {None})
     if measured:
