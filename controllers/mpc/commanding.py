@@ -135,7 +135,7 @@ class BuildingCommands:
         self._spread = np.array([_effect_spread(card) for card in cards])
         self._errors_K = np.zeros((len(layout.names.zones), len(JUDGED_H)))
         for z, card in zip(layout.home, cards, strict=True):
-            self._errors_K[z] = np.maximum(self._errors_K[z], _errors_K(card))
+            self._errors_K[z] = np.maximum(self._errors_K[z], free_errors_K(card))
 
     def begin(
         self,
@@ -223,7 +223,7 @@ class _HeldRoom:
     @classmethod
     def of(cls, card: ModelCard) -> _HeldRoom:
         """By the errors 6 h ahead, and what all actuators do there together, as `card` has it."""
-        return cls(_errors_K(card)[JUDGED_H.index(_ERROR_H)], min(card.together_sd, 1.0))
+        return cls(free_errors_K(card)[JUDGED_H.index(_ERROR_H)], min(card.together_sd, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -438,7 +438,7 @@ class CommandedPlan:
         uniform = rng.random(len(z))
         gain = np.exp(np.clip(z[:, :A] * self.spread, -1.0, 1.0))
         step_h = problem.step_s / HOUR_S
-        away_K: Array = self.free_K * _lasting((len(z), *self.free_K.shape), problem.step_s, rng)
+        away_K: Array = self.free_K * lasting((len(z), *self.free_K.shape), problem.step_s, rng)
         with_plan, alone = (self._brought(plan.u, held, len(z), gain, z[:, A], away_K) for held in (own, usual))
         # What commands do on the meter beside levels, by effects that differ too.
         drawn = [one.meter.drawn(_standard(len(z), one.meter.mean.size, rng)) for one in self.beside]
@@ -686,7 +686,7 @@ def _effect_spread(card: ModelCard) -> float:
     return min(sd / abs(effect), 1.0) if effect else 0.0
 
 
-def _errors_K(card: ModelCard) -> tuple[float, ...]:
+def free_errors_K(card: ModelCard) -> tuple[float, ...]:
     """Errors of predictions at the lead times that are judged, K; where none is known, the most that are allowed."""
     scores = () if card.competence is None else card.competence.horizons
     known = {score.hours: score.model_K for score in scores if np.isfinite(score.model_K)}
@@ -1008,7 +1008,7 @@ def _standard(S: int, n: int, rng: np.random.Generator) -> Array:
     return z
 
 
-def _lasting(shape: tuple[int, ...], step_s: float, rng: np.random.Generator) -> Array:
+def lasting(shape: tuple[int, ...], step_s: float, rng: np.random.Generator) -> Array:
     """Standard normal numbers (S, Z, n) that go on from step to step, of which the first are nought."""
     (S, Z, n), stays = shape, float(np.exp(-step_s / (_LASTS_H * HOUR_S)))
     drawn = _standard(S, Z * (n + 1), rng).reshape(S * Z, n + 1)

@@ -643,10 +643,11 @@ def command_rows(plan: Plan, commands: Mapping[str, LearnedCommand]) -> list[dic
     return rows
 
 
-def saving_in_words(saving: PlannedSaving) -> str:
-    """What a plan saves, in two sentences."""
+def saving_in_words(saving: PlannedSaving, alone: str = "") -> str:
+    """What a plan saves, in two sentences; `alone`: what a plan in levels is compared with, '' of one in commands."""
+    usual = "under the commands of the record's weeks"
     s, band = saving, f"(90 % band {saving.low:.2f} to {saving.high:.2f})"
-    if not s.gain > 0.0:
+    if not alone and not s.gain > 0.0:
         what = f"Not set: the commands that were found would save {s.saved:.2f} against leaving it alone {band}"
     elif s.low > 0.0:
         what = f"Saves {s.saved:.2f} against leaving it alone {band}"
@@ -658,5 +659,5 @@ def saving_in_words(saving: PlannedSaving) -> str:
     return (
         f"{what}: cost {s.cost:.2f} instead of {s.cost_alone:.2f}{peak}, energy {s.energy_kWh:.1f} instead of "
         f"{s.energy_alone_kWh:.1f} kWh, outside the bounds {s.outside_Kh:.1f} instead of {s.outside_alone_Kh:.1f} K·h, "
-        "and what is stored at the end. By the same model under the commands of the record's weeks."
+        f"and what is stored at the end. By the same model {alone or usual}."
     )

@@ -18,7 +18,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.building.data import show_findings
 from thermoforce_mpc.cli.building.plan import drawn_plan, plan_table
-from thermoforce_mpc.data import DAY_S, Boundary, Layout, Names, Plan, PlanStatus, Record
+from thermoforce_mpc.data import DAY_S, Boundary, Layout, Names, Plan, PlannedSaving, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 from thermoforce_mpc.identification.probing import operation
 from thermoforce_mpc.identification.probing.operation import OperationFinding
@@ -339,13 +339,24 @@ SIX_HOURS = ("--data", "probed.csv", "--map", "map.yaml", "--forecast", "ahead.c
 
 def test_why_a_plan_in_levels_has_no_saving_is_said(folder, model):
     words = ("--model", str(model), *SIX_HOURS)
-    done = tf_mpc(folder, "plan", *words, "--out", "levels.json")
-    said = " ".join(done.output.split())
-    assert "What the plan saves is not told: its levels have no command" in said
+    said = " ".join(tf_mpc(folder, "plan", *words, "--out", "levels.json").output.split())
+    assert "What the plan saves is not told: the record has 3 whole days, and 7 tell how it is left alone" in said
     assert "Saves" not in said
     found = json.loads((folder / "levels.json").read_text())
     assert found["saving"] is None
     assert found["no_saving"].startswith("What the plan saves is not told")
+    peaks = ("--set", "objective.peak_price_per_kW=1")
+    assert "at the meter, as a peak, is not counted" in " ".join(tf_mpc(folder, "plan", *words, *peaks).output.split())
+
+
+def test_a_saving_of_levels_is_said_with_what_it_is_compared_with(folder, model, monkeypatch):
+    found = PlannedSaving(0.5, 0.2, 0.8, 3.0, 3.5, 10.0, 11.0, 0.0, 0.4, 0.5)
+    monkeypatch.setattr("thermoforce_mpc.experiment.left_alone.saving_of_levels", lambda *_: found)
+    words = ("--model", str(model), *SIX_HOURS, "--out", "levels.json")
+    said = " ".join(tf_mpc(folder, "plan", *words).output.split())
+    assert "Saves 0.50 against leaving it alone (90 % band 0.20 to 0.80): cost 3.00 instead of 3.50" in said
+    assert "By the same model with rooms kept as warm as they were at these hours" in said
+    assert json.loads((folder / "levels.json").read_text())["saving"]["low"] == 0.2
 
 
 @pytest.mark.parametrize("mode", ["duty", "modulating"])

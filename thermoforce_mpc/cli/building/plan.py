@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +28,7 @@ from thermoforce_mpc.cli.options import (
 )
 from thermoforce_mpc.commands.loop import command_rows, saving_in_words
 from thermoforce_mpc.commands.tank import tank_in_words, tank_rows
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan, PlannedSaving
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.map.mapping import MOST_STEP_S
@@ -38,15 +39,11 @@ from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from controllers.mpc.config import MPCConfig
+
 
 # Least and usual length of a plan, h, and how much of the measurements it looks back at, days: a month with its peaks.
 _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 31.0
-# Of a plan in levels. The record tells what was set, under whatever control; what will be set without a plan only a
-# command's map tells.
-_NO_SAVING = (
-    "What the plan saves is not told: its levels have no command, and what the building's own control would set "
-    "instead is not known. tf-mpc worth tells what plans would have saved in the days of a record"
-)
 # Least step of a plan, s: that of the controller.
 _LEAST_STEP_S = 300.0
 
@@ -83,7 +80,8 @@ def plan(
     numbers. Nothing is connected: set the levels yourself, and plan again when new measurements are there.
 
     Where the map names a command of an actuator (docs/how-it-works/commands.md), that is what to set, with what it
-    saves against leaving the building alone. Of others the level is; what these save is not told (see tf-mpc worth).
+    saves against leaving the building alone. Of others the level is, with what these save against rooms kept as they
+    usually were, where days of the record are alike.
     With hot_water in the map the tank is planned too.
 
     A level between 0 and 1 of a machine that is only on or off means that share of the step. Where a step does not hold
@@ -103,6 +101,7 @@ def plan(
     from controllers.checks import ControllerConfigError
     from controllers.mpc.config import MPCConfig
     from controllers.mpc.controller import ThermoForceMPC
+    from thermoforce_mpc.experiment.left_alone import LEFT_ALONE, saving_of_levels
     from thermoforce_mpc.measurements.forecast import read_forecast
     from thermoforce_mpc.measurements.load import learned_commands, learned_tank, read_measurements
     from thermoforce_mpc.model.thermal_model import load_model
@@ -155,11 +154,14 @@ def plan(
         click.get_current_context().exit(NOT_COMPETENT if plan.status == "gate" else 1)
     table = plan_table(plan, ahead.head(plan.u.shape[1]), measured.layout)
     _show(plan, table, measured.layout, display, by_commands=bool(commands))
+    saving, unsaid = _saving_of(plan, lambda: saving_of_levels(thermal, history, ahead, plan), config, bool(commands))
+    if saving is not plan.saving and saving is not None:
+        display.say(saving_in_words(saving, f"with {LEFT_ALONE}"))
     found = [*command_rows(plan, commands), *tank_rows(plan, None if tank is None else tank.command)]
     if found:
         _show_commands(plan, found, display)
-    if plan.saving is None:
-        display.say(_NO_SAVING)
+    if unsaid:
+        display.say(unsaid)
     if plan.hot_water is not None:
         display.say(tank_in_words(plan.hot_water))
     if commands_file is not None:
@@ -168,9 +170,9 @@ def plan(
         acting = dict(zip(plan.names.actuators, map(str, plan.acting), strict=True))
         beside: dict[str, Any] = {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status}
         beside["acting"] = acting
-        beside["saving"] = _saving_json(plan)
-        if plan.saving is None:
-            beside["no_saving"] = _NO_SAVING
+        beside["saving"] = _saving_json(saving)
+        if unsaid:
+            beside["no_saving"] = unsaid
         if found:
             beside["commands"] = found
         if (of_tank := plan.hot_water) is not None:
@@ -234,10 +236,27 @@ def plan_table(plan: Plan, ahead: Boundary, layout: Layout | None = None) -> pd.
     return table
 
 
-def _saving_json(plan: Plan) -> dict[str, float] | None:
-    if plan.saving is None:
-        return None
-    return {name: round(value, 4) for name, value in asdict(plan.saving).items()}
+def _saving_of(
+    plan: Plan, of_levels: Callable[[], PlannedSaving], config: MPCConfig, by_commands: bool
+) -> tuple[PlannedSaving | None, str]:
+    """What a plan saves, and why it is not told; '' where it is."""
+    if plan.saving is not None:
+        return plan.saving, ""
+    try:
+        if by_commands:
+            raise DataError("none of its commands is set")
+        if plan.hot_water is not None:
+            raise DataError("what is done with hot water beside the rooms is not counted")
+        if config.objective.prices_peaks or config.objective.at_the_meter:
+            raise DataError("what it changes at the meter, as a peak, is not counted")
+        return of_levels(), ""
+    except DataError as error:
+        told = "tf-mpc worth tells what plans would have saved in the days of a record"
+        return None, f"What the plan saves is not told: {error}. {told}"
+
+
+def _saving_json(saving: PlannedSaving | None) -> dict[str, float] | None:
+    return None if saving is None else {name: round(value, 4) for name, value in asdict(saving).items()}
 
 
 def _show_commands(plan: Plan, rows: list[dict[str, Any]], display: RunDisplay) -> None:
@@ -252,7 +271,7 @@ def _show_commands(plan: Plan, rows: list[dict[str, Any]], display: RunDisplay) 
 
 def _write_commands(path: Path, plan: Plan, rows: list[dict[str, Any]], display: RunDisplay) -> None:
     if path.suffix == ".json":
-        content = {"status": str(plan.status), "why": plan.why, "saving": _saving_json(plan), "commands": rows}
+        content = {"status": str(plan.status), "why": plan.why, "saving": _saving_json(plan.saving), "commands": rows}
         write_json_file(path, content, display.console, "Commands")
         return
     from thermoforce_mpc.files import write_whole

@@ -1,0 +1,118 @@
+"""What a plan in levels saves: against a house whose thermostats the record shows, lived both ways."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from home_by_setpoint import RULES, START, HomeBySetpoint
+from simple_house import GAIN_K, POLE, outdoor_C, simple_model
+
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
+from thermoforce_mpc.commands.loop import saving_in_words
+from thermoforce_mpc.data import HOUR_S, Observation
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.experiment.left_alone import LEFT_ALONE, saving_of_levels
+from thermoforce_mpc.measurements.forecast import read_forecast
+from thermoforce_mpc.measurements.load import read_measurements
+from thermoforce_mpc.model.card import JUDGED_H, Competence, HorizonScore
+
+LEVELS = RULES | {"actuators": {"actuator": {"level": "u"}}}
+W_PER_U = 4300.0
+
+
+def price(at):
+    """A little dearer in the morning and in the evening."""
+    return 0.25 if at.hour in (7, 8, 17, 18, 19, 20) else 0.20
+
+
+@pytest.fixture(scope="module")
+def home():
+    return HomeBySetpoint(days=14)
+
+
+@pytest.fixture(scope="module")
+def measured(home):
+    return read_measurements(home.measurements(), LEVELS, step_s=HOUR_S).served()
+
+
+@pytest.fixture(scope="module")
+def model():
+    exact, steady = simple_model(), GAIN_K / (1.0 - POLE)
+    known = {f"step_response_{h}h_K": steady * (1.0 - POLE**h) for h in (1, 2, 4, 8, 12, 24, 48)}
+    known |= {f"step_response_{h}h_sd_K": 0.1 * steady * (1.0 - POLE**h) for h in (1, 2, 4, 8, 12, 24, 48)}
+    scores = tuple(HorizonScore(float(h), 0.1, 2.0, 2.0, 9.0, 9) for h in JUDGED_H)
+    verdict = Competence(True, horizons=scores, effect_K=2.0, effect_sd_K=0.2)
+    return replace(exact, cards=(replace(exact.cards[0], uncertainty=known, competence=verdict),))
+
+
+@pytest.fixture(scope="module")
+def planned(home, measured, model):
+    """What is ahead, and the plan."""
+    off = {"enabled": False}
+    options = {"step_s": HOUR_S, "horizon_h": 24.0, "free_response": {"name": "persistence"}, "gate": off, "watch": off}
+    table = home.forecast()
+    ahead = read_forecast(table.assign(price=[price(at) for at in table.index]), measured).head(24)
+    return ahead, ThermoForceMPC(model, MPCConfig.model_validate(options)).plan(Observation(measured.record, ahead))
+
+
+def lived(home, levels, days=8):
+    """What the home costs until a week later: at `levels` in the first of them, or by its own thermostat."""
+    own, n = HomeBySetpoint(days=14), len(home.rows)
+    if levels is None:
+        own.wait_until(START + pd.Timedelta(days=days))
+        return sum(price(row["time"]) * row["P"] for row in own.rows[n:]) / 12000.0
+    cost = sum(price(START + pd.Timedelta(hours=k)) * W_PER_U * u / 1000.0 for k, u in enumerate(levels))
+    out = outdoor_C((START - pd.Timestamp("2025-01-01", tz="UTC")).total_seconds() + HOUR_S * np.arange(len(levels)))
+    for k, u in enumerate(levels):
+        own.T = POLE * own.T + (1.0 - POLE) * out[k] + GAIN_K * u
+    own.at = START + pd.Timedelta(hours=len(levels))
+    own.wait_until(START + pd.Timedelta(days=days))
+    return cost + sum(price(row["time"]) * row["P"] for row in own.rows[n:]) / 12000.0
+
+
+def test_the_saving_of_levels_is_that_of_the_house_lived_both_ways(home, measured, model, planned):
+    ahead, plan = planned
+    saving = saving_of_levels(model, measured.record, ahead, plan)
+    true = lived(home, None) - lived(home, plan.u[0])
+    assert saving.low < true < saving.high
+    assert saving.saved == pytest.approx(true, abs=0.1 * saving.cost_alone)
+    assert saving.high - saving.low < 0.5 * saving.cost_alone
+    alone = lived(home, None, days=1)
+    assert saving.cost_alone == pytest.approx(alone, rel=0.1)
+    dearer = replace(plan, u=np.clip(plan.u + 0.2, 0.0, 1.0))
+    assert saving_of_levels(model, measured.record, ahead, dearer).saved < saving.saved - 0.3
+    words = saving_in_words(replace(saving, gain=-1.0), f"with {LEFT_ALONE}")
+    assert words.endswith(
+        "By the same model with rooms kept as warm as they were at these hours while their heat acted."
+    )
+    assert "Not set" not in words
+
+
+def test_a_record_that_shows_no_habit_tells_no_saving(measured, model, planned):
+    ahead, plan = planned
+    rng = np.random.default_rng(5)
+    r = measured.record
+    u = np.repeat(rng.uniform(0.0, 1.0, (1, r.n_steps // 12)), 12, axis=1)
+    T = np.full((1, r.n_steps + 1), 20.0)
+    for k in range(r.n_steps):
+        T[0, k + 1] = POLE * T[0, k] + (1.0 - POLE) * r.T_out_C[k] + GAIN_K * u[0, k]
+    by_chance = replace(r, T_zone_C=T, u=u, power_W=W_PER_U * u)
+    with pytest.raises(DataError, match=r"how the building is left alone is no habit: .* single days differ by"):
+        saving_of_levels(model, by_chance, ahead, plan)
+    with pytest.raises(DataError, match="the record has 3 whole days, and 7 tell"):
+        saving_of_levels(model, r.last(80), ahead, plan)
+    with pytest.raises(DataError, match="no heat acted"):
+        saving_of_levels(model, replace(r, u=0.0 * r.u), ahead, plan)
+
+
+def test_what_the_model_does_not_tell_is_said(measured, model, planned):
+    ahead, plan = planned
+    unsure = replace(model, cards=(replace(model.cards[0], uncertainty={}),))
+    with pytest.raises(DataError, match="the model does not say how well it knows"):
+        saving_of_levels(unsure, measured.record, ahead, plan)
+    with pytest.raises(DataError, match="not all actuators follow the plan"):
+        saving_of_levels(model, measured.record, ahead, replace(plan, u=np.empty((1, 0))))

@@ -1,0 +1,355 @@
+"""What a plan in levels saves against the building left alone, as far as its record shows how it is left alone.
+
+Nobody knows what a building's own control would set. What the record shows is what rooms are kept at: of each hour of
+the day the temperature that they have on days in which their heat acts then. Left alone, each room is given the least
+that keeps it there. Whether that is what the record's levels took is looked at: its days are lived again, each by the
+habits of the others, and what it takes is compared with what was. Where days differ too much, nothing is said; else
+what it takes is put right by them, and the band has what is left. Houses that differ by what the model does not know
+are put right each by itself, so that an effect that is larger than it is thought changes little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.mpc.commanding import free_errors_K, lasting
+from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Boundary, Plan, PlannedSaving, Record
+from thermoforce_mpc.data.dataframes import clock_s
+from thermoforce_mpc.data.series import bridged, interpolated
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.experiment.worth import effect_spreads
+from thermoforce_mpc.model.card import JUDGED_H
+from thermoforce_mpc.model.forced_state import followed
+from thermoforce_mpc.model.forecast_gaps import completed
+from thermoforce_mpc.model.machine.change import COMPARED_H, weight_of_demand
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.parameters import OUTDOOR, feature_matrix
+from thermoforce_mpc.model.thermal_model import ThermalModel
+
+# Last days of a record that are looked at, and least of them; of an hour, in which the heat acts, level of its step.
+_DAYS, _LEAST_DAYS, _LEAST_ACTING, _ACTS = 21, 7, 3, 0.02
+# Days are alike where what they take differs by so much at most from what habits say, root mean square, and all of them
+# by so much; as shares. By judgement.
+_ALIKE, _OFF = 0.35, 0.4
+# What plans in levels save at all, and error of what is said beyond all else, as shares of the cost of the day left
+# alone: what rooms hold at the end of a plan and take later was said 10 % of it wrong, and 10.5 % was saved or lost,
+# root mean square of 15 plans of `house:3rooms:31000`, `house:4rooms:31001` to `house:4rooms:31004` (30 November 2026).
+_SAVES, _BEYOND = 0.12, 0.1
+_DRAWS, _SEED, _MOST_LOG, _ROUNDS, _TABLE = 40, 64, 1.0, 6, 33
+LEFT_ALONE = "rooms kept as warm as they were at these hours while their heat acted"
+"""What such a saving is compared with."""
+
+
+def saving_of_levels(model: ThermalModel, history: Record, ahead: Boundary, plan: Plan) -> PlannedSaving:
+    """What a plan in levels saves over its N steps, by the model and the habits of the record.
+
+    Args:
+        model: of the plan.
+        history: what was measured until it begins, at its step.
+        ahead: weather, bounds and prices of its steps.
+        plan: its levels and temperatures.
+
+    Raises:
+        DataError: the record does not tell how the building is left alone; says why.
+    """
+    _check(model, plan)
+    whole, _ = bridged(model.in_rooms(history))
+    ahead, _ = completed(ahead, whole, None)
+    habits = _Habits.of(model, whole)
+    operator, rng = model.operator.resampled(whole.step_s), np.random.default_rng(_SEED)
+    forced, spread = followed(model.operator, None, whole).forced_K, effect_spreads(model)
+    gain = np.exp(np.clip(spread * _standard(rng, (_DRAWS + 1, *spread.shape)), -_MOST_LOG, _MOST_LOG))
+    ratio, scatter = habits.against_record(model, operator, whole, forced, gain)
+    u, now = np.clip(plan.u, operator.u_min[:, None], 1.0), forced[:, :, -1]
+    T_free_C = plan.T_zone_C - operator.rollout(now, u, _features(plan.T_zone_C, ahead)).sum(axis=(1, 3))
+    x = _features(T_free_C, ahead)
+    away_K = lasting((len(gain), *T_free_C.shape), whole.step_s, rng) * _free_errors_K(model, ahead)
+    target_C = habits.at(clock_s(ahead.time_s[1:], history.origin), _is_weekend(ahead.time_s[:-1], history))
+    begin, T_free_C = np.repeat(now[None], len(gain), axis=0), T_free_C + away_K
+    u_alone, T_alone_C, after_alone = _kept(operator, begin, T_free_C, x, target_C, gain)
+    T_plan_C, after_plan = _held(operator, begin, T_free_C, x, u, gain)
+    hours = -whole.step_s / HOUR_S / np.log(np.clip(operator.poles, 1e-9, 1.0 - 1e-9))
+    warmer_Kh = ((after_plan - after_alone) * hours).sum(axis=(2, 3))
+    days = max(u.shape[1] * whole.step_s / DAY_S, 1.0)
+    other = np.exp(scatter / np.sqrt(days) * _standard(rng, ratio.shape)) / ratio
+    both = _Both(u, u_alone, other, T_plan_C, T_alone_C, warmer_Kh)
+    return _compared([_cost(model, m, whole, ahead, both, rng) for m in range(len(model.machines))], both, ahead, rng)
+
+
+@dataclass(frozen=True, eq=False)
+class _Both:
+    """A plan's levels `u` (A, N), and those of S houses left alone (S, A, N), which take `other` (S,) times what they
+    say; temperatures of both (S, Z, N), °C, and by how much the plan leaves rooms warmer, `warmer_Kh` (S, Z), K·h.
+    """
+
+    u: Array
+    u_alone: Array
+    other: Array
+    T_plan_C: Array
+    T_alone_C: Array
+    warmer_Kh: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Cost:
+    """What S houses cost and take by a plan and left `alone`, currency and kWh (S,); `stored`: what the plan leaves,
+    and `by_demand`: what it saves in the likeliest house since its rooms are colder, currency.
+    """
+
+    cost: Array
+    kWh: Array
+    alone: Array
+    alone_kWh: Array
+    stored: Array
+    by_demand: float
+
+
+def _cost(model: ThermalModel, m: int, record: Record, ahead: Boundary, both: _Both, rng: np.random.Generator) -> _Cost:
+    """What machine `m` costs in both. Energy that the record does not tell lies between what the law of power says of
+    levels and what the rooms ask for; what is used more and less errs each by itself.
+    """
+    per_W, price, T_out_C = record.step_s / HOUR_S / 1000.0, ahead.price_per_kWh[m, :-1], ahead.T_out_C
+    fed, share, S = (
+        [model.layout.home[a] for a in model.layout.fed_by(m)],
+        model.power_change(m, record),
+        len(both.other),
+    )
+    idle_W, plan_W = (model.power_by_law(m, one, T_out_C[:-1]) for one in (np.zeros_like(both.u), both.u))
+    rooms_W = np.stack([model.power_by_law(m, one, T_out_C[:-1]) - idle_W for one in both.u_alone])
+    alone_W = idle_W + rooms_W * both.other[:, None]
+    if not np.isfinite(alone_W).all():
+        raise DataError(f"the power of {model.layout.names.machines[m]} is not known")
+    alone_kWh, alone = alone_W.sum(axis=1) * per_W, alone_W @ price * per_W
+    plan_kWh, law = float(plan_W.sum()) * per_W, float(plan_W @ price) * per_W
+    T_C = both.T_plan_C, both.T_alone_C
+    over_K, over_alone_K = (np.maximum((one[:, fed] - T_out_C[1:]).mean(axis=(1, 2)), 1.0) for one in T_C)
+    more, less = _standard(rng, (S, 2)).T
+    asked = alone_kWh * over_K / over_alone_K / max(plan_kWh, 1e-9)
+    goes = np.append(0.5, rng.random(S - 1)) * weight_of_demand(share.spread)
+    factor = 1.0 + goes * (asked - 1.0)
+    change = (plan_W - alone_W[0]) * price * per_W
+    parts = np.add.reduceat(change, np.arange(0, change.size, max(1, round(COMPARED_H * HOUR_S / record.step_s))))
+    errs = np.maximum(parts, 0.0).sum() * more - np.maximum(-parts, 0.0).sum() * less
+    of_rooms = alone - float(idle_W @ price) * per_W
+    an_hour_kWh = (alone_kWh - float(idle_W.sum()) * per_W) / (price.size * record.step_s / HOUR_S)
+    stored = both.warmer_Kh[:, fed].mean(axis=1) * an_hour_kWh / over_alone_K * alone / np.maximum(alone_kWh, 1e-9)
+    by_demand = float(of_rooms[0] * (1.0 - over_K[0] / over_alone_K[0]))
+    return _Cost(law * factor + share.spread * errs, plan_kWh * factor, alone, alone_kWh, stored, by_demand)
+
+
+def _compared(machines: Sequence[_Cost], both: _Both, ahead: Boundary, rng: np.random.Generator) -> PlannedSaving:
+    """What a plan saves, of all machines together."""
+    cost, kWh, alone, alone_kWh, stored = (
+        np.sum([getattr(one, of) for one in machines], axis=0) for of in ("cost", "kWh", "alone", "alone_kWh", "stored")
+    )
+    by_demand = sum(one.by_demand for one in machines)
+    saved = alone - cost + stored + _BEYOND * alone[0] * _standard(rng, alone.shape)
+    away = np.quantile(saved[1:], (0.05, 0.95)) - np.median(saved[1:])
+    # Less comes true of the best of many plans by a model that errs, the more it errs (Smith and Winkler 2006); what
+    # colder rooms need less does.
+    prior, error = _SAVES * float(alone[0]), float(away[1] - away[0]) / (2.0 * NORMAL_95)
+    kept = prior**2 / max(prior**2 + error**2, 1e-12)
+    expected = by_demand + kept * (float(saved[0]) - by_demand)
+    low, high = (expected + float(np.sqrt(kept)) * float(one) for one in away)
+    step_h = float(ahead.step_s) / HOUR_S
+    outside = [float(ahead.outside_K(one[0]).sum()) * step_h for one in (both.T_plan_C, both.T_alone_C)]
+    return PlannedSaving(
+        saved=expected,
+        low=min(low, expected),
+        high=max(high, expected),
+        cost=float(cost[0]) + float(saved[0]) - expected,
+        cost_alone=float(alone[0]),
+        energy_kWh=float(kWh[0]),
+        energy_alone_kWh=float(alone_kWh[0]),
+        outside_Kh=outside[0],
+        outside_alone_Kh=outside[1],
+        gain=expected,
+    )
+
+
+def _free_errors_K(model: ThermalModel, ahead: Boundary) -> Array:
+    """Errors of the free part at the ends of steps (Z, N), K."""
+    each = np.zeros((len(model.operator.zones), len(JUDGED_H)))
+    for z, card in zip(model.operator.home, model.cards, strict=True):
+        each[z] = np.maximum(each[z], free_errors_K(card))
+    ends_h = (ahead.time_s[1:] - ahead.time_s[0]) / HOUR_S
+    return np.stack([np.interp(ends_h, (0.0, *JUDGED_H), (0.0, *row)) for row in each])
+
+
+def _check(model: ThermalModel, plan: Plan) -> None:
+    layout = model.layout
+    if plan.u.size == 0 or not plan.followed.all():
+        raise DataError("not all actuators follow the plan")
+    if any(layout.home.count(z) != 1 for z in layout.home):
+        raise DataError("a room has several actuators, and how its own control shares among them is not known")
+    if min(layout.u_min) < 0.0 or min(layout.signs) < 0:
+        raise DataError("an actuator cools, and its own control is looked at where it heats alone")
+    for name, power in zip(layout.names.machines, model.power, strict=True):
+        if power is None:
+            raise DataError(f"the power of {name} is not known")
+    if not np.isfinite(plan.T_zone_C).all():
+        raise DataError("the temperature of a room is not known")
+
+
+@dataclass(frozen=True, eq=False)
+class _Habits:
+    """What rooms were kept at: of days (D, K steps) temperatures `T_C` (Z, D, K) at the ends of steps, and whether
+    their heat acted (Z, D, K); `weekend` (D,); `first`: number of the first step in the record.
+    """
+
+    T_C: Array
+    acted: NDArray[np.bool_]
+    weekend: NDArray[np.bool_]
+    first: int
+
+    @classmethod
+    def of(cls, model: ThermalModel, record: Record) -> _Habits:
+        """Of the last whole days of a record, from midnight to midnight."""
+        per_day = DAY_S / record.step_s
+        K = round(per_day)
+        clock = clock_s(record.time_s, record.origin)
+        begins = np.flatnonzero(np.abs(clock % DAY_S) < 1.0)
+        begins = begins[begins + K <= record.n_steps]
+        if abs(per_day - K) > 1e-6 or begins.size < _LEAST_DAYS:
+            raise DataError(f"the record has {begins.size} whole days, and {_LEAST_DAYS} tell how it is left alone")
+        begins = begins[-_DAYS:]
+        rows = begins[:, None] + np.arange(K)
+        home = list(model.operator.home)
+        own_C = record.T_zone_C[:, 1:][:, rows]
+        acted = np.zeros(own_C.shape, dtype=bool)
+        acted[home] = np.abs(record.u[:, rows]) > _ACTS
+        weekend = _is_weekend(record.time_s[begins], record)
+        return cls(own_C, acted & np.isfinite(own_C), weekend, int(begins[0]))
+
+    def at(self, clock: Array, weekend: NDArray[np.bool_], without: int | None = None) -> Array:
+        """What rooms are kept at at the ends of steps (Z, n), °C, by the clock `clock` (n,), s; −inf where
+        no heat acts then. `without`: a day that does not count.
+        """
+        Z, D, K = self.T_C.shape
+        counts = np.ones(D, dtype=bool)
+        if without is not None:
+            counts[without] = False
+        place = (np.round(clock / DAY_S * K).astype(np.intp) - 1) % K
+        out = np.empty((Z, clock.size))
+        for z in range(Z):
+            for n, k in enumerate(place):
+                used = counts & self.acted[z, :, k]
+                alike = used & (self.weekend == weekend[n])
+                used = alike if alike.sum() >= _LEAST_ACTING else used
+                out[z, n] = np.median(self.T_C[z, used, k]) if used.sum() >= _LEAST_ACTING else -np.inf
+        return out
+
+    def against_record(
+        self, model: ThermalModel, operator: BuildingOperator, record: Record, forced: Array, gain: Array
+    ) -> tuple[Array, float]:
+        """What habits take of what the record's days took, in S houses with effects `gain` (S, Z, A), (S,), and the
+        scatter of days around it, as a share.
+
+        Raises `DataError` where days are not alike.
+        """
+        (_, D, K), S = self.T_C.shape, len(gain)
+        took, takes = np.empty(D), np.empty((S, D))
+        for d in range(D):
+            begin = self.first + round(float(d) * K)
+            stretch = record.slice(begin, begin + K)
+            free = np.array(
+                [interpolated(row) for row in stretch.T_zone_C - forced[:, :, begin : begin + K + 1].sum(axis=(1, 3))]
+            )
+            x = feature_matrix(free[:, :-1], stretch.T_out_C[:-1], stretch.solar_W_m2[:-1], stretch.time_s[:-1])
+            weekend = np.repeat(self.weekend[d], K)
+            target = self.at(clock_s(stretch.time_s[1:], record.origin), weekend, without=d)
+            state = np.repeat(forced[None, :, :, begin], S, axis=0)
+            # What acted before is as the model has it, as at the begin of a plan.
+            u, _, _ = _kept(operator, state, np.repeat(free[None, :, 1:], S, axis=0), x, target, gain)
+            idle = _power_W(model, np.zeros_like(stretch.u), stretch.T_out_C).sum()
+            took[d] = _power_W(model, stretch.u, stretch.T_out_C).sum() - idle
+            takes[:, d] = [_power_W(model, one, stretch.T_out_C).sum() - idle for one in u]
+        if not took.sum() > 0.0:
+            raise DataError("no heat acted in the record's days")
+        ratio = takes.sum(axis=1) / took.sum()
+        scatter = float(np.std(takes[0] / max(ratio[0], 1e-9) - took) / took.mean())
+        if abs(ratio[0] - 1.0) > _OFF or scatter > _ALIKE:
+            raise DataError(
+                f"how the building is left alone is no habit: kept as they usually are, rooms of the record's days "
+                f"would have taken {100 * ratio[0]:.0f} % of what they took, and single days differ by "
+                f"{100 * scatter:.0f} %"
+            )
+        return ratio, scatter
+
+
+def _is_weekend(time_s: Array, record: Record) -> NDArray[np.bool_]:
+    if record.origin is None:
+        return np.zeros(np.shape(time_s), dtype=bool)
+    import pandas as pd
+
+    return np.array([(record.origin + pd.Timedelta(seconds=float(s))).weekday() >= 5 for s in np.atleast_1d(time_s)])
+
+
+def _features(T_free_C: Array, ahead: Boundary) -> Array:
+    """Features (Z, N, 4) with what is free at the ends of steps in the place of their beginnings."""
+    return feature_matrix(T_free_C, ahead.T_out_C[:-1], ahead.solar_W_m2[:-1], ahead.time_s[:-1])
+
+
+def _power_W(model: ThermalModel, u: Array, T_out_C: Array) -> Array:
+    """Power of each machine (M, n) by its law, W."""
+    return np.array([model.power_by_law(m, u, T_out_C[:-1]) for m in range(len(model.machines))])
+
+
+def _kept(
+    operator: BuildingOperator, state: Array, T_free_C: Array, x: Array, target_C: Array, gain: Array
+) -> tuple[Array, Array, Array]:
+    """The least levels that keep rooms at `target_C` (Z, N) at the ends of steps: levels (S, A, N), temperatures
+    (S, Z, N), and forced states at the end, of S houses with forced states `state` (S, Z, A, r), `T_free_C` (S, Z, N)
+    and effects `gain` (S, Z, A) as a multiple.
+    """
+    S, A, N = len(state), len(operator.home), T_free_C.shape[-1]
+    per_drive = operator.gains.sum(axis=2) * gain  # (S, Z, A)
+    table = np.linspace(0.0, 1.0, _TABLE)
+    u, T_C = np.zeros((S, A, N)), np.empty(T_free_C.shape)
+    for k in range(N):
+        faded = operator.poles * state
+        at_rest = T_free_C[..., k] + faded.sum(axis=(2, 3))
+        factor = operator.modulated(np.ones(A), x[:, k], state[0])
+        heat = [
+            np.asarray(operator.of_actuator(a).heat_input(table, np.full(_TABLE, x[z, k, OUTDOOR])))
+            for a, z in enumerate(operator.home)
+        ]
+        drive = np.zeros((S, A))
+        for _ in range(_ROUNDS):
+            for a, z in enumerate(operator.home):
+                others = (
+                    at_rest[:, z] + np.einsum("sa,sa->s", per_drive[:, z], drive) - per_drive[:, z, a] * drive[:, a]
+                )
+                wanted = np.maximum(target_C[z, k] - others, 0.0) / np.maximum(per_drive[:, z, a] * factor[a], 1e-12)
+                u[:, a, k] = np.interp(wanted, heat[a], table)
+                drive[:, a] = factor[a] * np.interp(u[:, a, k], table, heat[a])
+        state = faded + operator.gains * (gain * drive[:, None, :])[..., None]
+        T_C[..., k] = T_free_C[..., k] + state.sum(axis=(2, 3))
+    return u, T_C, state
+
+
+def _held(
+    operator: BuildingOperator, state: Array, T_free_C: Array, x: Array, u: Array, gain: Array
+) -> tuple[Array, Array]:
+    """Temperatures (S, Z, N) and forced states at the end under levels `u` (A, N), as `_kept`."""
+    T_C, A = np.empty(T_free_C.shape), len(operator.home)
+    for k in range(u.shape[1]):
+        heat = [
+            float(operator.of_actuator(a).heat_input(np.asarray(u[a, k]), np.asarray(x[z, k, OUTDOOR])))
+            for a, z in enumerate(operator.home)
+        ]
+        drive = operator.modulated(np.ones(A), x[:, k], state[0]) * np.array(heat)
+        state = operator.poles * state + operator.gains * (gain * drive[None, None])[..., None]
+        T_C[..., k] = T_free_C[..., k] + state.sum(axis=(2, 3))
+    return T_C, state
+
+
+def _standard(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+    """Standard normal numbers, of which the first are nought."""
+    z = rng.standard_normal(shape)
+    z[0] = 0.0
+    return z
