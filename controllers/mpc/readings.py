@@ -22,6 +22,7 @@ from controllers.mpc.planner import Planner, Planners
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import Array, Boundary, Observation, Plan, Record
 from thermoforce_mpc.data.series import gapless
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, gather, within
 from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.forecast_gaps import completed, whole
@@ -89,6 +90,8 @@ class ReadingsFilter:
         history = self.meters.mask_rejected(meters, history)
         if metered.found:  # the forced state was computed with them
             state = state.without_forced()
+        if with_model:
+            history = self._in_time(history)
         before = self.sensors.mask_rejected(state.sensors, history)
         forced = self._forced(before, state) if with_model else None
         forced_K = None if forced is None else forced.forced_K
@@ -111,6 +114,13 @@ class ReadingsFilter:
         if of_zones != self._sun.of_zones(state.sun):  # the forced state may follow the temperature
             state = state.without_forced()
         return off_sensors(history, of_zones), replace(state, sun=sun), news
+
+    def _in_time(self, history: Record) -> Record:
+        """The record with the temperatures of rooms whose sensors are late; as it is where its levels are not known."""
+        try:
+            return self._model.in_time(history)
+        except DataError:  # prediction meets the same error and says it
+            return history
 
     def _forced(self, history: Record, state: MPCState) -> ForcedState | None:
         """Forced states of the building until now; None at the start, or if they cannot be estimated."""

@@ -44,6 +44,9 @@ class IdentificationConfig(StrictModel):
     sun_on_sensor: bool = Field(
         True, description="look for sun on the zone sensor, and take it off the readings where there is any"
     )
+    late_sensor: bool = Field(
+        True, description="look for a zone sensor that reads late, and plan for the temperature of the room"
+    )
     foreign_loads: bool = Field(True, description="look for other loads on meters of power and heat, and take them off")
     modulation: Literal["always", "auto", "linear"] = Field(
         "auto",

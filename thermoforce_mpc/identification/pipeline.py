@@ -40,6 +40,7 @@ from thermoforce_mpc.identification.estimation.records import (
     prepared_pairs,
     prepared_runs,
 )
+from thermoforce_mpc.identification.network.lag import rooms_in_time
 from thermoforce_mpc.identification.network.sensor import without_sun
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.identification.zones.model import identify_zone
@@ -114,6 +115,7 @@ def identify(
         inputs.append(heat_input)
         noted.append([*records.notes, *of_heat, *records.foreign.notes(a)])
     runs, sun = without_sun(records.runs, layout, inputs, config)
+    runs, pairs, late = rooms_in_time(runs, records.pairs, layout, inputs, config)
     data = []
     for a, home in enumerate(layout.home):
         m, order, likeliest = layout.machine_of[a], [a, *others_of(layout, a, config)], sun.get(home)
@@ -123,19 +125,20 @@ def identify(
             records.hashes,
             scores={} if likeliest is None else {"sun_on_sensor": likeliest.probability},
             config=config.model_dump(mode="json"),
-            notes=(*noted[a], *([] if taken_off is None else [taken_off.in_words()])),
+            notes=(*noted[a], *(found.in_words() for found in (taken_off, late.get(home)) if found is not None)),
             sun_on_sensor=taken_off,
+            late_sensor=late.get(home),
             foreign_heat=records.foreign.heat[a],
         )
         of_zone = [h.part(home, order, [m]) for h in runs]
-        pairs_of_zone = [p.part(home, order, [m]) for p in records.pairs]
+        pairs_of_zone = [p.part(home, order, [m]) for p in pairs]
         bars = [remark for remark in records.doubts if a in remark.actuators]
         area_m2 = float(layout.floor_area_m2[home])
         sign = layout.signs[a]
         data.append(ZoneData(config, of_zone, pairs_of_zone, inputs[a], sign, step_s, card, alone, bars, area_m2))
     days = sum(h.n_steps * h.step_s for h in records.histories) / DAY_S
     say(f"fitting what acting does to {days:.3g} days of records")
-    estimates = _estimates(runs, records, layout, data, config)
+    estimates = _estimates(runs, pairs, records, layout, data, config)
     layout = with_metered_shares(layout, [each.everything.heat_input for each in estimates], records.histories)
     layout = with_shares_by_power(layout, records.histories)
     power, of_power = _powers(records, config, layout)
@@ -215,11 +218,16 @@ def _named(runs: Sequence[Record], pairs: Sequence[Pair]) -> dict[str, Record]:
 
 
 def _estimates(
-    runs: Sequence[Record], records: _Records, layout: Layout, data: Sequence[ZoneData], config: IdentificationConfig
+    runs: Sequence[Record],
+    pairs: Sequence[Pair],
+    records: _Records,
+    layout: Layout,
+    data: Sequence[ZoneData],
+    config: IdentificationConfig,
 ) -> list[Estimate]:
-    """Linear estimate of each actuator's home zone (A,), from the runs without sun."""
+    """Linear estimate of each actuator's home zone (A,), from the temperatures of the rooms."""
     if config.method == "joint":
-        return network_estimates(runs, records.pairs, layout, data, config, sizes_by_power(layout, records.histories))
+        return network_estimates(runs, pairs, layout, data, config, sizes_by_power(layout, records.histories))
     found = []
     for a, zone in enumerate(data):
         with _told(records, layout, a):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.late_sensor import LateSensor
 from thermoforce_mpc.model.machine.blocked_hours import HourEffects, HourSeen
 from thermoforce_mpc.model.machine.other_load import OtherLoad
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
@@ -124,11 +125,12 @@ class ModelCard:
 
     `data` maps the name of each record to its SHA-256, `ranges` each signal to the (low, high) of the identification
     data. `competence` is the verdict on held-out data; None: not judged (given by hand, or identified before there was
-    one). `sun_on_sensor` is the sun in the readings of the zone sensor, `foreign_heat` what the heat meter of the
-    actuator shows beside its heat; None: none was found. `blocked_hours`: hours of the day in which nothing came while
-    it was probed, whatever was asked for (`machine.blocked_hours`), of signed levels no heat; `blocked_cooling_hours`:
-    of signed levels no cold. `hour_effects`: what predictions an hour ahead tell of hours of the day in which less of
-    the effect of acting came (`machine.blocked_hours.HourSeen`): time, s, error, effect and promise, K.
+    one). `sun_on_sensor` is the sun in the readings of the zone sensor, `late_sensor` how late it reads, `foreign_heat`
+    what the heat meter of the actuator shows beside its heat; None: none was found. `blocked_hours`: hours of the day
+    in which nothing came while it was probed, whatever was asked for (`machine.blocked_hours`), of signed levels no
+    heat; `blocked_cooling_hours`: of signed levels no cold. `hour_effects`: what predictions an hour ahead tell of
+    hours of the day in which less of the effect of acting came (`machine.blocked_hours.HourSeen`): time, s, error,
+    effect and promise, K.
     """
 
     source: str = _GIVEN
@@ -140,6 +142,7 @@ class ModelCard:
     notes: tuple[str, ...] = ()
     competence: Competence | None = None
     sun_on_sensor: SunOnSensor | None = None
+    late_sensor: LateSensor | None = None
     foreign_heat: OtherLoad | None = None
     blocked_hours: tuple[int, ...] = ()
     blocked_cooling_hours: tuple[int, ...] = ()

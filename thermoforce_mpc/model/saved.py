@@ -40,7 +40,7 @@ _FREE_ARRAYS = ("poles", "weights", "process_K2", "start_K2")
 # Fields that files call otherwise.
 _IN_FILES = {"u_min": "lowest"}
 FORMAT = "thermoforce-mpc thermal model"
-FORMAT_VERSION = 9
+FORMAT_VERSION = 10
 JSON_NAME = "model.json"
 ARRAYS_NAME = "arrays.safetensors"
 FILES = (ARRAYS_NAME, JSON_NAME)

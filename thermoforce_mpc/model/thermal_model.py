@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.model.card import UNTOLD_SD, ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.model.late_sensor import LateSensor, in_time
 from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, HourEffects, HourSeen, said
 from thermoforce_mpc.model.machine.change import UNKNOWN, Share, share_of_change
 from thermoforce_mpc.model.machine.other_load import own_W
@@ -35,6 +36,7 @@ from thermoforce_mpc.protocols import FreeResponse
 _STEP_RESPONSE = re.compile(r"step_response_(\d+)h_K(?:\[(.+)\])?")
 _SAME, _EFFECT_H = 1e-3, 8.0
 _PICTURES = (".png", ".svg")
+_Found = TypeVar("_Found")
 
 
 @dataclass(frozen=True)
@@ -164,9 +166,17 @@ class ThermalModel:
     @cached_property
     def sun_on_sensors(self) -> tuple[SunOnSensor | None, ...]:
         """Sun on the sensor of each zone (Z,), as identified with the first actuator that found any."""
-        cards = zip(self.operator.home, self.cards, strict=True)
-        by_home = [(home, card.sun_on_sensor) for home, card in cards if card.sun_on_sensor is not None]
-        return tuple(next((sun for home, sun in by_home if home == z), None) for z in range(len(self.operator.zones)))
+        return self._of_zones([card.sun_on_sensor for card in self.cards])
+
+    @cached_property
+    def late_sensors(self) -> tuple[LateSensor | None, ...]:
+        """How late the sensor of each zone reads (Z,); None where it does not."""
+        return self._of_zones([card.late_sensor for card in self.cards])
+
+    def _of_zones(self, found: Sequence[_Found | None]) -> tuple[_Found | None, ...]:
+        """What was found with the first actuator of each zone (Z,) that found any, from that with each one (A,)."""
+        by_home = [(home, one) for home, one in zip(self.operator.home, found, strict=True) if one is not None]
+        return tuple(next((one for home, one in by_home if home == z), None) for z in range(len(self.operator.zones)))
 
     def card_of(self, z: int, a: int) -> tuple[ModelCard, str]:
         """The card that says how well the effect of actuator `a` on zone `z` is known, and how names on it end.
@@ -199,9 +209,10 @@ class ThermalModel:
     def claims(self) -> tuple[str, ...]:
         """What was found of sensors, meters, hours and neighbours that changes what is planned, in words."""
         names, told = self.names, list[str]()
-        for z, sun in enumerate(self.sun_on_sensors):
-            if sun is not None:
-                told.append(sun.in_words() if len(names.zones) == 1 else f"{names.zones[z]}: {sun.in_words()}")
+        for of_sensors in (self.sun_on_sensors, self.late_sensors):
+            for z, found in enumerate(of_sensors):
+                if found is not None:
+                    told.append(found.in_words() if len(names.zones) == 1 else f"{names.zones[z]}: {found.in_words()}")
         for machine, power in zip(names.machines, self.power, strict=True):
             if power is not None and power.foreign is not None:
                 told.append(f"power of {machine}: {power.foreign.in_words()}")
@@ -240,7 +251,11 @@ class ThermalModel:
 
     def in_rooms(self, record: Record) -> Record:
         """`record` with the temperatures of the rooms and the heat of the actuators, as `own_heat`."""
-        return off_sensors(self.own_heat(record), self.sun_on_sensors)
+        return self.in_time(off_sensors(self.own_heat(record), self.sun_on_sensors))
+
+    def in_time(self, record: Record) -> Record:
+        """`record` with the temperatures of the rooms in the place of what late sensors read of them."""
+        return in_time(record, self.operator, self.late_sensors)
 
     def power_change(self, m: int, record: Record) -> Share:
         """How much of what the power law of machine `m` says of other levels was in `record`."""

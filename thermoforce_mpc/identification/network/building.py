@@ -29,7 +29,7 @@ RESPONSE_H = np.array(
     [0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 36.0, 48.0, 72.0, 96.0, 144.0, 240.0]
 )
 """Times after a step to full level at which responses are compared, h."""
-# Relative standard deviation of any effect by what a few nodes are not (surfaces, layers, a lag of the sensor, water),
+# Relative standard deviation of any effect by what a few nodes are not (surfaces, layers, water),
 # and of what comes over these hours besides, through layers of structure and envelope that are one node each: of 40
 # generated houses after 7 and 10 days of probing, the error beyond what their parameters explain. A third more changes
 # bands by 13 and 2 %, cost by 0.15 % at most (`benchmarks.constants`, 2026-11-28).

@@ -122,7 +122,7 @@ class RoomFit:
 def start_K2(room: RoomNetwork, stationary: Array) -> Array:
     """Variances of the states (n,) before the first reading; those of the disturbances are `stationary`."""
     nodes = [_START_SD_K.get(state, _EMITTER_START_SD_K) ** 2 for state in range(room.disturbances.start)]
-    return np.concatenate([nodes, stationary])
+    return np.concatenate([nodes, stationary, [_START_SD_K[ROOM] ** 2] * room.late])
 
 
 def posterior(room: RoomNetwork, theta: Array, runs: Sequence[RoomRun]) -> tuple[float, Array]:
@@ -147,15 +147,17 @@ def posterior(room: RoomNetwork, theta: Array, runs: Sequence[RoomRun]) -> tuple
             share = _PAIR_SHARE**2 if run.pair else 1.0
             first = float(run.readings[np.isfinite(run.readings)][0])
             x0, P0 = np.zeros(n), start_K2(room, share * stationary)
+            temperatures = np.ones(n, dtype=bool)
+            temperatures[room.disturbances] = False
             if run.pair:
-                P0[: room.disturbances.start] = 0.0
+                P0[temperatures] = 0.0
             else:
-                x0[: room.disturbances.start] = first
+                x0[temperatures] = first
             R = reading + run.rounding_K2 + _MODEL_SD_K**2
             readings = run.readings.copy()  # one that may be written to: others would be compiled for once more
             if run.on_sensor is not None:
                 readings -= run.on_sensor * theta[sensor]
-            half, slopes = likelihood(A, B, share * Q, R, x0, P0, run.inputs, readings)
+            half, slopes = likelihood(A, B, share * Q, R, x0, P0, run.inputs, readings, room.seen)
             counts, part = run.weight, run.weight * share
             if run.on_sensor is not None:
                 gradient[sensor] -= counts * run.on_sensor @ slopes.readings

@@ -1,7 +1,8 @@
 """Likelihood of one run by a Kalman filter, and its derivatives by the adjoint recursion, compiled.
 
 The likelihood is that of the one-step prediction errors (Schweppe 1965): x' = A x + B u + w, y = x[0] + e. The adjoint
-runs the filter backwards once and gives the derivatives by all matrices at about twice the cost of the value.
+runs the filter backwards once and gives the derivatives by all matrices at about twice the cost of the value. Where a
+sensor is late, y is another state than the first.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class Slopes(NamedTuple):
 
 
 def likelihood(
-    A: Array, B: Array, Q: Array, R: float, x0: Array, P0: Array, inputs: Array, readings: Array
+    A: Array, B: Array, Q: Array, R: float, x0: Array, P0: Array, inputs: Array, readings: Array, seen: int = 0
 ) -> tuple[float, Slopes]:
     """Half the negative log likelihood of a run, up to a constant, and its derivatives.
 
@@ -40,26 +41,26 @@ def likelihood(
         R: variance of a reading, K².
         x0, P0: mean and variances at the first reading (n,).
         inputs: of each step (N, m); that of the last reading is not used.
-        readings: of state 0 (N,), K; NaN is a gap.
+        readings: of state `seen` (N,), K; NaN is a gap.
     """
     n = A.shape[0]
     arrays = np.zeros((n, n)), np.zeros((n, B.shape[1])), np.zeros(n), np.zeros(n), np.zeros(readings.size)
     by_A, by_B, by_Q, by_P0, by_readings = arrays
-    total, by_R = _likelihood(A, B, Q, R, x0, P0, inputs, readings, *arrays)
+    total, by_R = _likelihood(A, B, Q, R, x0, P0, inputs, readings, seen, *arrays)
     return total, Slopes(by_A, by_B, by_Q, by_R, by_P0, by_readings)
 
 
 @njit(cache=True)
 def _likelihood(  # type: ignore[no-untyped-def]
-    A, B, Q, R, x0, P0, inputs, readings, by_A, by_B, by_Q, by_P0, by_readings
+    A, B, Q, R, x0, P0, inputs, readings, seen, by_A, by_B, by_Q, by_P0, by_readings
 ) -> tuple[float, float]:
     """The likelihood and its derivative by the variance of a reading; writes the others, of `Slopes`."""
     N, n = readings.size, A.shape[0]
     means, covariances = np.zeros((N, n)), np.zeros((N, n, n))
     columns, variances, errors = np.zeros((N, n)), np.ones(N), np.zeros(N)
-    total = _filtered(A, B, Q, R, x0, P0, inputs, readings, means, covariances, columns, variances, errors)
+    total = _filtered(A, B, Q, R, x0, P0, inputs, readings, seen, means, covariances, columns, variances, errors)
     by_R = _adjoint(
-        A, inputs, readings, means, covariances, columns, variances, errors, by_A, by_B, by_Q, by_P0, by_readings
+        A, inputs, readings, seen, means, covariances, columns, variances, errors, by_A, by_B, by_Q, by_P0, by_readings
     )
     return total, by_R
 
@@ -68,19 +69,19 @@ def _likelihood(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _filtered(A, B, Q, R, x0, P0, inputs, readings, means, covariances, columns, variances, errors):  # type: ignore[no-untyped-def]
-    """The likelihood; writes mean and covariance after each reading, and column 0, variance and error before it."""
+def _filtered(A, B, Q, R, x0, P0, inputs, readings, seen, means, covariances, columns, variances, errors):  # type: ignore[no-untyped-def]
+    """The likelihood; writes mean and covariance after each reading, before it column `seen`, variance and error."""
     N, n, total = readings.size, A.shape[0], 0.0
     x, P, following, half = np.zeros(n), np.zeros((n, n)), np.zeros(n), np.zeros((n, n))
     for i in range(n):
         x[i], P[i, i] = x0[i], P0[i]
     for k in range(N):
         if not np.isnan(readings[k]):
-            S, error = P[0, 0] + R, readings[k] - x[0]
+            S, error = P[seen, seen] + R, readings[k] - x[seen]
             variances[k], errors[k] = S, error
             total += 0.5 * (np.log(S) + error * error / S)
             for i in range(n):
-                columns[k, i] = P[i, 0]
+                columns[k, i] = P[i, seen]
             for i in range(n):
                 x[i] += columns[k, i] * error / S
                 for j in range(n):
@@ -105,7 +106,7 @@ def _filtered(A, B, Q, R, x0, P0, inputs, readings, means, covariances, columns,
 
 @njit(cache=True)
 def _adjoint(  # type: ignore[no-untyped-def]
-    A, inputs, readings, means, covariances, columns, variances, errors, by_A, by_B, by_Q, by_P0, by_readings
+    A, inputs, readings, seen, means, covariances, columns, variances, errors, by_A, by_B, by_Q, by_P0, by_readings
 ):
     """The derivative by the variance of a reading; writes the others, of `Slopes`."""
     N, n, by_R = readings.size, A.shape[0], 0.0
@@ -134,11 +135,11 @@ def _adjoint(  # type: ignore[no-untyped-def]
             by_S = (twice - along * error) / S**2 + 0.5 * (1.0 / S - error * error / S**2)
             for i in range(n):
                 by_column = (by_x[i] * error - 2.0 * following[i]) / S
-                by_P[0, i] += 0.5 * by_column
-                by_P[i, 0] += 0.5 * by_column
+                by_P[seen, i] += 0.5 * by_column
+                by_P[i, seen] += 0.5 * by_column
             by_readings[k] = (along + error) / S
-            by_x[0] -= by_readings[k]
-            by_P[0, 0] += by_S
+            by_x[seen] -= by_readings[k]
+            by_P[seen, seen] += by_S
             by_R += by_S
     for i in range(n):
         by_P0[i] = by_P[i, i]

@@ -11,6 +11,7 @@ floor, so that the priors suit any size; a room alone takes a neighbour's struct
     C_w  dT_w/dt = H_w (T_s − T_w) + H_wo (T_o − T_w)
     C_e  dT_e/dt = H_e (T − T_e) + heat v
 
+A sensor that is late reads another state, τ dT_r/dt = T − T_r; one that is not reads T.
 Heat that reaches a node warms no other at once and cools none, at any values: the matrix is Metzler. Every rate is a
 product of powers of positive parameters, so that it is linear in their logarithms, and of one that has a sign where
 there is one: of the daily waves of the gains, and of what a level gives more or less than in proportion.
@@ -79,6 +80,9 @@ NOISE: dict[str, Prior] = {
     "structure_noise": Prior(0.04, 0.8),
     "reading": Prior(0.03, 0.7),
 }
+# How late a sensor reads, h, most likely a little. Of 39 drawn houses, whose sensors lag by up to 15 min, medians from
+# 3 to 5 min leave the same error of the room's temperature within 3 % (three days of probing, 2026-11-30).
+SENSOR_LAG = Prior(4.0 / 60.0, 0.7)
 # Sun through one facade, m² of aperture, more or less than by that on the horizontal; on a sensor in full sun, K.
 FACADE_SD, SENSOR_SD_K = 0.02, 3.0
 # Sun by the side of the house and daily wave of the gains, W/m²; by their signed weight in `INPUTS`.
@@ -91,6 +95,8 @@ BETWEEN = {"door": (ROOM, DOORS), "wall": (STRUCTURE, WALLS)}
 """What joins two rooms: between which of their nodes, and the prior of all of a room."""
 SUN_ON_SENSOR = "sun_on_sensor"
 """Parameter: how much too high a sensor reads in full sun on its facade, K."""
+LAG = "sensor_lag"
+"""Parameter: time constant of a late sensor, h."""
 # Temperature of the ground and of unheated rooms that were not measured, °C: between that of the ground and the rooms'.
 # 16 changes what the card says by 1 % (`benchmarks.constants`, 2026-11-28).
 _NEIGHBOURS_C = 12.0
@@ -161,6 +167,7 @@ class RoomNetwork:
         laws: what the actuators give besides (L,).
         facades: number of facades through which the sun comes in.
         sensor: whether the sun may shine on the sensor, see `estimate.Run.on_sensor`.
+        late: whether the sensor may read the room late, by a state of its own.
 
     Parameters θ: logarithms of the positive ones, `names`, then the `signed` ones.
     Inputs: those of `rc.INPUTS`, the neighbours' temperatures (N,) °C, v of the actuators (K,), φ of the laws (L,), sun
@@ -173,6 +180,7 @@ class RoomNetwork:
     laws: tuple[Law, ...] = ()
     facades: int = 0
     sensor: bool = False
+    late: bool = False
 
     @cached_property
     def priors(self) -> dict[str, Prior]:
@@ -184,7 +192,7 @@ class RoomNetwork:
             priors |= {f"{name}_{a}": prior for name, prior in EMITTER_PRIORS.items()}
             if np.isfinite(heat):
                 priors[f"heat_{a}"] = Prior(heat, METERED_LOG_SD)
-        return priors | NOISE
+        return priors | NOISE | ({LAG: SENSOR_LAG} if self.late else {})
 
     @cached_property
     def signed(self) -> dict[str, tuple[float, float]]:
@@ -234,12 +242,17 @@ class RoomNetwork:
     @property
     def n_states(self) -> int:
         """Number of states n."""
-        return len(self.nodes) + len(DISTURBANCE_H)
+        return self.disturbances.stop + self.late
 
     @property
     def disturbances(self) -> slice:
         """States of the disturbances, W/m²."""
-        return slice(len(self.nodes), self.n_states)
+        return slice(len(self.nodes), len(self.nodes) + len(DISTURBANCE_H))
+
+    @property
+    def seen(self) -> int:
+        """The state that is read: the room, or what a late sensor shows of it, the last."""
+        return self.n_states - 1 if self.late else ROOM
 
     @property
     def n_inputs(self) -> int:
@@ -308,7 +321,7 @@ class RoomNetwork:
             power = np.zeros(len(self.names))
             for name in names:
                 power[self.place[name]] += 1.0
-            power[self.place[self.nodes[row]]] -= 1.0
+            power[self.place[self.nodes[row] if row < len(self.nodes) else LAG]] -= 1.0
             rates.append((power, factor, self.place[signed] if signed else -1, row, column))
 
         for link in self.links:
@@ -324,6 +337,9 @@ class RoomNetwork:
             rate(source.node, n + source.from_input, source.names, source.factor, source.signed)
         for state in range(n)[self.disturbances]:
             rate(ROOM, state, ())
+        if self.late:
+            rate(self.seen, ROOM, ())
+            rate(self.seen, self.seen, (), -1.0)
         return _Terms(*(np.array(column) for column in zip(*rates, strict=True)))
 
     def equations(self, theta: Array) -> Equations:

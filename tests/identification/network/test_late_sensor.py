@@ -1,0 +1,154 @@
+"""A sensor that reads its room late: found where it is, and plans mean the temperature of the room."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
+
+from controllers import MPCConfig, ThermoForceMPC
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.estimation.records import Pair
+from thermoforce_mpc.identification.network.estimate import RoomRun, posterior
+from thermoforce_mpc.identification.network.lag import rooms_in_time
+from thermoforce_mpc.identification.network.room import RoomNetwork
+from thermoforce_mpc.identification.pipeline import identify
+from thermoforce_mpc.loop.probing import probe
+from thermoforce_mpc.model.late_sensor import LateSensor, read_late
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
+from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
+from thermoforce_mpc.plants.random_houses.plant import house_testcase
+
+LATE = LateSensor(720.0, 60.0, 0.99)
+
+
+HOUSE = draw_house(12101, 13)
+
+
+def probed(lag_s: float) -> tuple[Record, Array]:
+    """Three days of a house with radiators whose sensor lags, and the true temperature at their boundaries, °C."""
+    plant = GeneratedHousePlant(replace(HOUSE, lag_s=lag_s))
+    start_s = plant.period("cold_week").start_s - 10 * DAY_S
+    record = probe(plant, start_s, 3.0, seed=1, layout=plant.testcase.layout)
+    trace = plant.recorded(float(record.time_s[0]), float(record.time_s[-1]))
+    return record, np.interp(record.time_s, trace["time"], trace["T_operative"]) - 273.15
+
+
+def looked_for(record: Record, **options: bool) -> tuple[list[Record], list[Pair], dict[int, LateSensor]]:
+    layout = house_testcase(HOUSE).layout
+    pairs = [Pair(record, record)]
+    return rooms_in_time([record], pairs, layout, [HeatInput()], IdentificationConfig(**options))
+
+
+def error_K(record: Record, truth: Array) -> float:
+    return float(np.std(record.T_zone_C[0] - truth))
+
+
+@pytest.mark.slow
+def test_a_late_sensor_is_found_and_the_room_is_read_in_time():
+    record, truth = probed(654.0)
+    (in_time,), (pair,), late = looked_for(record)
+    assert late[0].lag_s == pytest.approx(654.0, abs=200.0)
+    assert abs(late[0].lag_s - 654.0) < 3.0 * late[0].sd_s
+    assert error_K(record, truth) > 0.2
+    assert error_K(in_time, truth) < 0.4 * error_K(record, truth)
+    np.testing.assert_array_equal(pair.a.T_zone_C, in_time.T_zone_C)
+    assert looked_for(record, late_sensor=False)[2] == {}
+
+
+@pytest.mark.slow
+def test_a_sensor_that_is_not_late_is_left_as_it_is():
+    record, _ = probed(0.0)
+    (same,), _, late = looked_for(record)
+    assert late == {}
+    assert same is record
+
+
+@pytest.mark.slow
+def test_a_model_keeps_what_it_found_and_reads_records_by_it(tmp_path):
+    record, truth = probed(654.0)
+    layout = house_testcase(HOUSE).layout
+    model = identify(record, layout=layout, config=IdentificationConfig(modulation="linear"))
+    (late,) = model.late_sensors
+    assert late is not None
+    assert late.in_words() in model.claims
+    assert late.in_words() in model.only.card.notes
+    assert error_K(model.in_rooms(record), truth) < 0.4 * error_K(record, truth)
+    assert load_model(model.save(tmp_path / "model")).late_sensors == (late,)
+
+
+def test_slopes_of_the_posterior_with_a_late_sensor():
+    room, rng = RoomNetwork(late=True), np.random.default_rng(0)
+    runs = [
+        RoomRun(3.0 * rng.normal(size=(30, room.n_inputs)), level + 0.2 * rng.normal(size=30), 0.25, pair=pair)
+        for level, pair in ((20.0, False), (0.0, True))
+    ]
+    theta = room.mean + 0.3 * rng.normal(size=room.mean.size)
+    found = posterior(room, theta, runs)[1]
+    steps = 1e-5 * np.eye(theta.size)
+    expected = [
+        (posterior(room, theta + step, runs)[0] - posterior(room, theta - step, runs)[0]) / 2e-5 for step in steps
+    ]
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("lag_s", [240.0, 600.0])
+def test_what_is_read_late_is_that_of_short_steps(lag_s):
+    step_s, tau_s, gains = 900.0, np.array([240.0, 40_000.0]), np.array([1.0, 5.0])
+    poles, u = np.exp(-step_s / tau_s), np.random.default_rng(0).random(8)
+    fine_s, read, state = 1.0, [0.0], np.zeros(3)
+    forced = [np.zeros(2)]
+    system = np.zeros((4, 4))  # d(F, read, u)/dt; u stays
+    system[:2, :2], system[:2, 3] = np.diag(-1.0 / tau_s), gains / tau_s
+    system[2, :3] = [1.0 / lag_s, 1.0 / lag_s, -1.0 / lag_s]
+    step = (
+        np.eye(4) + system * fine_s + system @ system * (0.5 * fine_s**2) + system @ system @ system * (fine_s**3 / 6)
+    )
+    for level in u:
+        state = (np.linalg.matrix_power(step, round(step_s / fine_s)) @ [*state, level])[:3]
+        forced.append(state[:2])
+        read.append(state[2])
+    np.testing.assert_allclose(read_late(np.array(forced), poles, step_s, lag_s), read, atol=1e-8)
+
+
+def late_model() -> ThermalModel:
+    model = simple_model()
+    return replace(model, cards=(replace(model.cards[0], late_sensor=LATE),))
+
+
+def test_a_controller_plans_from_the_room():
+    house, plans = SimpleHouse(), []
+    house.reset(10 * DAY_S, 24 * HOUR_S)
+    history = house.past(HOUR_S)
+    u = np.zeros_like(history.u)
+    u[:, -1] = 1.0
+    history = replace(history, u=u)
+    for model in (simple_model(), late_model()):
+        mpc = ThermoForceMPC(model, MPCConfig(step_s=None), free_response=OutdoorResponse())
+        plans.append(mpc.plan(Observation(history, house.forecast(mpc.horizon_s, HOUR_S))))
+    missed = late_model().in_rooms(history).T_zone_C[0] - history.T_zone_C[0]
+    assert missed[-1] > 0.01
+    assert plans[1].T_free_now_C[0] - plans[0].T_free_now_C[0] == pytest.approx(missed[-1])
+
+
+@pytest.mark.parametrize("wrong", [(0.0, 60.0, 0.99), (np.nan, 60.0, 0.99), (600.0, -1.0, 0.99), (600.0, 60.0, 1.5)])
+def test_times_that_are_none_are_refused(wrong):
+    with pytest.raises(DataError, match="late sensor: lag_s"):
+        LateSensor(*wrong)
+
+
+def test_gaps_of_readings_stay_and_rest_is_read_as_it_is():
+    house = SimpleHouse()
+    house.reset(10 * DAY_S, 24 * HOUR_S)
+    history = house.past(HOUR_S)
+    T = np.array(history.T_zone_C)
+    T[0, 3] = np.nan
+    history = replace(history, T_zone_C=T, u=np.full_like(history.u, 0.4))
+    np.testing.assert_allclose(late_model().in_rooms(history).T_zone_C, T, atol=1e-9)
+    empty = history.slice(0, 0)
+    assert late_model().in_rooms(empty) is empty
