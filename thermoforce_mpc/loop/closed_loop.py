@@ -127,10 +127,10 @@ class RunResult:
 
     def fallback_levels(self) -> dict[str, int]:
         """Number of plans by status, and of plans refused by the check before the plant."""
-        counts = {status.value: 0 for status in PlanStatus}
+        counts = {status.value: 0 for status in PlanStatus} | {"refused": 0}
         for step in self.steps:
             counts[step.plan.status.value] += 1
-        counts["refused"] = sum(bool(step.refused) for step in self.steps)
+            counts["refused"] += bool(step.refused)
         return counts
 
 

@@ -35,6 +35,8 @@ from thermoforce_mpc.protocols import Controller
 # Steps in memory: two days in steps of a quarter of an hour. A step takes some 50 kB; with all of two weeks the default
 # run has its peak at 502 MB instead of 467, and takes no less time (2026-11-29).
 _IN_MEMORY = 192
+# Later protocols give each small array to Python code of NumPy when a step is read: a quarter of the time of reading.
+_PICKLED = 4
 
 _Step = TypeVar("_Step")
 
@@ -95,7 +97,7 @@ class KeptSteps(Sequence[_Step]):
                 self._file = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115 (closed with this object)
                 weakref.finalize(self, _closed, self._file)
             place = self._file.seek(0, 2)
-            self._file.write(pickle.dumps(step, protocol=pickle.HIGHEST_PROTOCOL))
+            self._file.write(pickle.dumps(step, protocol=_PICKLED))
             self._file.flush()
         self._places.append(place)
 

@@ -23,7 +23,7 @@ from thermoforce_mpc.plants.kpis import excess
 from thermoforce_mpc.report.page import Json, exactly, packed, rows_packed, smooth
 from thermoforce_mpc.whatif.counterfactual import (
     Counterfactual,
-    counterfactual,
+    counterfactuals,
     full_level_of,
     step_answer,
     step_response_of,
@@ -341,11 +341,11 @@ def other_levels_json(result: RunResult, model: ThermalModel | None, layout: Lay
         return None
     levels = {"off": 0.0} if layout.exclusive else LEVELS
 
-    def at(level: float, time_s: float) -> Counterfactual:
+    def at(time_s: float) -> list[Counterfactual]:
         start = record.nearest(time_s)
         stop = start + round(LENGTH_H * HOUR_S / record.step_s)
         recent = record.slice(max(0, start - round(MOST_PAST_DAYS * DAY_S / record.step_s)), stop)
-        return counterfactual(model, recent, level, start=time_s, hours=LENGTH_H)
+        return counterfactuals(model, recent, list(levels.values()), start=time_s, hours=LENGTH_H)
 
     def packed_rows(of_instants: list[Array]) -> list[Json]:
         return rows_packed(np.concatenate(of_instants, axis=-1), RESOLUTION["T"])
@@ -353,7 +353,7 @@ def other_levels_json(result: RunResult, model: ThermalModel | None, layout: Lay
     try:
         record = record_of_run(result)
         instants = _instants(record, len(levels))
-        days = [[at(level, time_s) for time_s in instants] for level in levels.values()]
+        days = list(zip(*(at(time_s) for time_s in instants), strict=True))
     except DataError:  # a zone that was never measured, or a clock with gaps: there is nothing to compare with
         return None
     if not instants:

@@ -8,7 +8,9 @@ What a model says of its own record stands first: rollouts, the step response to
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +39,7 @@ from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
 from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.free_response.checks import LEVELS
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse
+from thermoforce_mpc.model.machine.change import Share
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -365,11 +368,23 @@ def counterfactual(
         DataError: another building, the stretch is not inside the record, a level was not measured in it, a zone never
             was, or `u` has another shape or leaves [0, 1].
     """
+    return counterfactuals(model, record, [u], start=start, hours=hours)[0]
+
+
+def counterfactuals(
+    model: ThermalModel,
+    record: Record,
+    several: Sequence[Array | float],
+    *,
+    start: pd.Timestamp | str | float,
+    hours: float = 24.0,
+) -> list[Counterfactual]:
+    """`counterfactual` of `several` levels over one stretch, whose past is worked out once."""
     check_same_building("the model", model.names, "the record", record.names)
-    levels = np.asarray(u, dtype=np.float64)
-    n = levels.shape[-1] if levels.ndim else round(hours * HOUR_S / record.step_s)
-    if levels.ndim == 0:
-        levels = np.full((len(record.names.actuators), n), levels)
+    lengths = {np.shape(one)[-1] if np.ndim(one) else round(hours * HOUR_S / record.step_s) for one in several}
+    if len(lengths) != 1:
+        raise DataError(f"levels of {sorted(lengths)} steps: all are of one stretch")
+    (n,) = lengths
     first = _boundary(record, start)
     if not 0 < first <= record.n_steps - n or n < 1:
         stamps = record.stamps()
@@ -383,15 +398,46 @@ def counterfactual(
                 "there is nothing to compare with; choose a stretch in which it was"
             )
     whole, _ = bridged(model.own_heat(record.slice(0, first + n)))
-    context = _known_from(model, whole, first)
-    stretch = whole.slice(first, first + n)
+    context, stretch = _known_from(model, whole, first), whole.slice(first, first + n)
+
+    @cache
+    def told(m: int) -> _Told:
+        return _Told(model.power_change(m, record), *_beside_law(model, m, record, stretch))
+
+    measured_C = np.asarray(record.T_zone_C[:, first + 1 : first + n + 1])
+    each = [np.asarray(one, dtype=np.float64) for one in several]
+    return [_under(model, record, levels, context, stretch, measured_C, told) for levels in each]
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What a record tells of the power of a machine: how much of a change by its law, and see `_beside_law`."""
+
+    share: Share
+    metered: float
+    usual: float
+    errors: float
+
+
+def _under(
+    model: ThermalModel,
+    record: Record,
+    levels: Array,
+    context: PredictionContext,
+    stretch: Record,
+    measured_C: Array,
+    told: Callable[[int], _Told],
+) -> Counterfactual:
+    """A stretch under other levels."""
     applied = np.clip(stretch.u, model.operator.u_min[:, None], 1.0)
+    if levels.ndim == 0:
+        levels = np.full(applied.shape, levels)
     effect = context.effect(levels, applied)
     levels = levels if levels.ndim == 2 else levels[None]
     low, high = _certified_bounds(model, levels - applied, record.step_s)
     power_W, power_other_W = _power_W(model, applied, stretch), _power_W(model, levels, stretch)
     was, other = (power.sum(axis=1) * record.step_s / J_PER_KWH for power in (power_W, power_other_W))
-    energies = [_energy(model, m, record, stretch, levels, effect, was[m], other[m]) for m in range(len(was))]
+    energies = [_energy(model, m, told, stretch, levels, effect, was[m], other[m]) for m in range(len(was))]
     was, other, energy_low, energy_high = np.array(energies).T
     unseen = [_never_held(model, m, record, levels) for m in range(len(model.machines))]
     energy_high = np.where(unseen, np.fmax(energy_high, _HELD * other), energy_high)
@@ -401,7 +447,7 @@ def counterfactual(
         names=record.names,
         u=applied,
         u_other=levels,
-        measured_C=np.asarray(record.T_zone_C[:, first + 1 : first + n + 1]),
+        measured_C=measured_C,
         effect_K=effect,
         sd_K=_identified_sd(model, levels - applied, record.step_s),
         certified_low_K=low,
@@ -416,7 +462,14 @@ def counterfactual(
 
 
 def _energy(
-    model: ThermalModel, m: int, record: Record, stretch: Record, u: Array, effect_K: Array, was: float, other: float
+    model: ThermalModel,
+    m: int,
+    told: Callable[[int], _Told],
+    stretch: Record,
+    u: Array,
+    effect_K: Array,
+    was: float,
+    other: float,
 ) -> tuple[float, float, float, float]:
     """Energy of machine `m` as it was and under levels `u` (A, N) with its 90 % band, kWh.
 
@@ -425,7 +478,8 @@ def _energy(
     """
     if not np.isfinite(other):
         return was, other, np.nan, np.nan
-    metered, usual, errors = _beside_law(model, m, record, stretch)
+    of_record = told(m)
+    metered, usual, errors, share = of_record.metered, of_record.usual, of_record.errors, of_record.share
     known = bool(np.isfinite(metered)) and was > 0.0
     # What the law lacks on all days goes with levels, and others may not have it; what it lacks on this one is weather.
     ratio = metered / was / usual if known else 1.0
@@ -438,7 +492,7 @@ def _energy(
     colder = float(np.clip(1.0 - less * warmer_K, 0.0, None))
     by_law, said = (other + shift) * colder, other * ratio * colder
     was = metered if known else was
-    share, differs = model.power_change(m, record), others_by(stretch.u[fed], u[fed])
+    differs = others_by(stretch.u[fed], u[fed])
     several = VALVES_SD if weights.any() else 0.0
     of_change, of_levels = share.sd * abs(said - was), float(np.hypot(several, errors)) * differs * said
     sd = float(np.linalg.norm([of_change, of_levels, less_sd * warmer_K * other * ratio]))
