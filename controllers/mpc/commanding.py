@@ -144,12 +144,14 @@ class BuildingCommands:
         boundary: Boundary,
         left_alone: Collection[int],
         origin: Any,
+        states: Sequence[ActuationState],
         unknown: Collection[int] = (),
     ) -> CommandedPlan | None:
         """What is needed for one plan, None without commands.
 
         `left_alone`: actuators that will not follow it; `origin`: what the boundary's seconds count from, if known;
-        `unknown`: actuators that follow it though what they do to their rooms is not known.
+        `states` (A,): what is set now by the plan before; `unknown`: actuators that follow it though what they do to
+        their rooms is not known.
         """
         if not self._learned:
             return None
@@ -164,6 +166,11 @@ class BuildingCommands:
             meter = self._meters.get(learned.machine)
             off = off_commands(learned, meter)
             loops[a] = CommandedLoop(learned, z, low, high, usual, T_out_C, boundary.step_s, age_s, off)
+        now = {
+            a: loop.begin() if state.command is None else CommandState(state.command, state.held_s)
+            for a, loop in loops.items()
+            for state in [states[a]]
+        }
         groups: dict[str | int, list[int]] = {}
         for a, learned in self._learned.items():
             groups.setdefault(learned.machine or a, []).append(a)
@@ -180,9 +187,8 @@ class BuildingCommands:
         )
         ends_h = (boundary.time_s[1:] - boundary.time_s[0]) / HOUR_S
         free_K = np.stack([np.interp(ends_h, (0.0, *JUDGED_H), (0.0, *errors_K)) for errors_K in self._errors_K])
-        plan = CommandedPlan(
-            operator, problem, boundary, loops, together, frozenset(alone), self._spread, free_K, hour, held, beside
-        )
+        acts = loops, now, together, frozenset(alone)
+        plan = CommandedPlan(operator, problem, boundary, *acts, self._spread, free_K, hour, held, beside)
         return plan.margins_as_left_alone()
 
 
@@ -230,15 +236,17 @@ class _HeldRoom:
 class CommandedPlan:
     """One plan in commands: `loops` by number of the actuator, of which those `left_alone` keep their usual commands.
 
-    `together`: the actuators of each command; `spread` (A,): standard error of each one's effect, as a share; `free_K`
-    (Z, N): error of the free part at the ends of steps, K; `hour` (N,) of the clock; `held`: the rooms that are not
-    known, by number of the zone; `beside`: what commands do on meters beside levels.
+    `now`: what is set when it begins, likewise; `together`: the actuators of each command; `spread` (A,): standard
+    error of each one's effect, as a share; `free_K` (Z, N): error of the free part at the ends of steps, K; `hour` (N,)
+    of the clock; `held`: the rooms that are not known, by number of the zone; `beside`: what commands do on meters
+    beside levels.
     """
 
     operator: BuildingOperator
     problem: MPCProblem
     boundary: Boundary
     loops: Mapping[int, CommandedLoop]
+    now: Mapping[int, CommandState]
     together: tuple[tuple[int, ...], ...]
     left_alone: frozenset[int]
     spread: Array
@@ -306,9 +314,9 @@ class CommandedPlan:
             for z in [loop.room]
         }
 
-    def realise(self, u: Array, states: Sequence[ActuationState], evaluator: Evaluator) -> Commanded:
+    def realise(self, u: Array, evaluator: Evaluator) -> Commanded:
         """Commands for levels `u` (A, N) from what is set now, and what the loops answer."""
-        knobs = self._knobs(states)
+        knobs = self._knobs()
         left = [a for a in self.loops if a in self.left_alone]
         values: dict[int, Array] = {}
         if knobs:
@@ -342,18 +350,17 @@ class CommandedPlan:
             {members[0]: ends for members, knob in knobs if len(members) == 1 and (ends := knob.ends()) is not None},
         )
 
-    def _knobs(self, states: Sequence[ActuationState]) -> list[tuple[tuple[int, ...], Knob]]:
+    def _knobs(self) -> list[tuple[tuple[int, ...], Knob]]:
         """What is set: the actuators of each command that is not left alone, and the command as it is now."""
         out = []
         for members in self.together:
             if self.left_alone.intersection(members):
                 continue
-            loops, state = [self.loops[a] for a in members], states[members[0]]
+            loops = [self.loops[a] for a in members]
             low, high = np.max([loop.low for loop in loops], axis=0), np.min([loop.high for loop in loops], axis=0)
             if (low > high).any():  # bounds of rooms that have no set-point in common
                 low, high = np.min([loop.low for loop in loops], axis=0), np.max([loop.high for loop in loops], axis=0)
-            now = loops[0].begin() if state.command is None else CommandState(state.command, state.held_s)
-            one = loops[0]
+            one, now = loops[0], self.now[members[0]]
             out.append((members, Knob(one.learned.command, low, high, now, one.parts, one.step_s / one.parts)))
         return out
 
@@ -653,7 +660,7 @@ class CommandedPlan:
         found = []
         for one in self.beside:
             loop, usual = self.loops[one.first], float(self._usual_row(one.first)[0])
-            state, T_C = loop.begin(), float(self.problem.T_now_C[loop.room])
+            state, T_C = self.now[one.first], float(self.problem.T_now_C[loop.room])
             now = one.meter.begin(state.value, usual, state.held_s, float(self.hour[0]))
             found.append((now, left_of(loop.learned, one.meter, usual, T_C, float(loop.T_out_C[0]))))
         return tuple(found)

@@ -400,6 +400,7 @@ class ThermoForceMPC(ActuatedController):
             forecast.context.boundary,
             overrides,
             readings.history.origin,
+            forecast.state.actuation,
             [a for a, one in joined_in.items() if one.held],
         )
         try:
@@ -417,12 +418,12 @@ class ThermoForceMPC(ActuatedController):
             if not refused:
                 u = solution.u
                 if own is not None:
-                    commanded = own.realise(u, forecast.state.actuation, planner.evaluator)
+                    commanded = own.realise(u, planner.evaluator)
                     spread, scatter_W = self._power_spread(readings.history), self._power_scatter(readings.history)
                     saving = own.saving(commanded, planner.evaluator, spread, scatter_W)
                     if not saving.gain > 0.0:
                         own = own.without
-                        commanded = own.realise(u, forecast.state.actuation, planner.evaluator)
+                        commanded = own.realise(u, planner.evaluator)
                     u = commanded.u
                 brought = planner.evaluator.brings(instance.problem, u, solution.own_values)
                 if planner.evaluator.structure.chosen or own is not None:  # levels become blocks, or are answers
