@@ -127,6 +127,16 @@ def test_a_command_that_was_never_changed_is_refused():
         )
 
 
+def test_of_a_valve_that_is_shut_throughout_nothing_is_explained():
+    state = np.repeat(np.random.default_rng(6).choice([1.0, 2.0], N // 2 + 1), 2)[: N + 1]
+    _, T, out, _ = lived(p_band)
+    was = CommandRecord(state, state[:-1])
+    command = SGReady(kind="sg_ready", column="x")
+    shut = learn_command(command, was, T, out, np.zeros(N), HOURS, "contact", may_be_untold=True)
+    assert shut.loop.r2 == 0.0
+    assert "explains 0 %" in shut.untold
+
+
 def test_an_offset_is_told_from_the_weather():
     rng = np.random.default_rng(5)
     out, T = 2.0 + 6.0 * np.sin(HOURS / DAY_S) + rng.normal(0.0, 0.5, N + 1), np.full(N + 1, 21.0)

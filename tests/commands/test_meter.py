@@ -55,6 +55,18 @@ def test_a_machine_that_is_blocked_takes_nothing_and_what_was_put_off_comes_late
     assert (power_W - usual_W)[9:12].sum() > 100.0
 
 
+def test_what_waits_is_that_of_the_hours_in_which_the_machine_was_off():
+    """A contact that is off for a night has put off the morning's hot water, as one that is followed hour by hour."""
+    meter = learn_meter(CONTACT, lived(month()))
+    begins = meter.begin(2.0, 2.0, 86400.0, 3.0)
+    told, hours = np.full((1, 5), 1.0), np.arange(3.0, 8.0)
+    followed = meter.course(told, np.full(5, 2.0), 3600.0, 1, np.full((1, 5), 350.0), hours, begins).after
+    now = meter.begin(1.0, 2.0, 5.0 * 3600.0, 8.0)
+    assert now.waits_Wh[:, 0] == pytest.approx(followed.waits_Wh[:, 0])
+    assert now.waits_Wh[0, 0] > 400.0
+    np.testing.assert_allclose(now.lagged, followed.lagged)
+
+
 def test_a_state_that_charges_a_tank_takes_its_energy_first_and_saves_it_later():
     meter = learn_meter(CONTACT, lived(month()))
     usual_W, _ = day(np.full(24, 2.0), meter)

@@ -51,6 +51,8 @@ _NO_HEAT_K, _OPEN, _LEAST_OPEN = 1.0, 0.9, 24
 _SHUT = 0.05
 # Least standard deviation of the outdoor temperature at the same hours, K, that tells what goes by it.
 _LEAST_WEATHER_K = 1.0
+# Variance of levels, up to rounding, of which nothing is explained: of a valve that is shut throughout.
+_NO_SCATTER = 1e-9
 # Least share of the scatter of the level that the map must explain: below it, the loop follows something else. Means of
 # an hour at least are compared: within it, a machine that a thermostat switches is on and off with any command.
 _LEAST_R2, _COMPARED_S = 0.2, HOUR_S
@@ -396,7 +398,9 @@ def _explained(u: Array, error: Array, hour: Array) -> float:
     level, wrong = (np.bincount(of, weights=one) / count for one in (u, error))
     # Weighted by what is known of each, so that of steps of an hour or more nothing changes.
     scatter = float(np.average((level - np.average(level, weights=count)) ** 2, weights=count))
-    return 1.0 - float(np.average(wrong**2, weights=count)) / max(scatter, 1e-12)
+    if scatter < _NO_SCATTER:
+        return 0.0
+    return 1.0 - float(np.average(wrong**2, weights=count)) / scatter
 
 
 def _alike_days(value: Array, day: NDArray[np.intp]) -> list[NDArray[np.intp]]:

@@ -38,7 +38,7 @@ _PER_K = (0.01, 0.015)
 _OUTDOORS = 0.03
 # What waited while a machine was off comes within so long, s, this share of it more or less; most that waits, s; hours
 # of the day with the least of it.
-_LATER_S, _LATER_SD, _LONGEST_S, _QUIET = 0.75 * HOUR_S, 0.5, 2.0 * HOUR_S, 6
+_LATER_S, _LATER_SD, _LONGEST_S, _QUIET = 0.75 * HOUR_S, 0.5, DAY_S, 6
 # Least steps with another command than usual; share of the usual power below which a machine is off in a state.
 _LEAST_STEPS, _OFF = 6, 0.1
 # What follows a plan is looked at for so long, s.
@@ -134,8 +134,11 @@ class MeterEffect:
         """Where a course (S = 1) begins at `hour` of the clock: `value` was set for `held_s`, s."""
         was = _signals(np.full((1, 1), value), np.full(1, usual), self.states, self.unit)[..., 0]
         lagged = np.stack([was * (1.0 - float(np.exp(-held_s / lag_s))) for lag_s in _LAGS_S])
-        waits_W = _above_least(self.base_W)[int(hour) % 24]
-        return CourseState(lagged, was[np.isfinite(self.off_W)] * waits_W * min(held_s, _LONGEST_S) / HOUR_S)
+        held_h = min(held_s, _LONGEST_S) / HOUR_S
+        n = max(1, round(4.0 * held_h))
+        ago_h = (np.arange(n) + 0.5) * held_h / n
+        waits_W = np.maximum(_above_least(self.base_W), 0.0)[np.floor(hour - ago_h).astype(np.intp) % 24]
+        return CourseState(lagged, was[np.isfinite(self.off_W)] * waits_W.mean() * held_h)
 
     def course(
         self,
