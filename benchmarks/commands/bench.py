@@ -89,6 +89,10 @@ _AFTER_S = 4.0 * DAY_S
 _COPIES, _APART_K = 4, 0.1
 # A plan may leave rooms outside their bounds by so much more than the house itself, K·h in a week.
 _MORE_KH = 0.5
+# When a tank is charged is chance, and no room is warm meanwhile: the house left alone is lived again with its tank's
+# target moved by so much, K, in the first hours. With a tank 2 or 4 K off at the beginning house 9712 is 1.8 to 3.2 K·h
+# a week colder than it was (by plans of SG-Ready 1.4 to 2.4), 9717 up to 0.6, 9703 and 9719 not at all (2026-11-30).
+_MOVED_K, _MOVED_H = (-4.0, -2.0, 2.0, 4.0), 6
 # Costs that differ by less, as a share, are equal; what is said where no model may act.
 _EQUAL, _NO_MODEL = 1e-6, "left alone: no model may act"
 
@@ -166,12 +170,14 @@ def run_house(case: tuple[int, str, int]) -> Row:
     direct = None
     if kind == "set-points":
         direct, _ = _days(copy.deepcopy(home), ThermoForceMPC(model, config), days, kept_C, levels=True)
+    by_chance = [_days(copy.deepcopy(home), None, days, kept_C, moved_K=moved_K)[0].below_Kh for moved_K in _MOVED_K]
     planned, said = _days(home, ThermoForceMPC(model, config, commands=commands), days, kept_C)
     if said["not_acting"] == 24.0 * days:
         row["note"] = _NO_MODEL
     return row | {
         # Per week, more than left alone.
         "colder_Kh": (planned.below_Kh - own.below_Kh) * 7.0 / days,
+        "colder_by_chance_Kh": (float(np.mean(by_chance)) - own.below_Kh) * 7.0 / days,
         "cost_own": own.cost,
         "cost_planned": planned.cost,
         "cost_direct": direct and direct.cost,
@@ -260,6 +266,11 @@ class Home:
         else:
             self.plant.contact = round(told[0])
         return self.plant.advance(None, seconds, tuple((np.asarray(setpoints_C) + self.dials_K).tolist()))
+
+    def move_tank(self, more_K: float) -> None:
+        """Its tank is charged to `more_K` above its device's target from now on; 0: to that."""
+        assert self.plant.device is not None  # `__init__` gives it one
+        self.plant.tank_target_C = self.plant.device.tank_C + more_K if more_K else None
 
     def live(self, seed: int) -> Array:
         """Let it live left alone, at last with trials; what its commands were in all hours (Z, n)."""
@@ -352,11 +363,18 @@ def left_alone_C(home: Home, days: int) -> Array:
 
 
 def _days(
-    home: Home, controller: ThermoForceMPC | None, days: int, kept_C: Array, levels: bool = False
+    home: Home,
+    controller: ThermoForceMPC | None,
+    days: int,
+    kept_C: Array,
+    *,
+    levels: bool = False,
+    moved_K: float = 0.0,
 ) -> tuple[Lived, dict[str, float]]:
     """Days under planned commands (or levels), or left alone without a `controller`; and what the plans said.
 
     At equal comfort: no room is asked to be warmer than it is when left alone (`kept_C`, see `left_alone_C`).
+    `moved_K`: of the tank's target in the first hours.
     """
     plant = home.plant
     state = None
@@ -382,6 +400,7 @@ def _days(
                 said["in_band"] += plan.saving.low <= saved <= plan.saving.high
                 said["band"] += plan.saving.high - plan.saving.low
                 said["judged"] += 1.0
+        home.move_tank(moved_K if k < _MOVED_H else 0.0)
         for now in blocks:
             done = advanced(plant, now) if levels else home.advance(now.command, now.duration_s)
             seconds = now.duration_s
@@ -453,7 +472,8 @@ def targets(rows: list[Row]) -> list[Target]:
         # A house left alone, or of which nothing was learned, is none that is cheaper.
         cheaper = sum(row["saved"] > _EQUAL for row in known) / max(len(of_kind), 1)
         alone = np.mean([float(row["note"] == _NO_MODEL) for row in of_kind] or [1.0])
-        colder = np.mean([float(row["colder_Kh"] > _MORE_KH) for row in known] or [1.0])
+        more_Kh = [row["colder_Kh"] - row["colder_by_chance_Kh"] for row in known]
+        colder = np.mean([float(more > _MORE_KH) for more in more_Kh] or [1.0])
         median = float(np.median([row["saved"] for row in known] or [np.nan]))
         direct = [row["saved_direct"] for row in known if row["saved_direct"] is not None]
         out += [
@@ -464,7 +484,11 @@ def targets(rows: list[Row]) -> list[Target]:
             ),
             Target(f"{kind}: share of houses left alone, since no model may act", float(alone), 0.1),
             Target(f"{kind}: share of houses that cost less than left alone", float(cheaper), 0.9, "at least"),
-            Target(f"{kind}: share of houses that are colder by more than 0.5 K·h a week", float(colder), 0.0),
+            Target(
+                f"{kind}: share of houses that are colder by more than 0.5 K·h a week than by chance",
+                float(colder),
+                0.0,
+            ),
             Target(f"{kind}: median share saved", median, 0.0, "at least"),
             Target(
                 f"{kind}: median share saved by levels of the valves of the same houses",

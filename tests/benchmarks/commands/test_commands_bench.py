@@ -38,7 +38,7 @@ def test_what_a_plan_saves_is_lived_through_without_moving_the_house():
 def test_a_house_that_was_left_alone_is_not_cheaper_and_the_width_of_bands_stands_beside_what_they_hold():
     def row(saved, in_band, band, note=""):
         told = {"by": KINDS[0], "note": note, "saved": saved, "saved_direct": None, "colder_Kh": 0.0}
-        return told | {"in_band": in_band, "judged": 4.0, "band": band}
+        return told | {"colder_by_chance_Kh": 0.0, "in_band": in_band, "judged": 4.0, "band": band}
 
     rows = [row(0.0, 0.5, 0.1), row(-0.01, 1.0, 0.3), row(0.1, 1.0, 0.2), {"by": KINDS[0], "note": "refused: short"}]
     told = {one.name: one for one in targets(rows)}
@@ -76,7 +76,7 @@ def test_a_machine_that_is_not_enabled_stands():
 
 
 def test_levels_of_the_valves_stand_beside_every_way_in_which_the_same_house_is_set():
-    told = {"note": "", "colder_Kh": 0.0, "judged": 0.0}
+    told = {"note": "", "colder_Kh": 0.0, "colder_by_chance_Kh": 0.0, "judged": 0.0}
     rows = [told | {"house": "a", "by": KINDS[0], "saved": 0.1, "saved_direct": 0.2}]
     rows += [told | {"house": house, "by": KINDS[3], "saved": 0.1, "saved_direct": None} for house in "ab"]
     rows = with_direct([*rows, {"house": "a", "by": KINDS[4], "note": "refused: short"}])
@@ -86,3 +86,22 @@ def test_levels_of_the_valves_stand_beside_every_way_in_which_the_same_house_is_
     assert [found[named.format(kind)] for kind in (KINDS[0], KINDS[3])] == [0.2, 0.2]
     assert np.isnan(found[named.format(KINDS[4])])
     assert not any(name.startswith(KINDS[1]) for name in found)
+
+
+def test_a_house_is_colder_where_it_is_so_by_more_than_its_own_chance():
+    told = {"note": "", "by": KINDS[2], "saved": 0.1, "saved_direct": None, "judged": 0.0}
+    rows = [told | {"colder_Kh": 1.4, "colder_by_chance_Kh": chance} for chance in (0.0, 0.8, 1.0, 2.0)]
+    found = {one.name: one.value for one in targets(rows)}
+    assert found["SG-Ready: share of houses that are colder by more than 0.5 K·h a week than by chance"] == 0.5
+
+
+def test_a_tank_that_is_moved_is_charged_at_other_times_and_then_left_alone():
+    home, again = Home(17, "set-points"), Home(17, "set-points")
+    for one in (home, again):
+        one.plant.reset(36.25 * DAY_S, DAY_S)
+    tank_C = []
+    for more_K in (4.0, 0.0):
+        again.move_tank(more_K)
+        tank_C.append([one.advance((None,) * ROOMS, 6 * HOUR_S).points["T_tank_C"] for one in (home, again)])
+    assert tank_C[0][1] > tank_C[0][0] + 1.0
+    assert tank_C[1][1] < tank_C[0][1]
