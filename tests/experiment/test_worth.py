@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -189,6 +190,7 @@ def test_what_plans_would_have_saved_is_what_they_save_in_the_house() -> None:
     assert found.energy_was_kWh == pytest.approx(float(kWh[0].sum()))
     # What is stored at the end counts, so that heating less is not a saving by itself.
     stored = found.saved - float((kWh[0] - kWh[1]) @ price)
+    assert found.stored == pytest.approx(stored)
     assert np.sign(stored) == np.sign(found.planned.T_zone_C[0, -1] - found.as_was.T_zone_C[0, -1])
     assert found.low < found.saved < found.high
     assert found.acted == {"actuator": {"plans": 1.0}}
@@ -400,6 +402,7 @@ def test_worth_command(tmp_path: Path) -> None:
     assert code == 0, text
     assert "90 % band" in text
     assert "It rests on effects of full level known to ± 10 %" in text
+    assert re.search(r"Warmth of \d+\.\d\d (less|more) is left at the end than it was", text)
     assert "hot water of machine as it was, since the house is lived through without its tank" in text
     content = json.loads(out.read_text())
     found = content["worth"]

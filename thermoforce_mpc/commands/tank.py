@@ -276,7 +276,8 @@ class LearnedTank:
 
 
 def _band(value: float, sd: float) -> str:
-    return f"{value:.3g} ± {NORMAL_95 * sd:.2g}"
+    half = NORMAL_95 * sd
+    return f"{value:.3g}" if half < 1e-3 * abs(value) else f"{value:.3g} ± {half:.2g}"
 
 
 def tank_rows(plan: Plan, command: Command | None) -> list[dict[str, Any]]:

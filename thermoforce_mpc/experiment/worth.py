@@ -146,7 +146,8 @@ class Worth:
     zones; `warmer_K` (Z,): mean change of the zones' temperatures. `as_was`, `planned`: records of both, the latter in
     the house that the model takes for the likeliest. `raised_K`, `tank_raised_K`: how much lowest temperatures of plans
     were raised until these were as comfortable. `tank`: None where none is lived through. `power`: how much of what its
-    law says of other levels the record shows, by machine. `acted`: see `who_acted`. `rests_on`: one sentence.
+    law says of other levels the record shows, by machine. `acted`: see `who_acted`. `rests_on`: one sentence. `lower_C`
+    (Z, n): lower bound at the end of each step.
     """
 
     saved: float
@@ -162,6 +163,7 @@ class Worth:
     as_was: Record
     planned: Record
     price_per_kWh: Array
+    lower_C: Array
     draws: tuple[float, ...]
     raised_K: float
     tank_raised_K: float
@@ -181,6 +183,11 @@ class Worth:
             band = f"(90 % band {-self.high:.2f} to {-self.low:.2f} more)"
             return f"Plans would have cost {-self.saved:.2f} more {band} than {self.cost_was:.2f}"
         return f"Whether plans would have saved is not certain: {self.saved:.2f} {band} of {self.cost_was:.2f}"
+
+    @property
+    def stored(self) -> float:
+        """What house and tank hold more at the end than they did is worth, currency; it is in `saved`."""
+        return self.saved - (self.cost_was - self.cost)
 
     @property
     def acted_in_words(self) -> tuple[str, ...]:
@@ -287,6 +294,7 @@ def worth(
         as_was=was,
         planned=likeliest.record,
         price_per_kWh=price,
+        lower_C=conditions.lower_C[:, first + 1 : first + n + 1],
         draws=tuple(one.saved for one in others),
         raised_K=raised.rooms_K,
         tank_raised_K=raised.tank_K,

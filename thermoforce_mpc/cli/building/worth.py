@@ -165,6 +165,7 @@ def _show(found: Worth, console: Console) -> None:
         f"  Energy {found.energy_kWh:.1f} instead of {found.energy_was_kWh:.1f} kWh, cost {found.cost:.2f} instead of "
         f"{found.cost_was:.2f}, outside the bounds {found.outside_Kh:.1f} instead of {found.outside_was_Kh:.1f} K·h"
     )
+    console.print(f"  {_stored(found)}")
     for zone, warmer in zip(found.as_was.names.zones, found.warmer_K, strict=True):
         console.print(f"  {zone}: {warmer:+.1f} K on average")
     if found.raised_K:
@@ -176,6 +177,12 @@ def _show(found: Worth, console: Console) -> None:
     for line in found.acted_in_words:
         console.print(f"  {line}")
     console.print(f"  {found.rests_on}")
+
+
+def _stored(found: Worth) -> str:
+    """Why the saving is not the difference of the costs."""
+    less = "less" if found.stored < 0.0 else "more"
+    return f"Warmth of {abs(found.stored):.2f} {less} is left at the end than it was; it is in what is saved"
 
 
 def _as_json(found: Worth) -> dict[str, Any]:
@@ -203,21 +210,38 @@ def _drawn(found: Worth) -> Figure:
 
     names, frame = found.as_was.names, found.to_dataframe()
     at = on_clock(frame.index)
-    figure = Figure(figsize=(10.0, 6.5), layout="constrained")
-    upper, middle, lower = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
-    for z, zone in enumerate(names.zones):
-        upper.plot(at, found.as_was.T_zone_C[z, 1:], color=f"C{z % 10}", linewidth=0.8, linestyle=":")
-        upper.plot(at, found.planned.T_zone_C[z, 1:], color=f"C{z % 10}", label=zone)
+    figure = Figure(figsize=(10.0, 8.0), layout="constrained")
+    upper, middle, price, lower = figure.subplots(4, 1, sharex=True, height_ratios=[4, 2, 1, 2])
+    courses = [
+        (zone, f"C{z % 10}", found.as_was.T_zone_C[z, 1:], found.planned.T_zone_C[z, 1:])
+        for z, zone in enumerate(names.zones)
+    ]
+    for label, colour, was_C, planned_C in courses:
+        upper.plot(at, was_C, color=colour, linewidth=0.9, linestyle=":", label=f"{label}, as it was")
+        upper.plot(at, planned_C, color=colour, label=f"{label}, with plans")
+    bounds = np.unique(found.lower_C, axis=0)
+    for k, row in enumerate(bounds):
+        upper.step(at, row, where="post", color="0.6", linewidth=0.8, label="lower bound" if k == 0 else None)
+    if found.tank is not None:
+        beside = upper.twinx()
+        beside.plot(at, found.tank.T_was_C, color="C3", linewidth=0.9, linestyle=":")
+        beside.plot(at, found.tank.T_C, color="C3", linewidth=0.9)
+        beside.set_ylabel("hot water, °C", color="C3")
     upper.set_ylabel("temperature, °C")
-    upper.set_title(f"{found.sentence}; dotted: as it was", loc="left", fontsize=9, wrap=True)
+    upper.legend(frameon=False, fontsize="small", ncols=3)
+    upper.set_title(found.sentence, loc="left", fontsize=9, wrap=True)
     hours = found.as_was.step_s / HOUR_S
-    for label, record, colour in (("as it was", found.as_was, "0.4"), ("planned", found.planned, "C0")):
+    for label, record, colour in (("as it was", found.as_was, "0.4"), ("with plans", found.planned, "C0")):
         middle.step(at, record.power_W.sum(axis=0) / 1000.0, where="post", color=colour, label=label, linewidth=0.9)
         cost = (record.power_W / 1000.0 * hours * found.price_per_kWh).sum(axis=0)
         lower.plot(at, np.cumsum(cost), color=colour, label=label)
     middle.set_ylabel("power, kW")
     middle.legend(frameon=False, fontsize="small")
-    lower.set_ylabel("cost so far, by the law")
+    for row in np.unique(found.price_per_kWh, axis=0):
+        price.step(at, row, where="post", color="0.3", linewidth=0.9)
+    price.set_ylabel("price of\na kWh")
+    lower.set_ylabel("cost so far")
+    lower.set_title(f"By the law of power. {_stored(found)}", loc="left", fontsize=9)
     finish_axes(figure)
     return figure
 
