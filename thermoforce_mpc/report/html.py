@@ -109,7 +109,7 @@ def _row(
         "values": values,
         "texts": ["–" if value is None else figure(key, value) for value in values],
         "best": best,
-        "most": max(numbers) if bars and numbers and min(numbers) >= 0 < max(numbers) else None,
+        "most": max(numbers) if bars and len(numbers) > 1 and min(numbers) >= 0 < max(numbers) else None,
     }
 
 
