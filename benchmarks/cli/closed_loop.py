@@ -8,6 +8,7 @@ import click
 
 from benchmarks.cli.options import FOLDER, JSON, QUICK, say
 from benchmarks.cli.show import show
+from benchmarks.detectors import KEPT
 from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
 from thermoforce_mpc.comparison.cells import comma_list
 from thermoforce_mpc.errors import ConfigError
@@ -167,16 +168,17 @@ def fallback_command(quick: bool, json_file: Path | None) -> None:
 
 
 @click.command("detectors")
-@click.option("--weeks", type=click.IntRange(1), default=200, show_default=True, help="House-weeks of clean plants.")
-@click.option("--faults", type=click.IntRange(0), default=4, show_default=True, help="Plants with each fault.")
-@click.option(
-    "--seed", type=click.IntRange(0), default=62, show_default=True, help="Seed of the plants that are drawn."
-)
+@click.option("--weeks", type=click.IntRange(1), help="House-weeks of clean plants.  [default: 200]")
+@click.option("--faults", type=click.IntRange(0), help="Plants with each fault.  [default: 4]")
+@click.option("--seed", type=click.IntRange(0), help="Seed of the plants that are drawn.  [default: 62]")
 @click.option(
     "--against",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="JSON of an earlier run: tell the weeks that got dearer by more than 0.3 %, less comfortable by 0.1 K·h, or "
-    "have more steps without a plan.",
+    is_flag=False,
+    flag_value=KEPT,
+    help="JSON of an earlier run: tell the weeks of the same kind, number, seed and fault that got dearer by more than "
+    "0.3 %, less comfortable by 0.1 K·h, have more steps without a plan, or fail. Without a file: "
+    "benchmarks/detectors/weeks.json. Without --weeks, --faults and --seed: all weeks of that run, and no others.",
 )
 @click.option(
     "--keep",
@@ -187,9 +189,9 @@ def fallback_command(quick: bool, json_file: Path | None) -> None:
 @QUICK
 @JSON
 def detectors_command(
-    weeks: int,
-    faults: int,
-    seed: int,
+    weeks: int | None,
+    faults: int | None,
+    seed: int | None,
     against: Path | None,
     keep: Path | None,
     engine: Opening,
@@ -207,6 +209,7 @@ def detectors_command(
     \b
     Example:
       tf-mpc bench detectors --weeks 24 --faults 1 --jobs 2 --keep runs/detectors --json detectors.json
+      tf-mpc bench detectors --against --jobs 2
     """
     from benchmarks.detectors.bench import run_detectors_bench
 

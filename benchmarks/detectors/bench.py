@@ -34,6 +34,8 @@ from thermoforce_mpc.scenario.scenario import Scenario
 
 _CONTROLLER = "thermoforce_mpc"
 _DAYS, _PROBED_DAYS = 7.0, 3.0
+# House-weeks of clean plants, plants with each fault, and seed, where nothing else is asked for.
+_WEEKS, _FAULTS, _SEED = 200, 4, 62
 # Goals: false claims in 100 house-weeks; what a rule saves on the faults it is for, less what it costs on the panel.
 _MOST_CLAIMS, _LEAST_BALANCE = 1.0, 0.0
 # How certain the interval is in which the rate of false claims lies.
@@ -73,9 +75,9 @@ def rule_of(fault: str) -> str:
 
 def run_detectors_bench(
     *,
-    weeks: int = 200,
-    faults: int = 4,
-    seed: int = 62,
+    weeks: int | None = None,
+    faults: int | None = None,
+    seed: int | None = None,
     engine: Engine,
     quick: bool = False,
     against: Path | None = None,
@@ -85,33 +87,47 @@ def run_detectors_bench(
     """Run the panel.
 
     Args:
-        weeks: house-weeks of clean plants, the kinds in turn.
-        faults: plants with each fault.
-        seed: of the plants that are drawn.
+        weeks: house-weeks of clean plants, the kinds in turn; None: 200.
+        faults: plants with each fault; None: 4.
+        seed: of the plants that are drawn; None: 62. With `against` and none of the three: the weeks of that run.
         engine: where they are run; the result does not depend on it.
         quick: one house-week of each of two kinds, and one fault.
-        against: JSON of an earlier run, to compare the weeks that both have.
+        against: JSON of an earlier run, to compare the weeks that both have: same kind, number, seed and fault.
         keep: folder in which finished weeks are kept, so that a run that was cut off goes on.
         progress: callback for progress lines.
 
     Raises:
-        InputError: no house-weeks, or `against` is no JSON of this bench.
+        InputError: no house-weeks, `against` is no JSON of this bench, or none of its weeks is among those asked for.
     """
-    if weeks < 1:
-        raise InputError(f"{weeks} house-weeks: expected at least one")
     before = _earlier(against) if against else {}
-    cases = clean(weeks, seed) + faulty(faults, seed)
-    if quick:
-        cases = clean(2, seed) + faulty(1, seed)[-1:]
+    if before and not quick and (weeks, faults, seed) == (None, None, None):
+        cases = list(before)
+    else:
+        cases = _asked_for(weeks, faults, _SEED if seed is None else seed, quick)
+    if against and not before.keys() & set(cases):
+        raise InputError(
+            f"{against}: has none of the weeks asked for, such as '{cases[0].in_words}' (its first is "
+            f"'{next(iter(before)).in_words}'); without weeks, faults and seed its own are run"
+        )
 
     def on_done(n: int, value: Mapping[str, Any]) -> None:
         progress(f"[{n}/{len(cases)}] {_line(_outcome(value))}")
 
     outcomes = [_outcome(value) for value in run_all(run_case, cases, engine, on_done, keep)]
-    rows = rule_rows(outcomes) + claim_rows(outcomes) + [_row(one) for one in outcomes] + _compared(outcomes, before)
+    told = rule_rows(outcomes) + claim_rows(outcomes) + fault_rows(outcomes)
+    rows = told + [_row(one) for one in outcomes] + _compared(outcomes, before)
     result = results_json("detectors", rows, targets(outcomes))
     result["environment"] |= {"revision": revision()}
     return result
+
+
+def _asked_for(weeks: int | None, faults: int | None, seed: int, quick: bool) -> list[PanelCase]:
+    if quick:
+        return clean(2, seed) + faulty(1, seed)[-1:]
+    n = _WEEKS if weeks is None else weeks
+    if n < 1:
+        raise InputError(f"{n} house-weeks: expected at least one")
+    return clean(n, seed) + faulty(_FAULTS if faults is None else faults, seed)
 
 
 def run_case(case: PanelCase) -> dict[str, Any]:
@@ -192,7 +208,7 @@ def rule_rows(outcomes: Sequence[WeekOutcome]) -> list[Row]:
         claimed = [one for one in weeks if rule.name in one.claims]
         faults = [one for one in outcomes if one.case.fault and rule_of(one.case.fault) == rule.name and not one.failed]
         cost = sum(one.worth_without(rule.name) for one in claimed)
-        saved = -sum(one.worth_without(rule.name) for one in faults)
+        saved = 0.0 - sum(one.worth_without(rule.name) for one in faults)  # not -0.0 where there is nothing
         rows.append(
             {
                 "rule": rule.name,
@@ -230,14 +246,34 @@ def claim_rows(outcomes: Sequence[WeekOutcome]) -> list[Row]:
             "false claim": rule,
             "in": one.case.in_words,
             "said": texts[0],
-            "with it": f"{one.cost:.4f} / {one.K_h:.2f}",
-            "without": "{:.4f} / {:.2f}".format(*one.without[rule]) if rule in one.without else "–",
+            **_both_ways(one, rule),
             "it cost per m²": one.worth_without(rule) if rule in one.without else None,
         }
         for one in outcomes
         if not one.case.fault and not one.failed
         for rule, texts in one.claims.items()
     ]
+
+
+def fault_rows(outcomes: Sequence[WeekOutcome]) -> list[Row]:
+    """A row for each week of a plant with a fault: whether its rule found it, and what that saved."""
+    return [
+        {
+            "fault": one.case.in_words,
+            "found": "yes" if rule in one.claims else "no",
+            **_both_ways(one, rule),
+            "it saved per m²": -one.worth_without(rule) if rule in one.without else None,
+        }
+        for one in outcomes
+        if one.case.fault and not one.failed
+        for rule in (rule_of(one.case.fault),)
+    ]
+
+
+def _both_ways(one: WeekOutcome, rule: str) -> Row:
+    """Cost per m² and K·h of a week with a rule and without it."""
+    without = "{:.4f} / {:.2f}".format(*one.without[rule]) if rule in one.without else "–"
+    return {"with it": f"{one.cost:.4f} / {one.K_h:.2f}", "without": without}
 
 
 def targets(outcomes: Sequence[WeekOutcome]) -> list[Target]:
@@ -283,32 +319,45 @@ def _line(one: WeekOutcome) -> str:
     return f"{one.case.in_words}, {one.seconds:.0f} s: {said}{claims}"
 
 
-def _earlier(path: Path) -> dict[str, Row]:
-    """The weeks of an earlier result by name."""
+def _earlier(path: Path) -> dict[PanelCase, Row]:
+    """The weeks of an earlier result that did not fail, by case."""
     rows = parse_json(path.read_bytes(), str(path), InputError).get("rows", [])
-    weeks = {row["week"]: row for row in rows if isinstance(row, dict) and "week" in row}
+    weeks = [row for row in rows if isinstance(row, dict) and row.get("week") and row.get("cost") is not None]
     if not weeks:
         raise InputError(f"{path}: holds no weeks of bench detectors; give the file of its --json")
-    return weeks
+    try:
+        return {PanelCase.named(row["week"]): row for row in weeks}
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
-def _compared(outcomes: Sequence[WeekOutcome], before: Mapping[str, Row]) -> list[Row]:
-    """Weeks that are dearer or less comfortable than before by more than noise, or have more steps without a plan."""
-    rows = []
-    for one in outcomes:
-        then = before.get(one.case.in_words)
-        if then is None or one.failed or then["cost"] is None:
-            continue
-        dearer, colder = one.cost / max(then["cost"], 1e-9) - 1.0, one.K_h - then["K_h"]
-        idle = one.not_planned - (then.get("not planned") or 0)
-        if dearer > _DEARER or colder > _COLDER_KH or idle > 0:
-            rows.append(
-                {
-                    "worse than before": one.case.in_words,
-                    "then": f"{then['cost']:.4f} / {then['K_h']:.2f}",
-                    "now": f"{one.cost:.4f} / {one.K_h:.2f}",
-                    "dearer": f"{dearer:+.1%}",
-                    "steps not planned": f"{idle:+d}",
-                }
-            )
-    return rows
+def _compared(outcomes: Sequence[WeekOutcome], before: Mapping[PanelCase, Row]) -> list[Row]:
+    """How many weeks were compared, and those that are dearer or less comfortable than before by more than noise, have
+    more steps without a plan, or fail.
+    """
+    both = [(one, before[one.case]) for one in outcomes if one.case in before]
+    if not both:
+        return []
+    worse = [row for one, then in both if (row := _worse(one, then))]
+    ran = [(one, then) for one, then in both if not one.failed]
+    total = {
+        "weeks of both": len(both),
+        "worse": len(worse),
+        "then": f"{sum(then['cost'] for _, then in ran):.4f} / {sum(then['K_h'] for _, then in ran):.2f}",
+        "now": f"{sum(one.cost for one, _ in ran):.4f} / {sum(one.K_h for one, _ in ran):.2f}",
+    }
+    return [*worse, total]
+
+
+def _worse(one: WeekOutcome, then: Row) -> Row | None:
+    dearer, colder = one.cost / max(then["cost"], 1e-9) - 1.0, one.K_h - then["K_h"]
+    idle = one.not_planned - (then.get("not planned") or 0)
+    if not (one.failed or dearer > _DEARER or colder > _COLDER_KH or idle > 0):
+        return None
+    return {
+        "worse than before": one.case.in_words,
+        "then": f"{then['cost']:.4f} / {then['K_h']:.2f}",
+        "now": f"failed: {one.failed}" if one.failed else f"{one.cost:.4f} / {one.K_h:.2f}",
+        "dearer": "–" if one.failed else f"{dearer:+.1%}",
+        "steps not planned": "–" if one.failed else f"{idle:+d}",
+    }

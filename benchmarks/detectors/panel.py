@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import atexit
+import math
+import re
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,6 +19,7 @@ from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.faults.faulty_plant import FaultyPlant
 from thermoforce_mpc.boundary.weather import CONTINENTAL, MARITIME, synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.drawn_houses import GRID_S, WEEKS
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, PointEmulator
 from thermoforce_mpc.plants.energyplus.zone import EnergyPlusPlant
@@ -35,7 +38,7 @@ _AIR = ((-4.0, 400.0), (3.0, 600.0), (12.0, 800.0), (24.0, 800.0))
 _HEAT_WINDOWS, _COOL_WINDOWS = ("peak_heat_day", "typical_heat_day"), ("peak_cool_day", "typical_cool_day")
 # Zones of EnergyPlus and their first days.
 _ZONES = (("energyplus:heating_chicago", 12), ("energyplus:cooling_phoenix", 190))
-# A fault begins so long after the run, s; a day of it.
+# A fault begins so long after the run, s; a day of it, if nothing else is said.
 _AFTER_S = 2.0 * DAY_S
 # Another load on the meter by day, W; sun on a sensor, K; hours until which a machine stands.
 _OTHER_W, _SUN_K, _ASLEEP_H = 400.0, 2.5, 5.0
@@ -45,6 +48,7 @@ _MORNING_H, _PURGES = (6.0, 7.5), 4.0
 _DOOR_K, _QUARTER_S, _OF_PLATE = 1.0, 900.0, 0.65
 # How far a sensor is off that was moved, K, and how late its casing and the wall make it there, s.
 _MOVED_K, _MOVED_LAG_S = 2.0, 1.5 * HOUR_S
+_NAME = re.compile(r"(.+) (\d+) of (\d+)(?:, (.+))?", re.ASCII)
 # Air through a door that stands open all day (`plants.rooms.draw`), W/K^1.5.
 _OPEN_W_K15 = 121.0
 
@@ -60,8 +64,19 @@ class PanelCase:
 
     @property
     def in_words(self) -> str:
-        """For people and tables."""
-        return f"{self.kind} {self.number}" + (f", {self.fault}" if self.fault else "")
+        """For people and tables: weeks of the same words are the same plant and week."""
+        return f"{self.kind} {self.number} of {self.seed}" + (f", {self.fault}" if self.fault else "")
+
+    @classmethod
+    def named(cls, words: str) -> PanelCase:
+        """The case of these words; raises `InputError` where no case has them."""
+        found = _NAME.fullmatch(words)
+        kind, fault = (found[1], found[4] or "") if found else ("", "")
+        if found is None or kind not in KINDS or (fault and FAULTS.get(fault, ("",))[0] != kind):
+            raise InputError(
+                f"week '{words}': expected 'KIND NUMBER of SEED' or 'KIND NUMBER of SEED, FAULT' of the panel"
+            )
+        return cls(kind, int(found[2]), int(found[3]), fault)
 
 
 @dataclass(frozen=True)
@@ -343,10 +358,10 @@ def _wh_per_step(found: BuiltCase, case: PanelCase) -> BuiltCase:
     return replace(found, plant=MeddledPlant(found.plant, lambda seen: replace(seen, power_W=0.25 * seen.power_W)))
 
 
-def _changed(fault: Any, **options: Any) -> Callable[[BuiltCase, PanelCase], BuiltCase]:
+def _changed(fault: Any, days: float = 1.0, **options: Any) -> Callable[[BuiltCase, PanelCase], BuiltCase]:
     def of(found: BuiltCase, case: PanelCase) -> BuiltCase:
         from_s = found.period.start_s + _AFTER_S
-        return replace(found, plant=FaultyPlant(found.plant, fault, from_s, from_s + DAY_S, **options))
+        return replace(found, plant=FaultyPlant(found.plant, fault, from_s, from_s + days * DAY_S, **options))
 
     return of
 
@@ -407,8 +422,9 @@ FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "hours of the day": ("generated house", _asleep),
     "hours of the day of a unit": ("air unit", _unit_asleep),
     "hours of the day, less effect": ("generated house", _cold_mornings),
-    "foreign load": ("generated house", _other_load),
+    "other load": ("generated house", _other_load),
     "watch": ("embedded", _changed("weak")),
+    "watch, stays weak": ("embedded", _changed("weak", days=math.inf)),
     "watch, sensor moved": ("generated house", _moved_sensor),
     "watch, actuator stuck": ("embedded", _changed("stuck", level=0.0)),
     "guard": ("embedded", _changed("window")),

@@ -167,7 +167,7 @@ RULES: tuple[Detector, ...] = (
         controller={"watch": {"blocked_hours": False}},
     ),
     Detector(
-        "foreign load",
+        "other load",
         "power and heat that laws are fitted to",
         lambda ran: ran.notes("the meter holds another load"),
         identification={"foreign_loads": False},

@@ -10,11 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.detectors import bench
+from benchmarks.cli.closed_loop import detectors_command
+from benchmarks.detectors import KEPT, bench
 from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.detectors.bench import (
     WeekOutcome,
     claim_rows,
+    fault_rows,
     rule_of,
     rule_rows,
     run_case,
@@ -40,6 +42,14 @@ def week(number: int, cost: float, *claims: str, fault: str = "", **without: tup
     return WeekOutcome(
         PanelCase("embedded", number, 1, fault), cost, 0.5, 0, {name: ["said"] for name in claims}, of_rules
     )
+
+
+def rows_of(*weeks: WeekOutcome, cost=(1.0,), K_h=(0.5,), idle=(0,)) -> list[dict]:
+    """Rows of an earlier result."""
+    return [
+        {"week": one.case.in_words, "cost": then, "K_h": then_K_h, "not planned": then_idle}
+        for one, then, then_K_h, then_idle in zip(weeks, cost, K_h, idle, strict=True)
+    ]
 
 
 def test_the_panel_takes_every_kind_in_turn_and_every_fault_is_for_a_rule():
@@ -85,17 +95,21 @@ def test_a_rate_of_false_claims_is_told_with_what_it_may_be(claimed, of, between
     assert (row["95 % between"], row["goal"]) == (between, goal)
 
 
-def test_each_false_claim_is_told_with_what_it_cost():
+def test_each_false_claim_and_each_fault_are_told_with_what_they_cost_and_saved():
     weeks = [
         week(0, 1.0, "watch", "units", watch=(0.9, 0.5)),
         week(1, 1.0),
         week(2, 1.0, "watch", fault="watch", watch=(1.0, 10.5)),
     ]
     watch, units = claim_rows(weeks)
-    assert (watch["false claim"], watch["in"], watch["said"]) == ("watch", "embedded 0", "said")
+    assert (watch["false claim"], watch["in"], watch["said"]) == ("watch", "embedded 0 of 1", "said")
     assert (watch["with it"], watch["without"]) == ("1.0000 / 0.50", "0.9000 / 0.50")
     assert watch["it cost per m²"] == pytest.approx(0.1)
     assert (units["false claim"], units["without"], units["it cost per m²"]) == ("units", "–", None)
+    (fault,) = fault_rows(weeks)
+    assert fault["fault"] == "embedded 2 of 1, watch"
+    assert (fault["found"], fault["with it"], fault["without"]) == ("yes", "1.0000 / 0.50", "1.0000 / 10.50")
+    assert fault["it saved per m²"] == pytest.approx(0.26)
 
 
 @pytest.mark.parametrize(
@@ -163,21 +177,54 @@ def test_an_earlier_result_that_is_none_is_refused(tmp_path):
 
 
 def test_weeks_that_got_worse_than_in_an_earlier_result_are_told(tmp_path, monkeypatch):
-    now = [week(0, 1.0), week(1, 1.004), week(2, 1.0), week(3, 0.9)]
-    earlier = [
-        {"week": one.case.in_words, "cost": 1.0, "K_h": K_h, "not planned": idle}
-        for one, K_h, idle in zip(now, (0.5, 0.5, 0.3, 0.5), (0, 0, 0, 3), strict=True)
-    ]
+    now = [week(0, 1.0), week(1, 1.004), week(2, 1.0), week(3, 0.9), replace(week(4, np.nan), failed="no plant")]
+    earlier = rows_of(*now, cost=(1.0,) * 5, K_h=(0.5, 0.5, 0.3, 0.5, 0.5), idle=(0, 0, 0, 3, 0))
     (tmp_path / "earlier.json").write_text(json.dumps({"rows": earlier}))
     told = [asdict(replace(one, not_planned=2 if one.case.number == 0 else 0)) for one in now]
-    monkeypatch.setattr(bench, "run_all", lambda *given: told)
-    result = run_detectors_bench(weeks=4, engine=LocalEngine(1), against=tmp_path / "earlier.json")
+    ran = []
+    monkeypatch.setattr(bench, "run_all", lambda function, cases, *given: ran.append(cases) or told)
+    result = run_detectors_bench(engine=LocalEngine(1), against=tmp_path / "earlier.json")
+    assert ran == [[one.case for one in now]], "the weeks of the earlier run, and no others"
     worse = {row["worse than before"]: row for row in result["rows"] if "worse than before" in row}
-    assert list(worse) == ["embedded 0", "embedded 1", "embedded 2"]
-    assert worse["embedded 0"]["steps not planned"] == "+2"
-    assert worse["embedded 1"]["dearer"] == "+0.4%"
-    assert worse["embedded 2"]["now"] == "1.0000 / 0.50"
+    assert list(worse) == [f"embedded {number} of 1" for number in (0, 1, 2, 4)]
+    assert worse["embedded 0 of 1"]["steps not planned"] == "+2"
+    assert worse["embedded 1 of 1"]["dearer"] == "+0.4%"
+    assert worse["embedded 2 of 1"]["now"] == "1.0000 / 0.50"
+    assert worse["embedded 4 of 1"]["now"] == "failed: no plant"
+    assert result["rows"][-1] == {"weeks of both": 5, "worse": 4, "then": "4.0000 / 1.80", "now": "3.9040 / 2.00"}
     assert "revision" in result["environment"]
+
+
+def test_weeks_of_another_seed_are_no_weeks_to_compare(tmp_path):
+    """A house of the same number drawn by another seed is another house."""
+    (tmp_path / "earlier.json").write_text(json.dumps({"rows": rows_of(week(0, 1.0))}))
+    with pytest.raises(
+        InputError, match=r"has none of the weeks asked for, such as 'generated house 0 of 2'.*'embedded 0 of 1'"
+    ):
+        run_detectors_bench(weeks=1, faults=0, seed=2, engine=LocalEngine(1), against=tmp_path / "earlier.json")
+
+
+@pytest.mark.parametrize("name", ["embedded 0", "castle 0 of 1", "embedded 0 of 1, sun on a sensor", "embedded x of 1"])
+def test_a_week_that_the_panel_does_not_have_is_refused(name, tmp_path):
+    (tmp_path / "earlier.json").write_text(json.dumps({"rows": [{"week": name, "cost": 1.0, "K_h": 0.0}]}))
+    with pytest.raises(InputError, match=rf"earlier\.json: week '{name}': expected 'KIND NUMBER of SEED'"):
+        run_detectors_bench(engine=LocalEngine(1), against=tmp_path / "earlier.json")
+
+
+def test_a_week_is_found_again_by_its_words():
+    for case in clean(2 * len(KINDS), seed=3) + faulty(2, seed=4):
+        assert PanelCase.named(case.in_words) == case
+
+
+def test_the_weeks_that_the_repository_keeps_are_of_this_panel_at_a_revision():
+    kept = json.loads(KEPT.read_text(encoding="utf-8"))
+    weeks = [PanelCase.named(row["week"]) for row in kept["rows"] if "week" in row]
+    assert len({case.seed for case in weeks}) == 1
+    assert {bool(case.fault) for case in weeks} == {True, False}
+    assert len(kept["revision"]) == 40
+    assert KEPT.stat().st_size < 60_000
+    option = next(one for one in detectors_command.params if one.name == "against")
+    assert option.flag_value == KEPT, "what --against alone compares with"
 
 
 @pytest.mark.slow
