@@ -232,9 +232,11 @@ def read_model_file(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     path = folder / JSON_NAME
     content = _read_json(folder)
     if content.get("version") != FORMAT_VERSION:
+        wrote = content.get("code_version")
         raise ArtifactError(
             f"{path}: format version {content.get('version')!r:.20}, this release reads {FORMAT_VERSION}; identify "
-            f"again from the same data, or use thermoforce-mpc {content.get('code_version')!s:.20}, which wrote it"
+            "again from the same data"
+            + ("" if wrote == VERSION else f", or use thermoforce-mpc {wrote!s:.20}, which wrote it")
         )
     if content_sha256(content) != content.get("sha256"):
         raise ArtifactError(f"{path}: damaged or edited, its content has another sha256 than it says; identify again")

@@ -45,6 +45,7 @@ from thermoforce_mpc.data import (
 )
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
 from thermoforce_mpc.files import open_plain, storage_errors, written
+from thermoforce_mpc.version import VERSION
 
 Json = dict[str, Any]
 
@@ -414,9 +415,10 @@ def read_run(path: Path, most: int | None = None) -> JournalText:
         raise JournalError(f"{path}: holds no run: it was ended before it began; start it again")
     version = first.content.get("format")
     if version != FORMAT:
+        wrote = first.content.get("version")
         raise JournalError(
-            f"{path}: is of format {version!r:.20}, written by thermoforce-mpc {first.content.get('version')!s:.20}; "
-            f"this release reads format {FORMAT}: use that release, or start the run again"
+            f"{path}: is of format {version!r:.20}, written by thermoforce-mpc {wrote!s:.20}; this release reads "
+            f"format {FORMAT}: {'' if wrote == VERSION else 'use that release, or '}start the run again"
         )
     return journal
 
