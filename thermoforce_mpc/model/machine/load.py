@@ -35,7 +35,7 @@ NEARLY_FULL = 0.9
 LACKING = 0.8
 # Lower bound of the end values, W, above zero so that rounding cannot make a load negative.
 LEAST_W = 1e-3
-# Least share of steps with measured heat or power. By judgement.
+# Least share of steps with measured heat or power, so that they are those of usual days and not of a few.
 MEASURED = 0.5
 # Least number of intermediate samples to separate the fixed and the proportional part. By judgement, as the numbers of
 # steps below.

@@ -39,7 +39,8 @@ _FADES_H, _FADES_SHARE, _SURE_SD = 3.0, 0.3, 3.0
 # 26 % more than its meter held, and all of the rooms' energy was another load (`bench commands`, seed 421, 2026-11-28).
 _LACKS = 0.1
 # Mean scatter of an hour of the day, as a share of full power, from which a load comes and goes in it. By judgement:
-# a coil that follows the weather to 20 % scatters less, half an hour of hot water in an hour by five times more.
+# a coil that follows the weather to 20 % scatters less, half an hour of hot water in an hour by five times more. Half
+# and twice as much change full power by the law of five houses of `bench commands` by 2 % at most (2026-11-30).
 _AT_TIMES = 0.1
 # Share of the load that may lie in hours of the day in which the machine was never seen off. By judgement: a house with
 # an enable contact was off for 45 quarters of an hour, those at 7 with its own hot water, and 86 % of another load of
