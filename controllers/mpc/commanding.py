@@ -792,6 +792,7 @@ class _LoopTables:
             np.array([loop.room for loop in loops.values()], dtype=np.int64),
             np.array([one.zone for one in maps]),
             np.array([one.carry for one in maps]),
+            np.array([one.holds_K for one in maps]),
             np.array([one.knots.size for one in maps], dtype=np.int64),
             *(filled([getattr(one, of) for one in maps]) for of in ("knots", "levels", "uncertain", "spread")),
             np.array([one.shuts_C.size for one in maps], dtype=np.int64),
@@ -860,9 +861,9 @@ def _between(x: float, count: int, knots: np.ndarray, values: np.ndarray) -> flo
 def _settle(
     level: np.ndarray, scatter: np.ndarray, before: np.ndarray, asked: np.ndarray, z: np.ndarray, T_C: np.ndarray,
     at_rest_C: np.ndarray, factor: np.ndarray, heat: np.ndarray, per_drive: np.ndarray, per_u: np.ndarray,
-    acts: np.ndarray, rooms: np.ndarray, zone: np.ndarray, carry: np.ndarray, count: np.ndarray, knots: np.ndarray,
-    levels: np.ndarray, uncertain: np.ndarray, spread: np.ndarray, shut_count: np.ndarray, shuts_C: np.ndarray,
-    opens: np.ndarray,
+    acts: np.ndarray, rooms: np.ndarray, zone: np.ndarray, carry: np.ndarray, holds_K: np.ndarray, count: np.ndarray,
+    knots: np.ndarray, levels: np.ndarray, uncertain: np.ndarray, spread: np.ndarray, shut_count: np.ndarray,
+    shuts_C: np.ndarray, opens: np.ndarray,
 ) -> None:  # fmt: skip
     """Levels and temperatures of a step that agree, house by house: half way to what the loops answer, again and again.
 
@@ -890,7 +891,7 @@ def _settle(
                 mean = x_mean[i] = 0.0
                 for part in range(n):
                     room = T_C[s, own] + (part + 0.5) / n * (T_end[own] - T_C[s, own])
-                    x = asked[i, s, part] - zone[i] * room
+                    x = asked[i, s, part] - zone[i] * room + holds_K[i] * (before[s, a] - 0.5)
                     up = _between(x, count[i], knots[i], levels[i])
                     if z[s] != 0.0:
                         up += z[s] * _between(x, count[i], knots[i], uncertain[i])
@@ -904,10 +905,11 @@ def _settle(
             for i in range(acts.size):
                 level[s, acts[i]] = moved[i]
         for i in range(acts.size):
-            own, before[s, acts[i]] = rooms[i], x_mean[i]
+            own, held = rooms[i], holds_K[i] * (before[s, acts[i]] - 0.5)
+            before[s, acts[i]] = x_mean[i]
             for part in range(n):
                 room = T_C[s, own] + (part + 0.5) / n * (T_end[own] - T_C[s, own])
-                x = asked[i, s, part] - zone[i] * room
+                x = asked[i, s, part] - zone[i] * room + held
                 scatter[s] += per_u[acts[i]] * _between(x, count[i], knots[i], spread[i]) / n
 
 

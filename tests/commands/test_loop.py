@@ -17,8 +17,11 @@ N = 21 * 24
 HOURS = HOUR_S * np.arange(N + 1.0)
 
 
-def lived(loop, *, setback=True, seed=0):
-    """Set-points, room and outdoor temperatures, and levels of a room with a loop that is called every 5 min."""
+def lived(loop, *, setback=True, seed=0, pace=1.0):
+    """Set-points, room and outdoor temperatures, and levels of a room with a loop that is called every 5 min.
+
+    `pace`: how fast the room is; at 1 it warms by 1.2 K in an hour.
+    """
     rng = np.random.default_rng(seed)
     out = 4.0 + 3.0 * np.cos(2 * np.pi * (HOURS / HOUR_S - 15) / 24) + np.cumsum(rng.normal(0.0, 0.3, N + 1)) * 0.3
     day = (HOURS / HOUR_S % 24 >= 6) & (HOURS / HOUR_S % 24 < 22)
@@ -28,7 +31,7 @@ def lived(loop, *, setback=True, seed=0):
         total = 0.0
         for _ in range(12):
             u = loop(setpoint[k] - T)
-            T += (1.2 * u - 0.03 * (T - out[k])) / 12.0
+            T += pace * (1.2 * u - 0.03 * (T - out[k])) / 12.0
             total += u / 12.0
         rooms.append(T)
         levels.append(total)
@@ -81,6 +84,23 @@ def test_more_of_a_command_is_never_less_heat_now_or_later(loop):
     for k in range(12):
         low, high = found.level(less[:, k], rooms[:, k], 5.0, low), found.level(more[:, k], rooms[:, k], 5.0, high)
         assert (high >= low - 1e-12).all()
+
+
+@pytest.mark.parametrize("band_K", [0.25, 0.4])
+def test_a_thermostat_that_is_on_goes_on_until_its_room_is_warmer(band_K):
+    """Where it comes on and goes off are 2·`band_K` apart; between the two it does what it did."""
+    loop = learned(Hysteresis(band_K), pace=0.25).loop
+    assert loop.carry == 0.0
+    assert loop.holds_K == pytest.approx(2.0 * band_K, abs=0.25)
+    on, off = (float(loop.level(21.0, 21.0, 5.0, before)) for before in (1.0, 0.0))
+    assert on > off + 0.5
+    assert (
+        float(loop.level(21.0, 21.0 + band_K + 0.3, 5.0, 1.0))
+        < 0.2
+        < 0.8
+        < float(loop.level(21.0, 21.0 - band_K - 0.3, 5.0, 0.0))
+    )
+    assert learned(p_band).loop.holds_K == 0.0
 
 
 def test_what_a_switching_thermostat_does_between_its_ends_is_not_promised():

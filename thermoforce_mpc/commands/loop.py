@@ -1,14 +1,17 @@
 """What a building's own loop makes of a command: the level that it answers with, learned from a record.
 
-    u_k = o(T_zone,k) x_k,   x_k = clip(c x_{k−1} + g(s_k), 0, 1)
+    u_k = o(T_zone,k) x_k,   x_k = clip(c x_{k−1} + g(s_k + h (x_{k−1} − ½)), 0, 1)
     s_k = e(command_k) − w_zone T_zone,k − w_out T_out,k
 
 (T_zone: of the actuator's room; of a thermostat of the whole house, of the room where it is.)
 
-g and e do not fall, o is not negative, c lies in [0, 1] and the weights are not negative: more of a command is never
-less heat, in the same step and in all later ones, whatever was learned. A valve with a P band and a thermostat have
-c = 0 (g is the valve's line, or the share of a step that the thermostat is on); the integral part of a PI controller is
-c near 1. What the loop does within a step, and what else moves it, is `spread`.
+g and e do not fall, o is not negative, c lies in [0, 1], and h and the weights are not negative: more of a command is
+never less heat, in the same step and in all later ones, whatever was learned. A valve with a P band has c = h = 0 (g is
+its line); a thermostat that switches has h, the kelvins between where it comes on and goes off (g is the share of a
+step that it is on); the integral part of a PI controller is c near 1. Without h a room that was heated up was held at
+once where a thermostat lets it cool for hours: of the levels of four rooms, followed from set-points and temperatures,
+.26 to .30 was missed (root mean square), .10 to .15 with it (`bench commands`, houses 9714, 9718, 9731, 2026-11-30).
+What the loop does within a step, and what else moves it, is `spread`.
 
 Where what the water is above the room is logged, a level is an open valve times that: x is then what the water gives
 with the valve open, which it goes on to while its machine is off, and o how far the room's own thermostat opens it,
@@ -38,6 +41,10 @@ if TYPE_CHECKING:  # loaded only where tables are read
 _LEAST_H, _LEAST_EFFECT = 72.0, 0.02
 # What of the last level may be left; the least of those is taken that are nearly as good as the best.
 _CARRIES, _AS_GOOD = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0), 1.05
+# Kelvins between where a thermostat of a room comes on and goes off, which are tried likewise; the least of those is
+# taken whose levels are as good but for so much. By judgement: with .8 K between, up to 1.5 K explain levels of a
+# simulated thermostat as well to .01 (`tests/commands/test_loop.py`).
+_HOLDS_K, _AS_NEAR = (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.5), 0.02
 # What a level leaves of itself at least, where all that a command moves counts: with 1 of c, all for ever.
 _LEAST_LEFT = 0.1
 _BINS, _LEAST_IN_BIN = 24, 8
@@ -76,11 +83,11 @@ class CommandRecord:
 class LoopMap:
     """The level that a loop answers with, see the head of this module.
 
-    `carry` is c; `values`, `effects` (k,): e of the command, straight between; `zone`, `outdoor`: the weights; `knots`,
-    `levels`, `spread`, `uncertain` (m,): s, g(s), scatter of a step's level and standard error of g, straight between
-    and constant beyond what was seen. Of levels followed from the commands alone over `days`: `rmse` of a step's,
-    `r2` of an hour's. `shuts_C`, `opens` (j,): the room's temperature and o(T), likewise. `of_water`: levels are made
-    of what the water is above the room, so that they tell heat while its machine is off too.
+    `carry` is c, `holds_K` h; `values`, `effects` (k,): e of the command, straight between; `zone`, `outdoor`: the
+    weights; `knots`, `levels`, `spread`, `uncertain` (m,): s, g(s), scatter of a step's level and standard error of g,
+    straight between and constant beyond what was seen. Of levels followed from the commands alone over `days`: `rmse`
+    of a step's, `r2` of an hour's. `shuts_C`, `opens` (j,): the room's temperature and o(T), likewise. `of_water`:
+    levels are made of what the water is above the room, so that they tell heat while its machine is off too.
     """
 
     carry: float
@@ -98,6 +105,7 @@ class LoopMap:
     shuts_C: Array = field(default_factory=lambda: np.zeros(1))
     opens: Array = field(default_factory=lambda: np.ones(1))
     of_water: bool = False
+    holds_K: float = 0.0
 
     def index(self, value: float | Array, T_zone_C: float | Array, T_out_C: float | Array) -> Array:
         """s of commands at temperatures, °C; of one shape."""
@@ -127,15 +135,18 @@ class LoopMap:
         z: float | Array = 0.0,
     ) -> Array:
         """x of a step, as `level`."""
-        s = self.index(value, T_zone_C, T_out_C)
+        s = self.index(value, T_zone_C, T_out_C) + self.held(before)
         moved = np.interp(s, self.knots, self.levels) + z * np.interp(s, self.knots, self.uncertain)
         return np.clip(self.carry * np.asarray(before) + moved, 0.0, 1.0)
 
+    def held(self, before: float | Array) -> Array:
+        """By how much s is higher after x `before`."""
+        return np.asarray(self.holds_K * (np.asarray(before) - 0.5))
+
     def at_rest(self, value: float | Array, T_zone_C: float | Array, T_out_C: float | Array) -> Array:
-        """x that a command comes to where it is held, as `level`."""
-        return np.asarray(self.behind(value, T_zone_C, T_out_C, 0.0) / max(1.0 - self.carry, _LEAST_LEFT)).clip(
-            0.0, 1.0
-        )
+        """x that a command comes to where it is held, as `level`; of a thermostat midway between on and off."""
+        moved = np.interp(self.index(value, T_zone_C, T_out_C), self.knots, self.levels).clip(0.0, 1.0)
+        return np.asarray(moved / max(1.0 - self.carry, _LEAST_LEFT)).clip(0.0, 1.0)
 
     def opened(self, T_zone_C: float | Array) -> Array:
         """o of rooms at these temperatures, °C."""
@@ -156,6 +167,7 @@ class LoopMap:
     def in_words(self) -> str:
         """What was learned in a few words."""
         followed = "" if self.carry == 0.0 else f", {100 * self.carry:.0f} % of the last level stays"
+        followed += f", it switches {self.holds_K:g} K apart" if self.holds_K else ""
         return f"explains {100 * self.r2:.0f} % of the level's scatter over {self.days:.0f} days{followed}"
 
 
@@ -365,6 +377,8 @@ def _learn_loop(command: Command, seen: _Signals, step_s: float, time_s: Array, 
     day = np.floor(time_s[:-1] / DAY_S).astype(np.intp)
     rows = np.flatnonzero(follows)
     candidates = [_fit(command, rows, seen, carry) for carry in _CARRIES]
+    if command.of_zone == -1.0:
+        candidates += [_fit(command, rows, seen, 0.0, holds_K) for holds_K in _HOLDS_K]
     groups = _alike_days(value[rows], day[rows])
     water = None if command.of_zone == -1.0 else _by_water(seen, rows)
     behind, told = (u, rows) if water is None else (water.level, np.intersect1d(water.rows, rows))
@@ -373,7 +387,10 @@ def _learn_loop(command: Command, seen: _Signals, step_s: float, time_s: Array, 
         told = others if others.size >= _LEAST_OPEN else told
     courses = [_followed(loop, rows, seen, measured, behind) for loop in candidates]
     rmse = [float(np.sqrt(np.mean((behind - course)[told] ** 2))) for course in courses]
-    chosen = next(i for i, one in enumerate(rmse) if one <= _AS_GOOD * min(rmse))
+    chosen = next(i for i, one in enumerate(rmse) if one <= _AS_GOOD * min(rmse[: len(_CARRIES)]))
+    least = min(rmse)
+    if _AS_GOOD * least < rmse[chosen]:
+        chosen = next(i for i, one in enumerate(rmse) if i >= len(_CARRIES) and one <= least + _AS_NEAR)
     loop = candidates[chosen]
     error = u[rows] - (loop.opened(seen.T_zone_C) * courses[chosen])[rows]
     r2 = _explained(u[rows], error, np.floor(time_s[rows] / _COMPARED_S + 1e-6))
@@ -382,8 +399,8 @@ def _learn_loop(command: Command, seen: _Signals, step_s: float, time_s: Array, 
     for _ in range(_DRAWS):
         some = np.concatenate([rng.choice(days, days.size) for days in groups])
         again.append(np.concatenate([rows[day[rows] == one] for one in some]))
-    drawn = [_fit(command, draw, seen, loop.carry) for draw in again]
-    s = loop.index(value, seen.T_zone_C, seen.T_out_C)[rows]
+    drawn = [_fit(command, draw, seen, loop.carry, loop.holds_K) for draw in again]
+    s = (loop.index(value, seen.T_zone_C, seen.T_out_C)[1:] + loop.held(courses[chosen][:-1]))[rows - 1]
     uncertain = np.std([_at(one, loop) for one in drawn], axis=0)
     untold = _untold(command, loop, drawn, value[rows], seen.T_zone_C[rows], seen.T_out_C[rows], r2, where)
     spread = _by_bins(s, error**2, loop.knots) ** 0.5
@@ -413,7 +430,7 @@ def _alike_days(value: Array, day: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     return [group for group in groups if group.size]
 
 
-def _fit(command: Command, rows: NDArray[np.intp], seen: _Signals, carry: float) -> LoopMap:
+def _fit(command: Command, rows: NDArray[np.intp], seen: _Signals, carry: float, holds_K: float = 0.0) -> LoopMap:
     """The map with the least squares of one-step errors in `rows`."""
     value, T_zone_C, T_out_C = seen.value, seen.T_zone_C, seen.T_out_C
     water = None if command.of_zone == -1.0 else _by_water(seen, rows)
@@ -438,10 +455,12 @@ def _fit(command: Command, rows: NDArray[np.intp], seen: _Signals, carry: float)
     if values.size == 1 or values[0] == values[-1]:  # one value all the time
         values, effects = np.array([set_to[0] - 0.5, set_to[0] + 0.5]), np.array([set_to[0] - 0.5, set_to[0] + 0.5])
     nothing = np.zeros(1)
-    loop = LoopMap(carry, values, effects, zone, outdoor, nothing, nothing, nothing, nothing, 0.0, 0.0, 0.0)
+    loop = LoopMap(
+        carry, values, effects, zone, outdoor, nothing, nothing, nothing, nothing, 0.0, 0.0, 0.0, holds_K=holds_K
+    )
     if command.of_zone == -1.0:  # the difference counts, also of commands that were never set
         loop = replace(loop, values=np.array([-1e3, 1e3]), effects=np.array([-1e3, 1e3]))
-    knots, levels = _monotone(loop.index(value, T_zone_C, T_out_C)[rows], y)
+    knots, levels = _monotone(loop.index(value, T_zone_C, T_out_C)[rows] + loop.held(level[rows - 1]), y)
     none = np.zeros(knots.size)
     loop = replace(loop, knots=knots, levels=levels, spread=none, uncertain=none)
     return loop if water is None else replace(loop, shuts_C=water.shuts_C, opens=water.opens)
@@ -529,14 +548,15 @@ def _followed(
     loop: LoopMap, rows: NDArray[np.intp], seen: _Signals, measured: NDArray[np.bool_], behind: Array
 ) -> Array:
     """x (n,) that follows from the commands alone, from each gap and each beginning on, where it is `behind` (n,)."""
-    moved = np.interp(loop.index(seen.value, seen.T_zone_C, seen.T_out_C), loop.knots, loop.levels)
+    s = loop.index(seen.value, seen.T_zone_C, seen.T_out_C)
     out = np.where(measured, behind, np.nan)
-    if loop.carry == 0.0:
-        out[rows] = np.clip(moved[rows], 0.0, 1.0)
+    if loop.carry == 0.0 and loop.holds_K == 0.0:
+        out[rows] = np.clip(np.interp(s[rows], loop.knots, loop.levels), 0.0, 1.0)
         return out
     for k in rows:
         before = 0.0 if np.isnan(out[k - 1]) else out[k - 1]
-        out[k] = min(max(loop.carry * before + moved[k], 0.0), 1.0)
+        moved = np.interp(s[k] + loop.holds_K * (before - 0.5), loop.knots, loop.levels)
+        out[k] = min(max(loop.carry * before + moved, 0.0), 1.0)
     return out
 
 
@@ -579,7 +599,7 @@ def _untold(
     def effect(one: LoopMap) -> float:
         if command.of_zone == -1.0:
             middle = float(np.median(T_zone_C)), float(np.median(T_out_C))
-            return float(one.level(high, *middle, 0.0) - one.level(low, *middle, 0.0))
+            return float(one.level(high, *middle, 0.5) - one.level(low, *middle, 0.5))
         # In all hours, since in many of them a thermostat shuts the valve, and with what comes of it later.
         low_s, high_s = (one.index(value, T_zone_C, T_out_C) for value in (low, high))
         moved = np.interp(high_s, one.knots, one.levels) - np.interp(low_s, one.knots, one.levels)
