@@ -29,6 +29,7 @@ from thermoforce_mpc.model.free_response.calibrated import CalibratedState, Issu
 from thermoforce_mpc.model.free_response.following import MeanState
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.substitute import SubstituteState
+from thermoforce_mpc.model.late_sensor import LateSensor
 from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, HourEffects, HourSeen
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.other_load import OtherLoad
@@ -85,6 +86,7 @@ STATE_CLASSES: tuple[type[Any], ...] = (
     Competence,
     HorizonScore,
     SunOnSensor,
+    LateSensor,
 )
 
 

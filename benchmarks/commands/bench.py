@@ -13,7 +13,7 @@ compared with what it saves: the house as it stands then is lived through the pl
 and left alone. That is done with thermostats as they are and with some that are off by a tenth of a kelvin, and the
 mean counts: a thermostat that switches every seven hours is at another turn after two days, which costs more or
 less by chance (house 9725 left alone after a plan by SG-Ready and without one: 10.9 and 11.6 kWh in two days, 16.7 and
-16.7 in three, 2026-11-30). Two days left alone follow each, and count: what heat that is left or missing in house and
+16.7 in three, 2026-11-30). Four days left alone follow each, and count: what heat that is left or missing in house and
 tank is worth, the house says itself. A price for it does not: at the mean cost of the rooms' heat, which holds hot
 water and standby, four plans of 9508 by SG-Ready saved 57 % of what it cost left alone, and 26 % with those days
 (2026-11-29).

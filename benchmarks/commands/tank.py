@@ -3,8 +3,8 @@
 The houses of `bench commands` that take set-points of their rooms. Their tank has a logger of its own: temperature to
 half a kelvin and the meter of the heat pump every five minutes; what it is is learned from the 28 days before. Then the
 same cold days are lived left alone, with the target of the tank planned and the rooms left to their thermostats, and
-with their set-points planned too. The tank is wanted as warm by day as the device keeps it, see `wanted`. Two days left
-alone follow and count, as in `bench commands`.
+with their set-points planned too. The tank is wanted as warm by day as the device keeps it, see `wanted`. Four days
+left alone follow and count, as in `bench commands`.
 """
 
 from __future__ import annotations

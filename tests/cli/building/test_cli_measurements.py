@@ -207,7 +207,7 @@ def test_identify_exits_with_4_where_the_model_is_not_competent_and_says_what_to
     words = ("--model", str(folder / "weak"), "--data", "operated.csv", "--map", "map.yaml", "--forecast", "ahead.csv")
     done = tf_mpc(folder, "plan", *words, "--out", "weak.csv")
     assert done.exit_code == 4, done.output
-    assert re.search(r"^Plan from \S+ \S+ for \d+ h:\n  \S.*This model may not act, .*\n  \S", done.output, flags=re.M)
+    assert re.search(r"^Plan from \S+ \S+ for \d+ h: gate: This model may not act, .* Next: ", done.output, flags=re.M)
     assert "leave the building to its own control" in done.output
     assert not (folder / "weak.csv").exists()
 
