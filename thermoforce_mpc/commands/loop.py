@@ -549,14 +549,14 @@ def _followed(
 ) -> Array:
     """x (n,) that follows from the commands alone, from each gap and each beginning on, where it is `behind` (n,)."""
     s = loop.index(seen.value, seen.T_zone_C, seen.T_out_C)
-    out = np.where(measured, behind, np.nan)
+    moved, out = np.interp(s, loop.knots, loop.levels), np.where(measured, behind, np.nan)
     if loop.carry == 0.0 and loop.holds_K == 0.0:
-        out[rows] = np.clip(np.interp(s[rows], loop.knots, loop.levels), 0.0, 1.0)
+        out[rows] = np.clip(moved[rows], 0.0, 1.0)
         return out
     for k in rows:
         before = 0.0 if np.isnan(out[k - 1]) else out[k - 1]
-        moved = np.interp(s[k] + loop.holds_K * (before - 0.5), loop.knots, loop.levels)
-        out[k] = min(max(loop.carry * before + moved, 0.0), 1.0)
+        up = np.interp(s[k] + loop.holds_K * (before - 0.5), loop.knots, loop.levels) if loop.holds_K else moved[k]
+        out[k] = min(max(loop.carry * before + up, 0.0), 1.0)
     return out
 
 
