@@ -39,7 +39,6 @@ from thermoforce_mpc.commands.meter import (
 from thermoforce_mpc.data import (
     HOUR_S,
     J_PER_KWH,
-    NORMAL_95,
     Array,
     Block,
     Boundary,
@@ -51,10 +50,10 @@ from thermoforce_mpc.data import (
 )
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.dataframes import clock_s
-from thermoforce_mpc.data.series import first_order
 from thermoforce_mpc.data.superposition import compose
-from thermoforce_mpc.model.card import JUDGED_H, MOST_ERROR_K, ModelCard
-from thermoforce_mpc.model.machine.change import COMPARED_H, weight_of_demand
+from thermoforce_mpc.model.card import JUDGED_H, ModelCard
+from thermoforce_mpc.model.drawn import errors_K, expected_saving, free_errors_K, lasting, more_and_less, standard
+from thermoforce_mpc.model.machine.change import weight_of_demand
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -66,17 +65,14 @@ NOT_BETTER = "commands that were found are not better than leaving the building 
 """What a plan says that is not carried out."""
 # Rounds in which level and temperature of a step are made to agree, and levels of a table of their heat.
 _ROUNDS, _CLOSE, _TABLE = 20, 5e-4, 65
-_DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
+_DRAWS, _SEED = 40, 64
 # Lead time whose error counts of rooms that are not known, h: the longest that is judged.
 _ERROR_H = JUDGED_H[-1]
-# How long an error of the free part lasts, h: weather, sun and people of a day. By judgement: the band of a plan of
-# house 9508 by set-points (`bench commands`, 2026-11-29) is 37 % of the cost wide at 0, 42 at 3, 44 at 12, 46 at 48 h.
-_LASTS_H = 12.0
 # What plans save at all, as a share of what levels cost: root mean square of what came true by set-points, offset and
 # SG-Ready, .16, .09 and .11 of the whole cost (50 houses of `bench commands`, seeds 9530 to 9541 and 9550 to 9554,
 # 2026-11-29), of which levels are .86. With it, what is said is off by .046 of the cost (.058 without). Standard
 # deviations between the quantiles of a band.
-_SAVES, _SDS = 0.145, 2.0 * NORMAL_95
+_SAVES = 0.145
 # What a change of a command must save, as a share of what levels cost when the building is left alone. By judgement: a
 # change an hour all day costs as much as 5 %.
 _PER_CHANGE = 0.002
@@ -133,9 +129,6 @@ class BuildingCommands:
         self._layout, self._learned, self._cards = layout, dict(learned), tuple(cards)
         self._meters = dict(meters)
         self._spread = np.array([_effect_spread(card) for card in cards])
-        self._errors_K = np.zeros((len(layout.names.zones), len(JUDGED_H)))
-        for z, card in zip(layout.home, cards, strict=True):
-            self._errors_K[z] = np.maximum(self._errors_K[z], free_errors_K(card))
 
     def begin(
         self,
@@ -185,8 +178,8 @@ class BuildingCommands:
             for name, group in groups.items()
             if isinstance(name, str) and name in self._meters
         )
-        ends_h = (boundary.time_s[1:] - boundary.time_s[0]) / HOUR_S
-        free_K = np.stack([np.interp(ends_h, (0.0, *JUDGED_H), (0.0, *errors_K)) for errors_K in self._errors_K])
+        layout = self._layout
+        free_K = free_errors_K(self._cards, layout.home, len(layout.names.zones), boundary.time_s)
         acts = loops, now, together, frozenset(alone)
         plan = CommandedPlan(operator, problem, boundary, *acts, self._spread, free_K, hour, held, beside)
         return plan.margins_as_left_alone()
@@ -229,7 +222,7 @@ class _HeldRoom:
     @classmethod
     def of(cls, card: ModelCard) -> _HeldRoom:
         """By the errors 6 h ahead, and what all actuators do there together, as `card` has it."""
-        return cls(free_errors_K(card)[JUDGED_H.index(_ERROR_H)], min(card.together_sd, 1.0))
+        return cls(errors_K(card)[JUDGED_H.index(_ERROR_H)], min(card.together_sd, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -448,7 +441,7 @@ class CommandedPlan:
         away_K: Array = self.free_K * lasting((len(z), *self.free_K.shape), problem.step_s, rng)
         with_plan, alone = (self._brought(plan.u, held, len(z), gain, z[:, A], away_K) for held in (own, usual))
         # What commands do on the meter beside levels, by effects that differ too.
-        drawn = [one.meter.drawn(_standard(len(z), one.meter.mean.size, rng)) for one in self.beside]
+        drawn = [one.meter.drawn(standard((len(z), one.meter.mean.size), rng)) for one in self.beside]
         per_kWh = self._dearest(evaluator).per_kWh
         with_meter, alone_meter = (
             self._at_meter(evaluator, one.levels, held, per_kWh, drawn)
@@ -464,10 +457,7 @@ class CommandedPlan:
         demand = np.where(np.arange(len(z)) > 0, uniform, 0.5) * weight_of_demand(power_spread)
         as_asked = 1.0 + demand * (by_demand - 1.0)
         cost, energy = cost * as_asked, energy * as_asked
-        # What is used more and what is used less are at other levels and other hours: each errs by itself.
-        change = found[0][0].energy_cost - found[1][0].energy_cost
-        of_parts = np.add.reduceat(change, np.arange(0, change.size, max(1, round(COMPARED_H / step_h))))
-        more, less = np.maximum(of_parts, 0.0).sum(), np.maximum(-of_parts, 0.0).sum()
+        more, less = more_and_less(found[0][0].energy_cost - found[1][0].energy_cost, problem.step_s)
         by_levels = power_spread * (less * z[:, A + 1] - more * z[:, A + 2])
         # What follows after the plan counts as heat that is stored does.
         beside, beside_alone = with_meter.beside, alone_meter.beside
@@ -483,28 +473,19 @@ class CommandedPlan:
         by_chance = self._chance_sd({a for a in planned if not np.array_equal(own[a], usual[a])}, scatter_W)
         if by_chance is not None:
             sd = beyond_sd(float(moved), float(of_levels[0]), by_chance)
-            saved = saved + sd * _standard(len(z), 1, rng)[:, 0]
-        # The draws tell how wide, not where: levels that end at 0 and 1 shift them all to one side of the likeliest
-        # house, and what came true lay on the other (`bench commands`, houses 9502 and 9501, 2026-11-28).
-        low, high = np.quantile(saved[1:], _QUANTILES) - np.median(saved[1:])
-        # A plan is the best of many by a model that errs, so that less comes true than that says, the more it errs
-        # (Smith and Winkler 2006): what is expected, with what plans save at all as the prior.
+            saved = saved + sd * standard((len(z), 1), rng)[:, 0]
         # Of peaks no prior is known but what is said.
         prior = float(np.hypot(_SAVES * of_levels[0], off_peak[0]))
-        error = float(high - low) / _SDS
-        kept = prior**2 / max(prior**2 + error**2, 1e-12)
-        expected, not_kept = kept * float(saved[0]), (1.0 - kept) * float(saved[0])
-        low, high = (expected + float(np.sqrt(kept)) * float(one) for one in (low, high))
-
+        expected, low, high = expected_saving(saved, prior)
         outside = [self.boundary.outside_K(one.T_bounds_C[:, 1:]).sum(axis=1) * step_h for one in (with_plan, alone)]
         comfort = float((problem.weights.comfort * (outside[1] - outside[0])).sum())
         kept_caps = float(alone_meter.cap[0] - with_meter.cap[0])
         peak, peak_alone = float(with_meter.peak[0]), float(alone_meter.peak[0])
         return PlannedSaving(
             saved=expected,
-            low=min(low, expected),
-            high=max(high, expected),
-            cost=float(cost[0]) + not_kept + peak,
+            low=low,
+            high=high,
+            cost=float(cost[0]) + float(saved[0]) - expected + peak,
             cost_alone=float(cost_alone[0]) + peak_alone,
             energy_kWh=float(energy[0]),
             energy_alone_kWh=float(energy_alone[0]),
@@ -691,13 +672,6 @@ def _effect_spread(card: ModelCard) -> float:
     """Standard error of an actuator's effect of a day on its home zone, as a share; 0 where its card has none."""
     effect, sd = (card.uncertainty.get(f"step_response_24h{what}_K", 0.0) for what in ("", "_sd"))
     return min(sd / abs(effect), 1.0) if effect else 0.0
-
-
-def free_errors_K(card: ModelCard) -> tuple[float, ...]:
-    """Errors of predictions at the lead times that are judged, K; where none is known, the most that are allowed."""
-    scores = () if card.competence is None else card.competence.horizons
-    known = {score.hours: score.model_K for score in scores if np.isfinite(score.model_K)}
-    return tuple(known.get(hours, MOST_ERROR_K[hours]) for hours in JUDGED_H)
 
 
 def with_command_states(plan: Plan, commanded: Commanded) -> Plan:
@@ -1008,21 +982,6 @@ def _worth(operator: BuildingOperator, problem: MPCProblem, more_K: Array, mean:
         if pair.gains[slowest] * drive:
             worth += price * per_u[a] * more_K[:, home, a, slowest] / (pair.gains[slowest] * drive)
     return worth
-
-
-def _standard(S: int, n: int, rng: np.random.Generator) -> Array:
-    """Standard normal numbers (S, n), of which the first are nought."""
-    z = rng.standard_normal((S, n))
-    z[0] = 0.0
-    return z
-
-
-def lasting(shape: tuple[int, ...], step_s: float, rng: np.random.Generator) -> Array:
-    """Standard normal numbers (S, Z, n) that go on from step to step, of which the first are nought."""
-    (S, Z, n), stays = shape, float(np.exp(-step_s / (_LASTS_H * HOUR_S)))
-    drawn = _standard(S, Z * (n + 1), rng).reshape(S * Z, n + 1)
-    moved = np.sqrt(1.0 - stays**2) * drawn[:, 1:]
-    return first_order(np.array([stays]), moved[..., None], drawn[:, :1])[..., 0].reshape(S, Z, n)
 
 
 def _turns(row: Array, part_s: float) -> Turns:

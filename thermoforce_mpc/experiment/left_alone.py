@@ -14,18 +14,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from controllers.mpc.commanding import free_errors_K, lasting
-from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Boundary, Plan, PlannedSaving, Record
-from thermoforce_mpc.data.dataframes import clock_s
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Plan, PlannedSaving, Record
+from thermoforce_mpc.data.dataframes import clock_s, stamps
 from thermoforce_mpc.data.series import bridged, interpolated
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.experiment.worth import effect_spreads
-from thermoforce_mpc.model.card import JUDGED_H
+from thermoforce_mpc.model.drawn import expected_saving, free_errors_K, lasting, more_and_less, standard
 from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.forecast_gaps import completed
-from thermoforce_mpc.model.machine.change import COMPARED_H, weight_of_demand
+from thermoforce_mpc.model.machine.change import weight_of_demand
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR, feature_matrix
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -62,12 +62,13 @@ def saving_of_levels(model: ThermalModel, history: Record, ahead: Boundary, plan
     habits = _Habits.of(model, whole)
     operator, rng = model.operator.resampled(whole.step_s), np.random.default_rng(_SEED)
     forced, spread = followed(model.operator, None, whole).forced_K, effect_spreads(model)
-    gain = np.exp(np.clip(spread * _standard(rng, (_DRAWS + 1, *spread.shape)), -_MOST_LOG, _MOST_LOG))
+    gain = np.exp(np.clip(spread * standard((_DRAWS + 1, *spread.shape), rng), -_MOST_LOG, _MOST_LOG))
     ratio, scatter = habits.against_record(model, operator, whole, forced, gain)
     u, now = np.clip(plan.u, operator.u_min[:, None], 1.0), forced[:, :, -1]
     T_free_C = plan.T_zone_C - operator.rollout(now, u, _features(plan.T_zone_C, ahead)).sum(axis=(1, 3))
     x = _features(T_free_C, ahead)
-    away_K = lasting((len(gain), *T_free_C.shape), whole.step_s, rng) * _free_errors_K(model, ahead)
+    error_K = free_errors_K(model.cards, operator.home, len(operator.zones), ahead.time_s)
+    away_K = lasting((len(gain), *T_free_C.shape), whole.step_s, rng) * error_K
     target_C = habits.at(clock_s(ahead.time_s[1:], history.origin), _is_weekend(ahead.time_s[:-1], history))
     begin, T_free_C = np.repeat(now[None], len(gain), axis=0), T_free_C + away_K
     u_alone, T_alone_C, after_alone = _kept(operator, begin, T_free_C, x, target_C, gain)
@@ -75,7 +76,7 @@ def saving_of_levels(model: ThermalModel, history: Record, ahead: Boundary, plan
     hours = -whole.step_s / HOUR_S / np.log(np.clip(operator.poles, 1e-9, 1.0 - 1e-9))
     warmer_Kh = ((after_plan - after_alone) * hours).sum(axis=(2, 3))
     days = max(u.shape[1] * whole.step_s / DAY_S, 1.0)
-    other = np.exp(scatter / np.sqrt(days) * _standard(rng, ratio.shape)) / ratio
+    other = np.exp(scatter / np.sqrt(days) * standard(ratio.shape, rng)) / ratio
     both = _Both(u, u_alone, other, T_plan_C, T_alone_C, warmer_Kh)
     return _compared([_cost(model, m, whole, ahead, both, rng) for m in range(len(model.machines))], both, ahead, rng)
 
@@ -113,11 +114,8 @@ def _cost(model: ThermalModel, m: int, record: Record, ahead: Boundary, both: _B
     levels and what the rooms ask for; what is used more and less errs each by itself.
     """
     per_W, price, T_out_C = record.step_s / HOUR_S / 1000.0, ahead.price_per_kWh[m, :-1], ahead.T_out_C
-    fed, share, S = (
-        [model.layout.home[a] for a in model.layout.fed_by(m)],
-        model.power_change(m, record),
-        len(both.other),
-    )
+    fed, S = [model.layout.home[a] for a in model.layout.fed_by(m)], len(both.other)
+    share = model.power_change(m, record)
     idle_W, plan_W = (model.power_by_law(m, one, T_out_C[:-1]) for one in (np.zeros_like(both.u), both.u))
     rooms_W = np.stack([model.power_by_law(m, one, T_out_C[:-1]) - idle_W for one in both.u_alone])
     alone_W = idle_W + rooms_W * both.other[:, None]
@@ -127,13 +125,12 @@ def _cost(model: ThermalModel, m: int, record: Record, ahead: Boundary, both: _B
     plan_kWh, law = float(plan_W.sum()) * per_W, float(plan_W @ price) * per_W
     T_C = both.T_plan_C, both.T_alone_C
     over_K, over_alone_K = (np.maximum((one[:, fed] - T_out_C[1:]).mean(axis=(1, 2)), 1.0) for one in T_C)
-    more, less = _standard(rng, (S, 2)).T
+    z_more, z_less = standard((S, 2), rng).T
     asked = alone_kWh * over_K / over_alone_K / max(plan_kWh, 1e-9)
     goes = np.append(0.5, rng.random(S - 1)) * weight_of_demand(share.spread)
     factor = 1.0 + goes * (asked - 1.0)
-    change = (plan_W - alone_W[0]) * price * per_W
-    parts = np.add.reduceat(change, np.arange(0, change.size, max(1, round(COMPARED_H * HOUR_S / record.step_s))))
-    errs = np.maximum(parts, 0.0).sum() * more - np.maximum(-parts, 0.0).sum() * less
+    more, less = more_and_less((plan_W - alone_W[0]) * price * per_W, record.step_s)
+    errs = more * z_more - less * z_less
     of_rooms = alone - float(idle_W @ price) * per_W
     an_hour_kWh = (alone_kWh - float(idle_W.sum()) * per_W) / (price.size * record.step_s / HOUR_S)
     stored = both.warmer_Kh[:, fed].mean(axis=1) * an_hour_kWh / over_alone_K * alone / np.maximum(alone_kWh, 1e-9)
@@ -147,20 +144,15 @@ def _compared(machines: Sequence[_Cost], both: _Both, ahead: Boundary, rng: np.r
         np.sum([getattr(one, of) for one in machines], axis=0) for of in ("cost", "kWh", "alone", "alone_kWh", "stored")
     )
     by_demand = sum(one.by_demand for one in machines)
-    saved = alone - cost + stored + _BEYOND * alone[0] * _standard(rng, alone.shape)
-    away = np.quantile(saved[1:], (0.05, 0.95)) - np.median(saved[1:])
-    # Less comes true of the best of many plans by a model that errs, the more it errs (Smith and Winkler 2006); what
-    # colder rooms need less does.
-    prior, error = _SAVES * float(alone[0]), float(away[1] - away[0]) / (2.0 * NORMAL_95)
-    kept = prior**2 / max(prior**2 + error**2, 1e-12)
-    expected = by_demand + kept * (float(saved[0]) - by_demand)
-    low, high = (expected + float(np.sqrt(kept)) * float(one) for one in away)
+    saved = alone - cost + stored + _BEYOND * alone[0] * standard(alone.shape, rng)
+    # What colder rooms need less comes true.
+    expected, low, high = expected_saving(saved, _SAVES * float(alone[0]), float(by_demand))
     step_h = float(ahead.step_s) / HOUR_S
     outside = [float(ahead.outside_K(one[0]).sum()) * step_h for one in (both.T_plan_C, both.T_alone_C)]
     return PlannedSaving(
         saved=expected,
-        low=min(low, expected),
-        high=max(high, expected),
+        low=low,
+        high=high,
         cost=float(cost[0]) + float(saved[0]) - expected,
         cost_alone=float(alone[0]),
         energy_kWh=float(kWh[0]),
@@ -169,15 +161,6 @@ def _compared(machines: Sequence[_Cost], both: _Both, ahead: Boundary, rng: np.r
         outside_alone_Kh=outside[1],
         gain=expected,
     )
-
-
-def _free_errors_K(model: ThermalModel, ahead: Boundary) -> Array:
-    """Errors of the free part at the ends of steps (Z, N), K."""
-    each = np.zeros((len(model.operator.zones), len(JUDGED_H)))
-    for z, card in zip(model.operator.home, model.cards, strict=True):
-        each[z] = np.maximum(each[z], free_errors_K(card))
-    ends_h = (ahead.time_s[1:] - ahead.time_s[0]) / HOUR_S
-    return np.stack([np.interp(ends_h, (0.0, *JUDGED_H), (0.0, *row)) for row in each])
 
 
 def _check(model: ThermalModel, plan: Plan) -> None:
@@ -284,9 +267,7 @@ class _Habits:
 def _is_weekend(time_s: Array, record: Record) -> NDArray[np.bool_]:
     if record.origin is None:
         return np.zeros(np.shape(time_s), dtype=bool)
-    import pandas as pd
-
-    return np.array([(record.origin + pd.Timedelta(seconds=float(s))).weekday() >= 5 for s in np.atleast_1d(time_s)])
+    return np.asarray(pd.DatetimeIndex(stamps(np.atleast_1d(time_s), record.origin)).day_of_week >= 5)
 
 
 def _features(T_free_C: Array, ahead: Boundary) -> Array:
@@ -346,10 +327,3 @@ def _held(
         state = operator.poles * state + operator.gains * (gain * drive[None, None])[..., None]
         T_C[..., k] = T_free_C[..., k] + state.sum(axis=(2, 3))
     return T_C, state
-
-
-def _standard(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
-    """Standard normal numbers, of which the first are nought."""
-    z = rng.standard_normal(shape)
-    z[0] = 0.0
-    return z
