@@ -347,6 +347,16 @@ def test_a_heat_pump_of_constant_power_is_no_other_unit():
     assert "too much for a boiler" in str(remarks(steady, LAYOUT))
 
 
+@pytest.mark.parametrize(("starts", "doubted"), [(1, False), (8, True)])
+def test_a_mild_day_with_one_start_tells_no_size(starts, doubted):
+    """A heater of a generated house (140930:1) in a sunny week: 33 W but for a quarter of an hour."""
+    idle = CLEAN.last(96)
+    u, power = np.full((1, 96), 0.001), np.full((1, 96), 1.0)
+    u[0, :starts], power[0, :starts] = 0.4, 28.0 if doubted else 400.0
+    found = remarks(replace(idle, u=u, power_W=power, heat_W=_unknown(idle)), LAYOUT)
+    assert ("unit of power" in [remark.kind for remark in found]) is doubted
+
+
 def test_a_chiller_of_one_efficiency_is_no_boiler_in_other_units():
     """A steady 2.9 units of cold from one of energy in any weather; as heat of a machine that only heats a doubt."""
     cold_W = 0.8 * FULL_W * CLEAN.u * (1.0 + 0.2 * np.sin(np.arange(CLEAN.n_steps)))

@@ -42,6 +42,9 @@ _LEAST_W, _LEAST_W_M2, _MOST_W = 15.0, 1.5, 3e5
 # Share of the heating that may happen while it is as warm outdoors as in the room, less 1 K.
 _MOST_WARM_SHARE, _WARM_K, _COLDER_K = 0.3, 1.0, 3.0
 _ON, _LEAST_ROWS, _CLEAR = 0.1, 24, 2.0
+# Steps in which a machine must have run to tell its size: of a mild day with one short start the largest load but for
+# one in a hundred is what idles.
+_LEAST_RUNNING = 8
 # Without known levels a machine runs where its load goes up and down by this factor.
 _UP_AND_DOWN = 10.0
 
@@ -80,13 +83,17 @@ def _of_temperature(where: str, values_C: Array, rule: SignalRule) -> Remark | N
     return None
 
 
-def _runs(record: Record, fed: list[int], load_W: Array) -> bool:
-    """Whether a machine ran: by its levels, or by its load (n,) where they are not known."""
+def _running(record: Record, fed: list[int], load_W: Array) -> Array:
+    """Load (n,) of a machine while it ran: by its levels, or all of it where they are not known and it goes up and
+    down; empty where it hardly ran.
+    """
     u = record.u[fed]
-    if (np.abs(np.nan_to_num(u)) > _ON).any():
-        return True
+    rows = (np.abs(np.nan_to_num(u)) > _ON).any(axis=0)
+    if rows.any():
+        return load_W[rows] if rows.sum() >= _LEAST_RUNNING else load_W[:0]
     known = load_W[np.isfinite(load_W)]
-    return not np.isfinite(u).all() and known.size > 0 and bool(_most(known) > _UP_AND_DOWN * np.percentile(known, 5.0))
+    moves = not np.isfinite(u).all() and known.size > 0 and _most(known) > _UP_AND_DOWN * np.percentile(known, 5.0)
+    return load_W if moves else load_W[:0]
 
 
 def _of_machine(record: Record, layout: Layout, m: int, machine: str) -> list[Remark]:
@@ -95,8 +102,7 @@ def _of_machine(record: Record, layout: Layout, m: int, machine: str) -> list[Re
     of_heat = " + ".join(record.names.label("heat_W", a) for a in fed)
     found = []
     for what, load in ((record.names.label("power_W", m), power), (of_heat, heat)):
-        size = _size(load, _area_m2(layout, fed)) if _runs(record, fed, load) else None
-        if size:
+        if size := _size(load, _running(record, fed, load), _area_m2(layout, fed)):
             found.append(Remark("unit of power", what, *size))
     if found or not fed:
         return found
@@ -111,15 +117,14 @@ def _of_machine(record: Record, layout: Layout, m: int, machine: str) -> list[Re
     return found
 
 
-def _size(load_W: Array, area_m2: float) -> tuple[str, str] | None:
-    """What is impossible about the size of a load (n,), and the remedy."""
-    most = _most(load_W)
-    if most <= 0.0:
+def _size(load_W: Array, running_W: Array, area_m2: float) -> tuple[str, str] | None:
+    """What is impossible about the size of a load (n,), `running_W` (k,) while its machine ran, and the remedy."""
+    full, most = _most(running_W), _most(load_W)
+    if full <= 0.0:
         return None
-    per_m2 = most / area_m2
-    if most < _LEAST_W or per_m2 < _LEAST_W_M2:
-        return f"never above {most:.3g} W", "kW is likelier than W: multiply by 1000 (unit: kW)"
-    if per_m2 > LOAD_W_PER_M2 or (not np.isfinite(area_m2) and most > _MOST_W):
+    if full < _LEAST_W or full / area_m2 < _LEAST_W_M2:
+        return f"never above {full:.3g} W", "kW is likelier than W: multiply by 1000 (unit: kW)"
+    if most / area_m2 > LOAD_W_PER_M2 or (not np.isfinite(area_m2) and most > _MOST_W):
         return f"up to {most:.3g} W", "W is likelier than kW: divide by 1000 (unit: W), or give the floor area"
     return None
 
