@@ -38,6 +38,8 @@ _DAYS, _PROBED_DAYS = 7.0, 3.0
 _WEEKS, _FAULTS, _SEED = 200, 4, 62
 # Goals: false claims in 100 house-weeks; what a rule saves on the faults it is for, less what it costs on the panel.
 _MOST_CLAIMS, _LEAST_BALANCE = 1.0, 0.0
+# How many times as late as it is a sensor may be said to be.
+_LATER = 2.0
 # How certain the interval is in which the rate of false claims lies.
 _CERTAIN = 0.95
 # What is told of a comparison with an earlier run: share of the cost, and K·h.
@@ -136,17 +138,20 @@ def run_case(case: PanelCase) -> dict[str, Any]:
     try:
         place = built(case)
         with closing(place.plant):
-            outcome = _week(case, replace(place, period=replace(place.period, scored_s=_DAYS * DAY_S)))
+            outcome = house_week(case, replace(place, period=replace(place.period, scored_s=_DAYS * DAY_S)))
     except Exception as error:  # recorded as failure of this case; the others continue
         outcome = WeekOutcome(case, failed=f"{type(error).__name__}: {error}")
     return asdict(replace(outcome, seconds=time.perf_counter() - began))
 
 
-def _week(case: PanelCase, place: BuiltCase) -> WeekOutcome:
+def house_week(case: PanelCase, place: BuiltCase) -> WeekOutcome:
+    """The week of a built case, and again without each rule that claimed something or is for its fault."""
     ran = follow(place, None)
     claims = {rule.name: found for rule in RULES if (found := rule.claims(ran))}
     if place.fixed:
         claims.pop("fixed part", None)
+    if not case.fault and ran.claimed_lag_s() <= _LATER * place.late_s:
+        claims.pop("late sensor", None)
     house = getattr(place.plant, "house", None)
     if not case.fault and isinstance(house, DrawnHouse) and ran.gave_all(house):
         claims.pop("shared machine at its limit", None)

@@ -40,8 +40,8 @@ _HEAT_WINDOWS, _COOL_WINDOWS = ("peak_heat_day", "typical_heat_day"), ("peak_coo
 _ZONES = (("energyplus:heating_chicago", 12), ("energyplus:cooling_phoenix", 190))
 # A fault begins so long after the run, s; a day of it, if nothing else is said.
 _AFTER_S = 2.0 * DAY_S
-# Another load on the meter by day, W; sun on a sensor, K; hours until which a machine stands.
-_OTHER_W, _SUN_K, _ASLEEP_H = 400.0, 2.5, 5.0
+# Another load on the meter by day, W; sun on a sensor, K; hours until which a machine stands; lag of a sensor, s.
+_OTHER_W, _SUN_K, _ASLEEP_H, _LATE_S = 400.0, 2.5, 5.0, 900.0
 # Hours of the morning in which a schedule acts, and how many times the ventilation that it blows in then.
 _MORNING_H, _PURGES = (6.0, 7.5), 4.0
 # How far a door moves a sensor, K; a quarter of an hour, s; share of the name plate's heat that a worn machine gives.
@@ -81,13 +81,15 @@ class PanelCase:
 
 @dataclass(frozen=True)
 class BuiltCase:
-    """A plant with its test case and scored window; `fixed`: whether its machine has a fixed loss."""
+    """A plant with its test case and scored window; `fixed`: whether its machine has a fixed loss; `late_s`: time
+    constant of its zone sensor, s.
+    """
 
     plant: Any
     testcase: TestCase
     period: Period
     fixed: bool = False
-    metered: bool = True
+    late_s: float = 0.0
 
 
 def clean(weeks: int, seed: int) -> list[PanelCase]:
@@ -129,7 +131,7 @@ def _house_week(house: House, week: str) -> BuiltCase:
     house = replace(house, sun_bias_K=0.0)
     plant = GeneratedHousePlant(house)
     fixed = house.machine == "heat pump with fixed loss"
-    return BuiltCase(plant, plant.testcase, plant.period(week), fixed, house.heat_metered)
+    return BuiltCase(plant, plant.testcase, plant.period(week), fixed, house.lag_s)
 
 
 def _air(case: PanelCase) -> BuiltCase:
@@ -305,6 +307,12 @@ def _in_the_sun(found: BuiltCase, case: PanelCase) -> BuiltCase:
     return replace(found, plant=GeneratedHousePlant(house))
 
 
+def _late(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """A sensor in a thick case: as late as the latest of a draw."""
+    house = replace(found.plant.house, lag_s=_LATE_S)
+    return replace(found, plant=GeneratedHousePlant(house), late_s=_LATE_S)
+
+
 def _asleep(found: BuiltCase, case: PanelCase) -> BuiltCase:
     def gives(time_s: float, u: float | None) -> float | None:
         return 0.0 if time_s % DAY_S < _ASLEEP_H * HOUR_S - 1.0 else u
@@ -419,6 +427,7 @@ def _weaker_than_named(found: BuiltCase, case: PanelCase) -> BuiltCase:
 
 FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "sun on a sensor": ("generated house", _in_the_sun),
+    "late sensor": ("generated house", _late),
     "hours of the day": ("generated house", _asleep),
     "hours of the day of a unit": ("air unit", _unit_asleep),
     "hours of the day, less effect": ("generated house", _cold_mornings),

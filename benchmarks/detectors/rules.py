@@ -1,10 +1,11 @@
 """Every rule that changes what the controller does because of what it believes of the plant, and when it claims that.
 
-A claim is what the rule says or does where it believes in a fault: on a clean plant each is false, with two exceptions.
-A shared machine may have given all that it can (valves of a drawn house take 1.6 times its heat). And the guard acts on
-what is read, which is true: it is wrong only where the week would have been better without it, as a plan may rightly
-leave a room cold before a day of sun. What is learned continuously and claims nothing (margins, offset, the return of a
-model that was adapted while the watch stood back) is counted with the rule that it belongs to.
+A claim is what the rule says or does where it believes in a fault: on a clean plant each is false, with three
+exceptions. A shared machine may have given all that it can (valves of a drawn house take 1.6 times its heat). Sensors
+of drawn houses are late by up to a quarter of an hour: it is false to say that one is more than twice as late as it is.
+And the guard acts on what is read, which is true: it is wrong only where the week would have been better without it, as
+a plan may rightly leave a room cold before a day of sun. What is learned continuously and claims nothing (margins,
+offset, the return of a model that was adapted while the watch stood back) is counted with the rule that it belongs to.
 """
 
 from __future__ import annotations
@@ -105,6 +106,11 @@ class ControlledWeek:
             found += [f"{self.day(grid_s[k])}: {zone} fell {T_C[k] - T_C[k + 1]:.2f} K" for k in np.flatnonzero(steep)]
         return found
 
+    def claimed_lag_s(self) -> float:
+        """How late the latest zone sensor is said to be, s; 0 where none is."""
+        late = () if isinstance(self.model, str) else self.model.late_sensors
+        return max((found.lag_s for found in late if found is not None), default=0.0)
+
     def gave_all(self, house: DrawnHouse) -> bool:
         """Whether the heat pump of a house of rooms gave all that it can in some block."""
         pump = house.heat_pump
@@ -155,6 +161,12 @@ RULES: tuple[Detector, ...] = (
         "readings, in identification and control; length of the probing",
         lambda ran: ran.notes("stands in the sun") + ran.news("sun on the zone sensor", "stands in the sun"),
         identification={"sun_on_sensor": False},
+    ),
+    Detector(
+        "late sensor",
+        "readings of a room that is heated, in identification and control",
+        lambda ran: ran.notes("the zone sensor reads the room"),
+        identification={"late_sensor": False},
     ),
     Detector(
         "hours of the day",

@@ -29,6 +29,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Period, PlantInfo
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.loop.probing import Probed, Probing
+from thermoforce_mpc.model.late_sensor import LateSensor
 from thermoforce_mpc.plants.embedded import PointEmulator
 from thermoforce_mpc.plants.energyplus.engine import is_available
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -126,6 +127,32 @@ def test_a_guard_that_the_week_is_better_for_was_right_about_a_clean_plant(rule,
     judged = bench.without_right_claims(week(0, 1.0, rule, fault=fault, **{rule: without}))
     assert list(judged.claims) == claims
     assert judged.without[rule] == without
+
+
+@pytest.mark.parametrize(
+    ("said_s", "true_s", "fault", "counts"),
+    [(600.0, 0.0, "", True), (600.0, 310.0, "", False), (600.0, 290.0, "", True), (600.0, 900.0, "late sensor", True)],
+)
+def test_a_late_sensor_of_a_drawn_house_is_a_false_claim_where_it_is_less_than_half_as_late(
+    said_s, true_s, fault, counts, monkeypatch
+):
+    late = LateSensor(said_s, 60.0, 0.999)
+    model = SimpleNamespace(late_sensors=(None, late), cards=(SimpleNamespace(notes=(late.in_words(),)),))
+    ran = ControlledWeek(model, SimpleNamespace(steps=[], kpis={"cost_tot": 1.0, "tdis_tot": 0.5}))
+    asked = []
+    monkeypatch.setattr(bench, "follow", lambda place, without: asked.append(without) or ran)
+    place = BuiltCase(None, None, Period("16", 0.0), late_s=true_s)
+    outcome = bench.house_week(PanelCase("generated house", 0, 1, fault), place)
+    assert ("late sensor" in outcome.claims) is counts
+    assert [rule.name for rule in asked if rule] == ["late sensor"] * counts, "and is run again without it"
+    assert ControlledWeek("no model", ran.result).claimed_lag_s() == 0.0
+
+
+def test_the_sensor_of_the_fault_is_late():
+    late = built(PanelCase("generated house", 0, 3, "late sensor"))
+    assert late.plant.house.lag_s == late.late_s == 900.0
+    drawn = built(PanelCase("generated house", 0, 3))
+    assert drawn.late_s == drawn.plant.house.lag_s
 
 
 def test_doors_that_stood_open_while_probing_are_shut_since():
