@@ -5,10 +5,15 @@ from __future__ import annotations
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from thermoforce_mpc.commands.kinds import AnyCommand
+from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.measurements.load import read_measurements
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.scenario.settings import validate
 
 READ = TypeAdapter(AnyCommand)
 LOWER, UPPER, USUAL = np.full(2, 20.0), np.full(2, 22.0), np.array([21.0, 24.0])
@@ -87,7 +92,15 @@ def test_sg_ready_is_blocked_for_two_hours_at_most():
         ({"kind": "setpoint", "minimum": 20.2, "maximum": 20.4}, "no multiple of resolution (0.5) from minimum (20.2)"),
         ({"kind": "setpoint", "minimum": 3}, "minimum (3 °C) lies outside 5 to 30"),
         ({"kind": "setpoint", "unit": "°F", "minimum": 18}, "minimum (18 °F) lies outside 41 to 86"),
-        ({"kind": "setpoint", "usual": 45}, "usual (45 °C) lies outside 5 to 30"),
+        ({"kind": "setpoint", "usual": 45, "maximum": None}, "usual (45 °C) lies outside 5 to 30"),
+        ({"kind": "setpoint", "usual": 29}, "usual (29) lies above maximum (28)"),
+        ({"kind": "curve_offset", "usual": -4}, "usual (-4) lies below minimum (-3)"),
+        ({"kind": "curve_offset", "minimum": 0.9, "maximum": 1.5}, "only one multiple of resolution (1)"),
+        ({"kind": "curve_offset", "minimum": 4}, "minimum (4) must be below maximum (3)"),
+        ({"kind": "enable", "usual": 5}, "usual (5) is neither 1, on, nor 0, off"),
+        ({"kind": "sg_ready", "usual": 5}, "usual (5) is no state of SG-Ready"),
+        ({"kind": "sg_ready", "states": [2]}, "of one alone there is nothing to plan"),
+        ({"kind": "sg_ready", "hold_min": 180}, "hold_min (180 min) lies above blocked_at_most_min (120 min)"),
         ({"kind": "setpoint", "unit": "K"}, "unit"),
         ({"kind": "sg_ready", "hold_min": 5}, "greater than or equal to 10"),
         ({"kind": "setpoint", "setpoint": 21}, "Extra inputs are not permitted"),
@@ -96,3 +109,64 @@ def test_sg_ready_is_blocked_for_two_hours_at_most():
 def test_what_cannot_be_is_refused(keys, message):
     with pytest.raises(ValidationError, match=re.escape(message)):
         READ.validate_python({"column": "x", **keys})
+
+
+LIVING = {"temperature": "T", "lower": 21, "upper": 24}
+TANK = {"temperature": "tank", "comfort": "else 50-58"}
+SETPOINT = {"kind": "setpoint", "column": "x"}
+
+
+def rules(command, *, of="actuators", zone=LIVING, **keys):
+    """A map of a room and a machine, of which one has the command."""
+    items = {"actuators": {"valve": {"level": "u"}}, "machines": {"boiler": {"power": "P"}}}
+    for item in items[of].values():
+        item["command"] = command
+    return {"outdoor": "out", "time": {"zone": "Europe/Berlin"}, "zones": {"living": zone}, **items, **keys}
+
+
+BY_SCHEDULE = {"zone": {"temperature": "T"}, "comfort": "weekdays 6:00-22:00 21-24, else 17-26"}
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (rules(SETPOINT | {"maximum": 20}), "actuators.valve.command.maximum: 20 °C lies below the lower bound of liv"),
+        (
+            rules(SETPOINT | {"unit": "°F", "maximum": 69}),
+            "maximum: 69 °F lies below the lower bound of living, 69.8",
+        ),
+        (
+            rules(SETPOINT | {"minimum": 25}, of="machines"),
+            "machines.boiler.command.minimum: 25 °C lies above the up",
+        ),
+        (
+            rules(SETPOINT | {"maximum": 20}, **BY_SCHEDULE),
+            "maximum: 20 °C lies below the lower bound of living, 21",
+        ),
+        (
+            rules(None, hot_water=TANK | {"command": {"kind": "tank_target", "column": "t", "maximum": 45}}),
+            "hot_water.command.maximum: 45 °C lies below the lower bound of the tank, 50 °C",
+        ),
+    ],
+)
+def test_limits_that_leave_no_way_to_keep_the_bounds_are_refused(given, message):
+    with pytest.raises(ConfigError, match=re.escape("map.yaml") + "(?s:.*)" + re.escape(message)):
+        validate(MeasurementMap, given, "map.yaml")
+
+
+def test_limits_at_the_bounds_are_taken():
+    validate(MeasurementMap, rules(SETPOINT | {"minimum": 18, "maximum": 21}), "map.yaml")
+    validate(MeasurementMap, rules({"kind": "curve_offset", "column": "x"}, of="machines"), "map.yaml")
+
+
+def test_limits_that_no_bound_of_a_table_leaves_a_way_are_refused():
+    at = pd.date_range("2026-01-01", periods=48, freq="h")
+    table = pd.DataFrame({"T": 21.0, "u": 0.4, "P": 900.0, "out": 3.0, "x": 20.0, "least": 21.0, "most": 24.0}, at)
+    table.loc[at[:24], "least"] = 18.0
+    given = rules(SETPOINT | {"maximum": 20}, zone={"temperature": "T", "lower": "least", "upper": "most"})
+    read_measurements(table, given)  # at night it can be kept
+    table["least"] = 21.0
+    with pytest.raises(
+        DataError, match=r"actuators\.valve\.command\.maximum: 20 °C lies below the lower bound of living"
+    ):
+        read_measurements(table, given)

@@ -96,6 +96,10 @@ class Command(StrictModel):
         """Raise `ValueError` where it does not say all that is needed of a command for these `rooms`, of all that a
         machine feeds (`of_machine`) or of one actuator."""
 
+    def check_bounds(self, of: str, lower_C: float, upper_C: float) -> None:
+        """Raise `ValueError` where it cannot keep `of`, a room or a tank, above its highest lower bound `lower_C` and
+        below its lowest upper one `upper_C`, °C; infinite where it has none."""
+
     def most_change(self, seconds: float) -> float:
         """Largest change from one value to the next, of which the first was held for `seconds` s."""
         return float("inf")
@@ -117,6 +121,12 @@ def first_of(values: Sequence[float], before: float, falls: bool) -> float | Non
 
 class SwitchCommand(Command):
     """A command that is on (1) or off (0)."""
+
+    @model_validator(mode="after")
+    def _is_usually_on_or_off(self) -> SwitchCommand:
+        if isinstance(self.usual, float) and not self.allows(self.usual):
+            raise ValueError(f"usual ({self.usual:g}) is neither 1, on, nor 0, off")
+        return self
 
     @property
     def reads(self) -> tuple[float, float]:
@@ -158,11 +168,22 @@ class StepwiseCommand(Command):
                 raise ValueError(f"minimum ({self.minimum:g}) must be below maximum ({self.maximum:g})")
             if (self.maximum - self.minimum) / self.resolution > _MOST_VALUES:
                 raise ValueError(f"more than {_MOST_VALUES} commands: a larger resolution, or a smaller range")
-            if np.ceil(self.minimum / self.resolution - SAME) > np.floor(self.maximum / self.resolution + SAME):
+            first = np.ceil(self.minimum / self.resolution - SAME)
+            last = np.floor(self.maximum / self.resolution + SAME)
+            if first >= last:
+                few = "no" if first > last else "only one"
                 raise ValueError(
-                    f"there is no multiple of resolution ({self.resolution:g}) from minimum ({self.minimum:g}) to "
-                    f"maximum ({self.maximum:g})"
+                    f"there is {few} multiple of resolution ({self.resolution:g}) from "
+                    f"minimum ({self.minimum:g}) to maximum ({self.maximum:g})"
                 )
+        if isinstance(self.usual, float):
+            for key, sign in (("minimum", 1.0), ("maximum", -1.0)):
+                limit = getattr(self, key)
+                if limit is not None and sign * (self.usual - limit) < -SAME:
+                    raise ValueError(
+                        f"usual ({self.usual:g}) lies {'below' if key == 'minimum' else 'above'} {key} ({limit:g}): "
+                        "what is set when it is left alone is a command too"
+                    )
         return self
 
     def values(self, low: float, high: float) -> Array:
@@ -253,6 +274,17 @@ class TemperatureCommand(StepwiseCommand):
                 least, most = (self.as_told(one) for one in self.possible_C)
                 raise ValueError(f"{key} ({getattr(self, key):g} {self.unit}) lies outside {least:g} to {most:g}")
         return self
+
+    def _check_reach(self, of: str, lower_C: float, upper_C: float) -> None:
+        """As `check_bounds`, of a command that is what its room or tank is kept at."""
+        for key, bound, bound_C, sign in (("maximum", "lower", lower_C, -1.0), ("minimum", "upper", upper_C, 1.0)):
+            limit = getattr(self, key)
+            if limit is not None and sign * (self.from_told(limit) - bound_C) > SAME:
+                where = "below" if sign < 0.0 else "above"
+                raise ValueError(
+                    f"{key}: {limit:g} {self.unit} lies {where} the {bound} bound of {of}, "
+                    f"{self.as_told(bound_C):.4g} {self.unit}, which it cannot keep then"
+                )
 
     @property
     def told_in(self) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from thermoforce_mpc.commands.command import SAME, Command, SwitchCommand, is_warm
 from thermoforce_mpc.data import Array
@@ -34,7 +34,20 @@ class SGReady(Command):
             raise ValueError("states of SG-Ready are 1 blocked, 2 normal, 3 recommended, 4 ordered")
         if set(states) == {1}:
             raise ValueError("states of SG-Ready: blocked alone cannot be held, name another one")
+        if len(set(states)) == 1:
+            raise ValueError("states of SG-Ready: of one alone there is nothing to plan, name another one")
         return tuple(sorted(set(states)))
+
+    @model_validator(mode="after")
+    def _can_be_held(self) -> SGReady:
+        if 1 in self.states and self.hold_min > self.blocked_at_most_min:
+            raise ValueError(
+                f"hold_min ({self.hold_min:g} min) lies above blocked_at_most_min ({self.blocked_at_most_min:g} min): "
+                "blocked cannot be held for as long as each state is; leave 1 out of states"
+            )
+        if isinstance(self.usual, float) and self.usual not in _SG_STATES:
+            raise ValueError(f"usual ({self.usual:g}) is no state of SG-Ready, 1 to 4")
+        return self
 
     @property
     def reads(self) -> tuple[float, float]:

@@ -54,6 +54,10 @@ class Setpoint(TemperatureCommand):
         if self.reference not in (None, _EACH, *rooms):
             raise ValueError(f"reference: it heats no room '{self.reference}'; it heats {', '.join(rooms)}")
 
+    def check_bounds(self, of: str, lower_C: float, upper_C: float) -> None:
+        """See `Command.check_bounds`."""
+        self._check_reach(of, lower_C, upper_C)
+
     def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
         """See `Command.limits`."""
         return self.within(lower_C - self.beyond_K, upper_C + self.beyond_K)

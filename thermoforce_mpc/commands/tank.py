@@ -77,6 +77,10 @@ class TankTarget(TemperatureCommand):
 
     kind: Literal["tank_target"]
 
+    def check_bounds(self, of: str, lower_C: float, upper_C: float) -> None:
+        """See `Command.check_bounds`."""
+        self._check_reach(of, lower_C, upper_C)
+
     def limits(self, lower_C: Array, upper_C: Array, usual: Array) -> tuple[Array, Array]:
         """See `Command.limits`; of the tank's comfort."""
         return self.within(lower_C, upper_C)

@@ -387,6 +387,8 @@ def _from_table(
         none,
         names=names,
     )
+    if refuse:
+        _check_bounds(set_by, layout, conditions, tables[0].name)
     instants = stamps(grid_s, origin)
     zone = "" if table.index.tz is None else str(table.index.tz)
     understood = Understood(
@@ -527,6 +529,26 @@ def _bounds_C(rules: MeasurementMap, reader: SignalReader, origin: pd.Timestamp)
         for bound in ("lower", "upper")
     )
     return lower, upper
+
+
+def _check_bounds(set_by: Mapping[str, tuple[str, Command]], layout: Layout, conditions: Boundary, file: str) -> None:
+    """Raise `DataError` where limits of a command leave no way to keep bounds at any time."""
+    rooms = layout.names.zones
+    for a, name in enumerate(layout.names.actuators):
+        if name not in set_by:
+            continue
+        where, command = set_by[name]
+        room = command.reference_of(rooms[layout.home[a]])
+        z = rooms.index(room)
+        lower_C, upper_C = (one[z][np.isfinite(one[z])] for one in (conditions.lower_C, conditions.upper_C))
+        try:
+            command.check_bounds(
+                room,
+                float(lower_C.min()) if lower_C.size else -np.inf,
+                float(upper_C.max()) if upper_C.size else np.inf,
+            )
+        except ValueError as error:
+            raise DataError(f"{file}: {where}.command.{error}") from error
 
 
 def _at_s(time_s: Array, rows_every_s: float, step_s: float, at: Literal["begin", "end"]) -> float:

@@ -475,7 +475,36 @@ class MeasurementMap(StrictModel):
         estimates = [sun for sun in (self.sun, self.forecast.sun) if sun is not None and sun.estimate]
         if estimates and (self.site is None or self.time.zone is None):
             raise ValueError("sun.estimate needs site (latitude, longitude) and time.zone")
+        self._check_bounds()
         return self
+
+    def _check_bounds(self) -> None:
+        """Raise `ValueError` where limits of a command leave no way to keep bounds that the map says itself."""
+        found: list[tuple[str, Command, str, float, float]] = []
+        rooms = list(self.zones)
+        for name, z in zip(self.actuators, self.layout.home, strict=False):
+            if (commanded := self.command_of(name)) is not None:
+                where, command = commanded
+                room = command.reference_of(rooms[z])
+                lower_C, upper_C = self._strictest_C(room)
+                found.append((f"{where}.command", command, room, lower_C, upper_C))
+        if (tank := self.hot_water) is not None and tank.command is not None:
+            found.append(("hot_water.command", tank.command, "the tank", *tank.comfort.strictest_C(("tank",))[0]))
+        for where, command, of, lower_C, upper_C in found:
+            try:
+                command.check_bounds(of, lower_C, upper_C)
+            except ValueError as error:
+                raise ValueError(f"{where}.{error}") from error
+
+    def _strictest_C(self, room: str) -> tuple[float, float]:
+        """The highest lower and the lowest upper bound of a room, °C, infinite where a column says it, or nobody."""
+        if self.comfort is not None:
+            return dict(zip(self.zones, self.comfort.strictest_C(tuple(self.zones)), strict=True))[room]
+        lower, upper = self.zones[room].lower, self.zones[room].upper
+        return (
+            float(lower) if isinstance(lower, int | float) else -np.inf,
+            float(upper) if isinstance(upper, int | float) else np.inf,
+        )
 
     @staticmethod
     def _check_rooms(where: str, command: Command, rooms: Sequence[str]) -> None:
