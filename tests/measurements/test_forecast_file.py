@@ -263,16 +263,44 @@ def test_prices_in_a_currency_that_is_named_may_be_of_any_size(measured, tmp_pat
     assert read_forecast(hourly(), measured, prices=tmp_path / "bill.yaml").price_per_kWh[0, 0] == 45.0
 
 
-def test_prices_of_a_column_of_the_map_that_are_in_cents_are_doubted(measured):
+@pytest.mark.parametrize(
+    ("price", "read", "said"),
+    [
+        ("Preis ct/kWh", 0.26, "column 'Preis ct/kWh': cent per kWh"),
+        ("Preis ct", 0.26, "column 'Preis ct': cent per kWh"),
+        ("spot EUR/MWh", 0.026, "column 'spot EUR/MWh': per MWh"),
+        ({"column": "price öre/kWh"}, 0.26, "cent per kWh"),
+        ({"column": "Preis ct/kWh", "factor": 0.012}, 0.312, ""),
+        ({"column": "Preis ct/kWh", "unit": "per MWh"}, 0.026, "per MWh"),
+        ({"column": "tariff", "unit": "cent per kWh"}, 0.26, "cent per kWh"),
+    ],
+)
+def test_a_price_of_the_map_is_in_the_unit_that_the_name_of_its_column_tells(measured, price, read, said):
+    own = measured.map.model_validate(measured.map.model_dump(exclude_unset=True) | {"forecast": {"price": price}})
+    notes: list[str] = []
+    table = hourly().assign(**{price if isinstance(price, str) else price["column"]: 26.0})
+    ahead = read_forecast(table, replace(measured, map=own), left_out=notes)
+    assert ahead.price_per_kWh[0, 0] == pytest.approx(read)
+    assert said in " ".join(notes)
+    assert bool(notes) is bool(said)
+
+
+def test_columns_of_one_price_whose_names_tell_two_units_are_refused(measured):
+    given = measured.map.model_dump(exclude_unset=True)
+    with pytest.raises(ValueError, match="tell cent per kWh and per kWh: a sum is of one unit, name it"):
+        measured.map.model_validate(given | {"forecast": {"price": {"column": ["spot ct/kWh", "grid fee"]}}})
+
+
+def test_prices_of_a_column_of_the_map_that_are_too_large_are_doubted(measured):
     told: list[str] = []
-    for column in ("Preis ct", "price JPY/kWh", "price USD/kWh"):
+    for column in ("Preis", "price JPY/kWh", "price USD/kWh"):
         own = measured.map.model_validate(measured.map.model_dump(exclude_unset=True) | {"forecast": {"price": column}})
         notes: list[str] = []
         table = hourly().assign(**{column: 26.0})
         ahead = read_forecast(table, replace(measured, map=own), left_out=notes)
         assert ahead.price_per_kWh[0, 0] == 26.0
         told.append(" ".join(notes))
-    assert "column 'Preis ct': prices of 26 per kWh" in told[0]
+    assert "column 'Preis': prices of 26 per kWh" in told[0]
     assert "in cents" in told[0]
     assert not told[1]
     assert "0.01 to 2 USD are usual" in told[2]

@@ -479,7 +479,7 @@ def test_a_column_named_by_energy_is_doubted_where_no_unit_is_given(signal, doub
 def test_a_column_of_prices_in_cents_is_doubted():
     found = tf.read_measurements(house().assign(tariff=26.0), BASE | {"machines": {"hp": {"price": "tariff"}}})
     price = next(s for s in found.understood.signals if s.key == "machines.hp.price")
-    assert "in cents, or in another currency? Set unit: per MWh, or a factor" in price.doubt
+    assert "in cents, or in another currency? Set unit: per MWh or cent per kWh, or a factor" in price.doubt
 
 
 def test_files_of_different_clocks_are_refused(tmp_path):

@@ -11,6 +11,7 @@ import warnings
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,8 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import DoubtfulInput, plain_number, read_bounded, read_pieces
 
+PriceUnit = Literal["per kWh", "per MWh", "cent per kWh", "cent per MWh"]
+"""What a price is of: hundredths of its currency are cents."""
 EMISSION_KG_PER_KWH = 0.167
 CONSTANT = 0.2535
 DYNAMIC_DAY, DYNAMIC_NIGHT = 0.2666, 0.2383
@@ -31,6 +34,8 @@ _MOST_PRICES = 600_000
 _MOST_PRICE = 1e5
 # Means of energy that is sold in EUR or USD: gas in the cheapest years, and electricity in the dearest.
 _USUAL_PRICES, _USUAL_IN = (0.01, 2.0), ("EUR", "USD")
+# Hundredths of a currency, in the name of a column of its prices.
+_CENTS = re.compile(r"(?i)(?<![^\W\d_])(?:ct|(?:euro?[ -]?)?cents?|öre|øre|pence|[cp](?= ?/ ?[km]wh))(?![^\W\d_])|¢")
 # A code of three capitals before the unit, as "JPY/kWh" or "SEK per MWh".
 _CURRENCY = re.compile(r"(?<![A-Z])([A-Z]{3})(?: ?/ ?|[ _]per[ _]|_)[kM]Wh")
 _PRICE_COLUMNS = (
@@ -156,6 +161,17 @@ def currency_of(name: str) -> str:
     """The currency that the name of a column of prices tells, as JPY of 'price JPY/kWh'; '' where it tells none."""
     told = _CURRENCY.search(name)
     return told[1] if told else ""
+
+
+def price_unit_of(name: str) -> PriceUnit | None:
+    """The unit that the name of a column of prices tells, as 'cent per kWh' of 'Preis ct/kWh'; None: it tells none."""
+    energy = re.search(r"(?i)([km])wh", name)
+    cents = _CENTS.search(name) is not None
+    if energy is None:
+        return "cent per kWh" if cents else None
+    if energy[1].lower() == "m":
+        return "cent per MWh" if cents else "per MWh"
+    return "cent per kWh" if cents else "per kWh"
 
 
 def price_doubt(price: Array, currency: str = "", *, fuel: bool = False) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from thermoforce_mpc.boundary.tariffs import Tariff, by_name, currency_of, price_doubt, tariff_from_file
+from thermoforce_mpc.boundary.tariffs import Tariff, by_name, currency_of, price_doubt, price_unit_of, tariff_from_file
 from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array, Boundary, Record
 from thermoforce_mpc.data.clock import in_celsius, in_fahrenheit
 from thermoforce_mpc.data.dataframes import clock_s, days_before_s, new_year, seconds_since, stamps
@@ -23,7 +23,15 @@ from thermoforce_mpc.data.limits import BRIDGED_GAP_H
 from thermoforce_mpc.data.series import at_instants
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.load import Measurements, sunlight
-from thermoforce_mpc.measurements.map.mapping import MappedMachine, MeasurementMap, Power, Signal, Temperature
+from thermoforce_mpc.measurements.map.mapping import (
+    MappedMachine,
+    MeasurementMap,
+    Power,
+    Price,
+    Signal,
+    Temperature,
+    converted,
+)
 from thermoforce_mpc.measurements.readings import (
     BOUND,
     OUTDOOR,
@@ -45,9 +53,8 @@ from thermoforce_mpc.measurements.tables.recognition import Recognised, guessed_
 from thermoforce_mpc.scenario.bill import SUFFIXES, Bill, file_beside, read_bill
 from thermoforce_mpc.scenario.building import PRICES
 
-# What a column of prices is called, and what its name says of the unit: prices are divided by this.
+# What a column of prices is called.
 _PRICE = re.compile(r"price|preis|prix|prijs|tarif|spot|epex|nordpool|day.?ahead", re.IGNORECASE)
-_UNITS = ((re.compile(r"mwh", re.IGNORECASE), 1000.0), (re.compile(r"\bct\b|cent|ct/", re.IGNORECASE), 100.0))
 _HEAD = 50
 _SHARE = 0.5
 # A forecast is no sensor: weather that stays is not stuck.
@@ -90,23 +97,21 @@ def prices_over_steps(
     stamped = stamped.model_copy(update=own)
     tables = read_tables([path], named, lambda _: Written(time=stamped, csv=form), [])
     rows = timed(tables, stamped)
-    values = rows.columns[named[0]]
+    unit = price_unit_of(named[0]) or "per kWh"
+    values = converted(rows.columns[named[0]], unit)
     known = np.isfinite(values)
-    factor, unit = next(
-        ((by, f"{named[0]}, divided by {by:g}") for form, by in _UNITS if form.search(named[0])), (1.0, named[0])
-    )
-    if doubt := price_doubt(values[known] / factor, currency or currency_of(named[0])):
+    if doubt := price_doubt(values[known], currency or currency_of(named[0])):
         raise DataError(
             f"{path}, column '{named[0]}': {doubt} Say the unit in its name, as 'price per MWh', 'ct/kWh' or 'JPY/kWh'"
         )
     time_s = seconds_since(origin, rows.index[known], str(path))
     ends = ends_s(time_s, longest_s(time_s, step_s, None), np.empty(0))
-    readings = SignalReadings(time_s, values[known] / factor, ends)
+    readings = SignalReadings(time_s, values[known], ends)
     if time_s.size > 1:
         price = held_means(readings, durations_s(readings, "start"), grid_s, step_s, _SHARE)
     else:
         price = held(readings, grid_s)
-    return price, f"{path}: column {unit}, per kWh"
+    return price, f"{path}: column {named[0]}, {unit}"
 
 
 # Fees of a bill change at quarters of an hour.
@@ -414,12 +419,14 @@ def _prices(
     )
     bill, clock, step_s = sources.bill, sources.ours.time, record.step_s
     if prices is None:
-        named = [name for tariff in sources.tariffs if isinstance(tariff, Signal) for name in tariff.columns]
+        priced = list(dict.fromkeys(tariff for tariff in sources.tariffs if isinstance(tariff, Price)))
+        named = [name for tariff in priced for name in tariff.columns]
+        notes += [f"column '{' + '.join(one.columns)}': {one.unit}" for one in priced if one.unit != "per kWh"]
         currency = next(filter(None, map(currency_of, named)), "")
         # What a machine writes is looked at by its loop, once a day.
         if now is None and (doubt := price_doubt(price, currency)):
             of = f"column '{named[0]}': " if named else ""
-            notes.append(f"{of}{doubt} Set unit: per MWh, or a factor, in the map")
+            notes.append(f"{of}{doubt} Set unit: per MWh or cent per kWh, or a factor, in the map")
         return price, past.price_per_kWh, {}
     if bill is None:
         of_file, read = prices_over_steps(prices, clock, record.origin, grid_s, step_s)

@@ -404,7 +404,7 @@ def _doubt(signal: Signal, rules: SignalRule, readings: SignalReadings, median: 
     if rules.kind == "level" and 0.0 < most < rules.usual[0]:
         return f"never above {most:.3g}: check the unit, 0-1 is likelier than %"
     if rules.kind == "price" and (doubt := price_doubt(readings.values, currency_of(signal.columns[0]))):
-        return f"{doubt} Set unit: per MWh, or a factor"
+        return f"{doubt} Set unit: per MWh or cent per kWh, or a factor"
     changes = np.diff(readings.values)[readings.reaches]
     jumps = np.abs(changes) > rules.spike
     if jumps.any():

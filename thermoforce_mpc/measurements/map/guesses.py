@@ -22,6 +22,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from thermoforce_mpc.boundary.tariffs import price_unit_of
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap, converted
 
@@ -277,10 +278,10 @@ _UNITS = {
     "w/m^2": "W/m²",
     "kw/m²": "kW/m²", "kw/m2": "kW/m²", "hz": "Hz", "ppm": "ppm", "hpa": "hPa", "pa": "Pa", "lx": "lx", "v": "V",
     "a": "A", "l/h": "l/h", "m³": "m³", "m3": "m³", "m³/h": "m³/h", "cfm": "cfm", "m/s": "m/s", "km/h": "km/h",
-    "eur/kwh": "per kWh", "€/kwh": "per kWh", "ct/kwh": "cent per kWh", "cent/kwh": "cent per kWh",
-    "kwhs": "kWh", "watts": "W",
-    "eur/mwh": "per MWh", "€/mwh": "per MWh", "usd/kwh": "per kWh", "$/kwh": "per kWh", "°": "°C", "deg": "°C",
+    "cent/kwh": "cent per kWh", "kwhs": "kWh", "watts": "W", "°": "°C", "deg": "°C",
 }  # fmt: skip
+# What is before the unit of energy of a price.
+_MONEY = "ct|cents?|eurocents?|c|öre|øre|p|pence|euro?|[€$£]"
 # Units at the end of a name, behind a space or underscore.
 _AT_END = (
     "degc", "degf", "celsius", "fahrenheit", "kwh", "wh", "mwh", "kw", "w", "pct", "percent", "c", "f", "k", "btu", "%",
@@ -320,8 +321,10 @@ def unit_of(name: str) -> str:
         one_letter = unicodedata.normalize("NFKC", told).strip().lower()  # ℃ is one character
         if (unit := _UNITS.get(told.strip().lower(), _UNITS.get(one_letter))) is not None:
             return unit
-        if price := re.fullmatch(r"(?i)(?:(ct|cents?|c|öre|øre|p|pence)|\w{2,4}|[€$£])/([kM]Wh)", told.strip()):
-            return f"{'cent ' if price[1] else ''}per {'kWh' if price[2].lower() == 'kwh' else 'MWh'}"
+        if re.fullmatch(rf"(?i)(?:\w{{2,4}}|{_MONEY})/[kM]Wh", told.strip()):
+            return price_unit_of(told) or ""
+    if told := re.search(rf"(?:^|[ _])(?:[A-Z]{{3}}|(?i:{_MONEY})) ?/ ?[kM]Wh$", name.strip()):
+        return price_unit_of(told[0]) or ""
     if re.search(r"(?i)w[/_ ]?m-?\^?[²2]", name):
         return "W/m²"
     if match := re.search(r"(?:[ _\-/]|\bin )(%|°[CF]|[A-Za-z]+)$", name.strip()):

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
+from thermoforce_mpc.boundary.tariffs import PriceUnit, price_unit_of
 from thermoforce_mpc.commands.command import Command, TemperatureCommand
 from thermoforce_mpc.commands.kinds import KINDS, AnyCommand, names_of
 from thermoforce_mpc.commands.tank import AnyTankCommand
@@ -31,7 +32,6 @@ PowerUnit = Literal[
 ]  # fmt: skip
 LevelUnit = Literal["0-1", "%"]
 IrradianceUnit = Literal["W/m²", "W/m2", "kW/m²", "kW/m2"]
-PriceUnit = Literal["per kWh", "per MWh"]
 
 PER_STEP, COUNTER = " per step", " counter"
 
@@ -47,6 +47,7 @@ _LINEAR = {
     "W": 1.0, "kW": 1e3, "MW": 1e6, "ton": 12e3 * _BTU_J / 3600.0, "0-1": 1.0, "%": 0.01,
     **{f"{unit}/h": _ENERGIES_J[unit] / 3600.0 for unit in ("BTU", "kBTU", "MMBTU", "kJ", "MJ", "kcal")},
     "W/m²": 1.0, "W/m2": 1.0, "kW/m²": 1e3, "kW/m2": 1e3, "per kWh": 1.0, "per MWh": 1e-3,
+    "cent per kWh": 1e-2, "cent per MWh": 1e-5,
 }  # fmt: skip
 
 
@@ -156,9 +157,23 @@ class Humidity(Signal):
 
 
 class Price(Signal):
-    """A price of energy."""
+    """A price of energy; its unit is by default the one that the name of its column tells."""
 
-    unit: PriceUnit = "per kWh"
+    unit: PriceUnit = Field("per kWh", description="default: as the name of the column tells, else per kWh")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _in_the_unit_of_its_name(cls, given: Any) -> Any:
+        if not isinstance(given, Mapping) or "unit" in given or "factor" in given:
+            return given
+        column = given.get("column")
+        names = [column] if isinstance(column, str) else column
+        if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
+            return given
+        told = list(dict.fromkeys(price_unit_of(name) or "per kWh" for name in names))
+        if len(told) > 1:
+            raise ValueError(f"unit: the names of its columns tell {' and '.join(told)}: a sum is of one unit, name it")
+        return {**given, "unit": told[0]} if told else given
 
 
 def _text_as_column(value: Any) -> Any:

@@ -375,9 +375,7 @@ class _Text:
         else:
             lines.append("# actuators: {heater: {level: {column: ..., unit: '%'}}}  # nothing looks like what acts")
         price = self.of("price")
-        cost = self._signal(price[0]) if price and not price[0].unit.startswith("cent") else "0.30"
-        if price and price[0].unit.startswith("cent"):
-            cost = self._signal(Guess(price[0].name, "price"), "factor: 0.01")
+        cost = self._signal(price[0]) if price else "0.30"
         lines.append("machines:")
         for name, power in machines.items():
             lines.append(f"  {_value(name)}:")
