@@ -172,7 +172,7 @@ class BuildingCommands:
         together = tuple(tuple(group) for group in groups.values())
         held = {self._layout.home[a]: _HeldRoom.of(self._cards[a]) for a in unknown if a not in alone}
         problem = replace(problem, weights=_of_any_room(problem.weights))
-        hour = clock_s(boundary.time_s[:-1], origin) / HOUR_S % 24.0
+        at_s = clock_s(boundary.time_s[:-1], origin)
         beside = tuple(
             _Beside(group[0], self._layout.machine_of[group[0]], self._meters[name])
             for name, group in groups.items()
@@ -181,7 +181,7 @@ class BuildingCommands:
         layout = self._layout
         free_K = free_errors_K(self._cards, layout.home, len(layout.names.zones), boundary.time_s)
         acts = loops, now, together, frozenset(alone)
-        plan = CommandedPlan(operator, problem, boundary, *acts, self._spread, free_K, hour, held, beside)
+        plan = CommandedPlan(operator, problem, boundary, *acts, self._spread, free_K, at_s, held, beside)
         return plan.margins_as_left_alone()
 
 
@@ -194,10 +194,10 @@ def meters_of(model: ThermalModel, learned: Iterable[LearnedCommand]) -> dict[st
         record, m = one.record, model.names.machines.index(one.machine)
         law_W = model.power_by_law_of(m, record)
         begins_s = record.time_s[:-1]
-        hour = clock_s(begins_s, record.origin) / HOUR_S % 24.0
         T_out_C = 0.5 * (record.T_out_C[1:] + record.T_out_C[:-1])
         usual = one.usual_at(one.from_origin_s(begins_s, record.origin), T_out_C)
-        seen = MeterRecord(one.set_to, usual, law_W, record.power_W[m], T_out_C, hour, record.step_s)
+        at_s = clock_s(begins_s, record.origin)
+        seen = MeterRecord(one.set_to, usual, law_W, record.power_W[m], T_out_C, at_s, record.step_s)
         if (found := learn_meter(one.command, seen)) is not None:
             out[one.machine] = found
     return out
@@ -230,9 +230,9 @@ class CommandedPlan:
     """One plan in commands: `loops` by number of the actuator, of which those `left_alone` keep their usual commands.
 
     `now`: what is set when it begins, likewise; `together`: the actuators of each command; `spread` (A,): standard
-    error of each one's effect, as a share; `free_K` (Z, N): error of the free part at the ends of steps, K; `hour` (N,)
-    of the clock; `held`: the rooms that are not known, by number of the zone; `beside`: what commands do on meters
-    beside levels.
+    error of each one's effect, as a share; `free_K` (Z, N): error of the free part at the ends of steps, K; `clock_s`
+    (N,): where steps begin; `held`: the rooms that are not known, by number of the zone; `beside`: what commands do on
+    meters beside levels.
     """
 
     operator: BuildingOperator
@@ -244,7 +244,7 @@ class CommandedPlan:
     left_alone: frozenset[int]
     spread: Array
     free_K: Array
-    hour: Array
+    clock_s: Array
     held: Mapping[int, _HeldRoom]
     beside: tuple[_Beside, ...] = ()
 
@@ -507,7 +507,7 @@ class CommandedPlan:
         known = dict(enumerate(scatter_W)) | {one.m: one.meter.scatter_W for one in self.beside}
         price, step_s = self.problem.price_per_kWh, self.problem.step_s
         machines = {int(self.problem.machinery.machine_of[a]) for a in moved}
-        each = [chance_sd(known[m], price[m], self.hour, step_s) for m in machines if m in known]
+        each = [chance_sd(known[m], price[m], self.clock_s, step_s) for m in machines if m in known]
         return float(np.sqrt(sum(one**2 for one in each))) if moved else None
 
     def _worse_cost(self, T_C: Array) -> Array:
@@ -622,9 +622,9 @@ class CommandedPlan:
             loop, meter, law = self.loops[one.first], one.meter, law_W[:, one.m]
             usual, (now, left) = self._usual_row(one.first), self._courses_begin[i]
             values = held.get(one.first, usual[None])
-            course = meter.course(values, usual, loop.step_s / loop.parts, loop.parts, law, self.hour, now, left)
+            course = meter.course(values, usual, loop.step_s / loop.parts, loop.parts, law, self.clock_s, now, left)
             of = effects[i] if effects else meter.mean[None]
-            beside_W = meter.power_W(course, of, law, self.hour)
+            beside_W = meter.power_W(course, of, law, self.clock_s)
             each_kWh = beside_W * self.problem.step_s / J_PER_KWH
             power_W += beside_W
             price = self.problem.price_per_kWh[one.m]
@@ -642,7 +642,7 @@ class CommandedPlan:
         for one in self.beside:
             loop, usual = self.loops[one.first], float(self._usual_row(one.first)[0])
             state, T_C = self.now[one.first], float(self.problem.T_now_C[loop.room])
-            now = one.meter.begin(state.value, usual, state.held_s, float(self.hour[0]))
+            now = one.meter.begin(state.value, usual, state.held_s, float(self.clock_s[0]))
             found.append((now, left_of(loop.learned, one.meter, usual, T_C, float(loop.T_out_C[0]))))
         return tuple(found)
 

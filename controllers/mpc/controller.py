@@ -651,11 +651,11 @@ class ThermoForceMPC(ActuatedController):
 
     def _power_scatter(self, history: Record) -> list[Array]:
         """Scatter of the meter of each machine around its law (M), W, see `scatter_of_days`."""
-        hour = clock_s(history.time_s[:-1], history.origin) / HOUR_S % 24.0
+        at_s = clock_s(history.time_s[:-1], history.origin)
         out = []
         for m, power_W in enumerate(history.power_W):
             error_W = power_W - self.model.power_by_law_of(m, history)
-            out.append(scatter_of_days(error_W, hour, history.step_s))
+            out.append(scatter_of_days(error_W, at_s, history.step_s))
         return out
 
     def _guess(self, good: GoodPlan | None, time_s: float) -> Array | None:

@@ -26,6 +26,7 @@ from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.commands.command import SAME, StepwiseCommand
 from thermoforce_mpc.commands.tank import LearnedTank, TankCourse, TankTarget, follow_tank
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, HotWaterPlan, Layout
+from thermoforce_mpc.data.clock import whole_hour
 from thermoforce_mpc.data.dataframes import clock_s, stamps
 
 # Charges a day, ways that are kept from one number of them to the next, and targets that are tried. The gap to all sets
@@ -82,14 +83,14 @@ class HotWater:
             bounds_C = tank.comfort.bounds_at(pd.DatetimeIndex(stamps(boundary.time_s, origin)), ("tank",))
         upper_C = bounds_C[1][0]
         lower_C = np.minimum(bounds_C[0][0] + self._warmer_K, upper_C)
-        hour = clock_s(begins, origin) / HOUR_S % 24.0
+        at_s = clock_s(begins, origin)
         T_out_C = 0.5 * (boundary.T_out_C[:-1] + boundary.T_out_C[1:])
-        draws_K = tank.draws_from(float(hour[0]), N, self._step_s)
+        draws_K = tank.draws_from(float(at_s[0]), N, self._step_s)
         price = boundary.price_per_kWh[self.machine, :-1]
         known = _Known(tank, T_C, is_charged, draws_K, T_out_C, self._step_s, price, lower_C[:-1], boundary)
         # What is wanted at the end of a step is wanted from its begin on, so that the device charges before.
         wanted_C, most_C = np.maximum(lower_C[:-1], lower_C[1:]), np.minimum(upper_C[:-1], upper_C[1:])
-        return TankWays(known, wanted_C, most_C, hour, told, begins)
+        return TankWays(known, wanted_C, most_C, at_s, told, begins)
 
     def price(self, evaluator: Evaluator, problem: MPCProblem, u: Array) -> Array:
         """What a share of the machine is worth to rooms with levels `u` (A, N) in each step (N,), at most."""
@@ -132,14 +133,14 @@ class TankWays:
     known: _Known
     wanted_C: Array
     most_C: Array
-    hour: Array
+    clock_s: Array
     told: tuple[float, float] | None
     begins_s: Array
 
     def cheapest(self, price: Array) -> TankWay:
         """The way that costs least with the machine's time at `price` (N,); one leaves the tank to the device."""
         known, command = self.known, self.known.tank.command
-        own = known.judged(self._usual_C[None], np.zeros((1, self.hour.size), dtype=bool), self._nothing, price)
+        own = known.judged(self._usual_C[None], np.zeros((1, self.clock_s.size), dtype=bool), self._nothing, price)
         found = self._charged(price)
         # What is set is held for its least time, also against leaving the device to itself.
         is_held = False
@@ -150,15 +151,15 @@ class TankWays:
 
     @property
     def _usual_C(self) -> Array:
-        return self.known.tank.usual_C[self.hour.astype(np.intp)]
+        return self.known.tank.usual_C[whole_hour(self.clock_s)]
 
     @property
     def _nothing(self) -> Array:
-        return np.full((1, self.hour.size), np.nan)
+        return np.full((1, self.clock_s.size), np.nan)
 
     def _charged(self, price: Array) -> list[_Judged]:
         """Ways with up to three charges a day, as good as were found by adding one to the best of one less."""
-        known, N = self.known, self.hour.size
+        known, N = self.known, self.clock_s.size
         tank, command, step_s = known.tank, known.tank.command, known.step_s
         if command is None:
             return []
@@ -168,7 +169,7 @@ class TankWays:
         longest_h = min(reach_K / max(tank.rise_K_h, 0.1), _LONGEST_H)
         each = math.ceil(max(60.0 * command.hold_min, longest_h * HOUR_S, step_s) / step_s)
         every, per_day = max(1, round(HOUR_S / step_s)), round(DAY_S / step_s)
-        of_day = np.round(self.hour * HOUR_S / step_s).astype(np.intp)
+        of_day = np.round(self.clock_s % DAY_S / step_s).astype(np.intp)
         # Where charges may begin, each hour of the first day, and again the day after.
         windows = np.array([((of_day - of_day[k]) % per_day) < each for k in range(0, min(N, per_day), every)])
         kept, out = np.zeros((1, N), dtype=bool), list[_Judged]()

@@ -27,6 +27,7 @@ from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, SolverAnswer, checked, failed
 from controllers.policy.config import DPCConfig, PolicyConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.data.clock import hour_of_day
 from thermoforce_mpc.model.free_response.backbones.base import one_thread
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR, feature_matrix
@@ -93,7 +94,7 @@ class DPC(ThermoForceMPC):
         operator, n, step_s = self.planning_operator, self._n_steps, self.step_s
         (Z, A, _), M = operator.shape, len(self._layout.names.machines)
         time_s = rng.integers(0, round(DAY_S / step_s)) * step_s + step_s * np.arange(n + 1)
-        hour, head = (time_s / HOUR_S) % 24.0, operator.of_actuator(0)
+        hour, head = hour_of_day(time_s), operator.of_actuator(0)
         day = np.cos(2.0 * np.pi * (hour - 15.0) / 24.0)
         T_out = head.feature_mean[OUTDOOR] + head.feature_scale[OUTDOOR] * rng.normal() + rng.uniform(1.0, 5.0) * day
         solar = rng.uniform(0.0, 700.0) * np.maximum(np.cos(2.0 * np.pi * (hour - 12.0) / 24.0), 0.0) * rng.uniform()

@@ -10,8 +10,8 @@ from typing import Any, Literal
 from pydantic import Field
 
 from controllers.checks import check_names, checked_state
-from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Layout, Observation, Plan, PlanStatus
-from thermoforce_mpc.data.clock import PLAN_STEP_S
+from thermoforce_mpc.data import DAY_S, Block, Layout, Observation, Plan, PlanStatus
+from thermoforce_mpc.data.clock import PLAN_STEP_S, hour_of_day
 from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K, Comfort
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -31,7 +31,7 @@ class Setback(StrictModel):
         """Whether `time_s` is within the setback."""
         if int(time_s // DAY_S) % 7 in self.weekend_days:
             return False
-        hour = (time_s % DAY_S) / HOUR_S
+        hour = float(hour_of_day(time_s))
         if self.from_hour <= self.to_hour:
             return self.from_hour <= hour < self.to_hour
         return hour >= self.from_hour or hour < self.to_hour

@@ -26,7 +26,7 @@ def lived(states, seed=1):
         missing_Wh -= charged_Wh
         power_W[k] = 12.0 if state == 1 else law_W[k] + charged_Wh + 15.0 * rng.standard_normal()
     n = states.size
-    return MeterRecord(states, np.full(n, 2.0), law_W, power_W, np.zeros(n), np.arange(n) % 24.0, 3600.0)
+    return MeterRecord(states, np.full(n, 2.0), law_W, power_W, np.zeros(n), 3600.0 * np.arange(n), 3600.0)
 
 
 def month(seed=1, ordinary=27, trials=3):
@@ -38,9 +38,9 @@ def day(values, meter, effects=None):
     """Power of a day with `values` by hour (24,), W, and what follows it, Wh."""
     law_W = np.full((1, 24), 350.0)
     now = meter.begin(2.0, 2.0, 86400.0, 0.0)
-    course = meter.course(np.asarray(values)[None], np.full(24, 2.0), 3600.0, 1, law_W, HOURS, now)
+    course = meter.course(np.asarray(values)[None], np.full(24, 2.0), 3600.0, 1, law_W, 3600.0 * HOURS, now)
     effects = meter.mean[None] if effects is None else effects
-    return (law_W + meter.power_W(course, effects, law_W, HOURS))[0], float(effects[0] @ course.after_h[:, 0])
+    return (law_W + meter.power_W(course, effects, law_W, 3600.0 * HOURS))[0], float(effects[0] @ course.after_h[:, 0])
 
 
 def test_a_machine_that_is_blocked_takes_nothing_and_what_was_put_off_comes_later():
@@ -58,10 +58,10 @@ def test_a_machine_that_is_blocked_takes_nothing_and_what_was_put_off_comes_late
 def test_what_waits_is_that_of_the_hours_in_which_the_machine_was_off():
     """A contact that is off for a night has put off the morning's hot water, as one that is followed hour by hour."""
     meter = learn_meter(CONTACT, lived(month()))
-    begins = meter.begin(2.0, 2.0, 86400.0, 3.0)
-    told, hours = np.full((1, 5), 1.0), np.arange(3.0, 8.0)
-    followed = meter.course(told, np.full(5, 2.0), 3600.0, 1, np.full((1, 5), 350.0), hours, begins).after
-    now = meter.begin(1.0, 2.0, 5.0 * 3600.0, 8.0)
+    begins = meter.begin(2.0, 2.0, 86400.0, 3.0 * 3600.0)
+    told, at_s = np.full((1, 5), 1.0), 3600.0 * np.arange(3.0, 8.0)
+    followed = meter.course(told, np.full(5, 2.0), 3600.0, 1, np.full((1, 5), 350.0), at_s, begins).after
+    now = meter.begin(1.0, 2.0, 5.0 * 3600.0, 8.0 * 3600.0)
     assert now.waits_Wh[:, 0] == pytest.approx(followed.waits_Wh[:, 0])
     assert now.waits_Wh[0, 0] > 400.0
     np.testing.assert_allclose(now.lagged, followed.lagged)
@@ -92,7 +92,7 @@ def test_its_bands_hold_what_days_take():
         z = np.random.default_rng(seed).standard_normal((200, meter.mean.size))
         cost = np.array([day(told, meter, meter.drawn(one[None]))[0] @ price for one in z])
         cost -= day(np.full(24, 2.0), meter)[0] @ price
-        by_chance = chance_sd(meter.scatter_W, price * 1000.0, HOURS, 3600.0)
+        by_chance = chance_sd(meter.scatter_W, price * 1000.0, 3600.0 * HOURS, 3600.0)
         beyond = beyond_sd(float(np.median(cost)), 0.0, by_chance)
         scatter = beyond * np.random.default_rng(9).standard_normal(200)
         low, high = np.quantile(cost + scatter, [0.05, 0.95])
@@ -107,13 +107,13 @@ def test_warmer_water_takes_a_share_of_the_power():
     law_W = 800.0 + 50.0 * rng.standard_normal(offset.size)
     power_W = law_W * (1.0 + 0.03 * offset) + 10.0 * rng.standard_normal(offset.size)
     n = offset.size
-    seen = MeterRecord(offset, np.zeros(n), law_W, power_W, np.zeros(n), np.arange(n) % 24.0, 3600.0)
+    seen = MeterRecord(offset, np.zeros(n), law_W, power_W, np.zeros(n), 3600.0 * np.arange(n), 3600.0)
     meter = learn_meter(CurveOffset(kind="curve_offset", column="offset"), seen)
     law_W = np.full((2, 24), 800.0)
     told = np.stack([np.zeros(24), np.full(24, 3.0)])
     now = meter.begin(0.0, 0.0, 86400.0, 0.0)
-    course = meter.course(told, np.zeros(24), 3600.0, 1, law_W, HOURS, now)
-    more_W = np.diff(meter.power_W(course, meter.mean[None], law_W, HOURS), axis=0)[0]
+    course = meter.course(told, np.zeros(24), 3600.0, 1, law_W, 3600.0 * HOURS, now)
+    more_W = np.diff(meter.power_W(course, meter.mean[None], law_W, 3600.0 * HOURS), axis=0)[0]
     assert more_W.mean() == pytest.approx(72.0, rel=0.2)
 
 

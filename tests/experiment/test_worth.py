@@ -331,9 +331,9 @@ def test_commands_are_counted_as_plans_count_them() -> None:
     np.testing.assert_allclose(found.planned.u[0], truth.u[0, part], atol=1e-9)
     meter = meters_of(_model(0.1), learned.values())["machine"]
     both, law_W = np.stack([was, told]), np.stack([_model(0.1).power_by_law_of(0, one) for one in (record, truth)])
-    hour = np.arange(_HOURS) % 24.0
-    course = meter.course(both, np.full(_HOURS, 2.0), HOUR_S, 1, law_W, hour, meter.begin(2.0, 2.0, HOUR_S, 0.0))
-    beside_W = meter.power_W(course, meter.mean[None], law_W, hour)
+    at_s = HOUR_S * np.arange(_HOURS)
+    course = meter.course(both, np.full(_HOURS, 2.0), HOUR_S, 1, law_W, at_s, meter.begin(2.0, 2.0, HOUR_S, 0.0))
+    beside_W = meter.power_W(course, meter.mean[None], law_W, at_s)
     as_planned_W = record.power_W[0] + np.diff(law_W + beside_W, axis=0)[0]
     np.testing.assert_allclose(found.planned.power_W[0], as_planned_W[part], atol=1.0)
     price = conditions.price_per_kWh[0, part]

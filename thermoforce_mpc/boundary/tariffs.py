@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array
+from thermoforce_mpc.data.clock import hour_of_day
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import DoubtfulInput, plain_number, read_bounded, read_pieces
 
@@ -65,7 +66,7 @@ def constant(time_s: Array) -> Array:
 
 def dynamic(time_s: Array) -> Array:
     """Return the day/night tariff, EUR/kWh: the day price holds from 07:00 up to and including the 22:00 sample."""
-    hour = (np.asarray(time_s) % DAY_S) / HOUR_S
+    hour = hour_of_day(time_s)
     # BOPTEST's price series has 15-min samples held to the next: the 22:00 value lasts to 22:15.
     return np.where((hour >= 7.0) & (hour < 22.25), DYNAMIC_DAY, DYNAMIC_NIGHT)
 
@@ -76,7 +77,7 @@ def denver_dynamic(time_s: Array) -> Array:
     From June to September both are dearer still. Source: boundary data of the test case.
     """
     day = np.floor(np.asarray(time_s) / DAY_S) % 365
-    hour = (np.asarray(time_s) % DAY_S) / HOUR_S
+    hour = hour_of_day(time_s)
     summer = (day >= 151) & (day < 273)
     working = ~np.isin(day % 7, (4, 5))
     mid, peak = np.where(summer, 0.0842, 0.05413), np.where(summer, 0.13814, 0.0888)

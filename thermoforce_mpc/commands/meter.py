@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.commands.command import SAME, Command, StepwiseCommand
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data.clock import whole_hour
 from thermoforce_mpc.data.series import first_order
 
 # How fast what follows a command follows, s: water and buffers; a tank from one charge to the next.
@@ -63,7 +64,7 @@ class MeterRecord:
     """What a command was over n steps, beside its machine's meter.
 
     `value`, `usual` (n,): set, and when left alone; `law_W`, `power_W` (n,): by levels, and metered, NaN where it is
-    not known; `T_out_C` (n,); `hour` (n,): of the clock on the wall.
+    not known; `T_out_C` (n,); `clock_s` (n,): what a clock on the wall showed, s.
     """
 
     value: Array
@@ -71,7 +72,7 @@ class MeterRecord:
     law_W: Array
     power_W: Array
     T_out_C: Array
-    hour: Array
+    clock_s: Array
     step_s: float
 
 
@@ -130,14 +131,14 @@ class MeterEffect:
         """Effects (S, p) by standard normal numbers (S, p)."""
         return np.asarray(self.mean + z @ self.root.T)
 
-    def begin(self, value: float, usual: float, held_s: float, hour: float) -> CourseState:
-        """Where a course (S = 1) begins at `hour` of the clock: `value` was set for `held_s`, s."""
+    def begin(self, value: float, usual: float, held_s: float, clock_s: float) -> CourseState:
+        """Where a course (S = 1) begins at `clock_s`: `value` was set for `held_s`, s."""
         was = _signals(np.full((1, 1), value), np.full(1, usual), self.states, self.unit)[..., 0]
         lagged = np.stack([was * (1.0 - float(np.exp(-held_s / lag_s))) for lag_s in _LAGS_S])
         held_h = min(held_s, _LONGEST_S) / HOUR_S
         n = max(1, round(4.0 * held_h))
-        ago_h = (np.arange(n) + 0.5) * held_h / n
-        waits_W = np.maximum(_above_least(self.base_W), 0.0)[np.floor(hour - ago_h).astype(np.intp) % 24]
+        ago_s = (np.arange(n) + 0.5) * held_h / n * HOUR_S
+        waits_W = np.maximum(_above_least(self.base_W), 0.0)[whole_hour(clock_s - ago_s)]
         return CourseState(lagged, was[np.isfinite(self.off_W)] * waits_W.mean() * held_h)
 
     def course(
@@ -147,17 +148,17 @@ class MeterEffect:
         part_s: float,
         parts: int,
         law_W: Array,
-        hour: Array,
+        clock_s: Array,
         before: CourseState,
         left: float = 0.0,
     ) -> MeterCourse:
         """What commands `values` (S or 1, P) do in parts of `part_s` s, `parts` of them a step.
 
-        `usual` (P,): when left alone; `law_W` (S, N): of the levels; `hour` (N,) of the clock; `before`: see `begin`;
-        `left`: share of a level that warm water still gives while the machine is off, see `left_of`.
+        `usual` (P,): when left alone; `law_W` (S, N): of the levels; `clock_s` (N,): where steps begin; `before`: see
+        `begin`; `left`: share of a level that warm water still gives while the machine is off, see `left_of`.
         """
         signals = _signals(values, usual, self.states, self.unit)
-        waits_W = _above_least(self.base_W)[np.repeat(np.floor(hour).astype(np.intp) % 24, parts)]
+        waits_W = _above_least(self.base_W)[np.repeat(whole_hour(clock_s), parts)]
         is_off = np.isfinite(self.off_W)
         follow, end = _following(signals, waits_W, is_off, part_s, before)
         x, *follow = [one.reshape(*one.shape[:-1], -1, parts).mean(axis=-1) for one in (signals, *follow)]
@@ -181,13 +182,13 @@ class MeterEffect:
         nothing = np.zeros_like(last[0])
         return np.stack([nothing, nothing, *last], axis=1).reshape(-1, nothing.shape[-1])
 
-    def power_W(self, course: MeterCourse, effects: Array, law_W: Array, hour: Array) -> Array:
-        """Power beside the law (S, N) at hours of the clock `hour` (N,), by `effects` (S or 1, p).
+    def power_W(self, course: MeterCourse, effects: Array, law_W: Array, clock_s: Array) -> Array:
+        """Power beside the law (S, N) in steps that begin at `clock_s` (N,), by `effects` (S or 1, p).
 
         What the meter shows is never below nought.
         """
         W = np.einsum("psn,sp->sn", course.columns, np.broadcast_to(effects, (len(law_W), effects.shape[-1])))
-        base_W = self.base_W[np.floor(hour).astype(np.intp) % 24]
+        base_W = self.base_W[whole_hour(clock_s)]
         return np.maximum(course.gives * law_W + course.is_on * base_W + W + course.off_W, 0.0) - law_W
 
 
@@ -223,14 +224,14 @@ def beyond_sd(moved: float, cost: float, by_chance: float) -> float:
     return float(np.sqrt(by_chance**2 + (_FORM * moved) ** 2 + (_OF_COST * cost) ** 2))
 
 
-def chance_sd(scatter_W: Array, price: Array, hour: Array, step_s: float) -> float:
+def chance_sd(scatter_W: Array, price: Array, clock_s: Array, step_s: float) -> float:
     """Standard deviation, currency, of what two courses of the same hours cost by when a machine runs and charges.
 
-    `scatter_W` (days, 24): see `scatter_of_days`; `price` (N,): per kWh, at `hour` (N,) of the clock.
+    `scatter_W` (days, 24): see `scatter_of_days`; `price` (N,): per kWh, at `clock_s` (N,).
     """
     if len(scatter_W) < 2:
         return 0.0
-    at = np.floor(hour).astype(np.intp) % 24
+    at = whole_hour(clock_s)
     by_hour = np.array([price[at == h].mean() if (at == h).any() else price.mean() for h in range(24)])
     of_day = scatter_W @ (by_hour - by_hour.mean()) / 1000.0
     return float(_NOT_COMMON * np.std(of_day) * np.sqrt(price.size * step_s / DAY_S))
@@ -260,7 +261,7 @@ def learn_meter(command: Command, seen: MeterRecord) -> MeterEffect | None:
     off_W = off_W if states.size else np.full(len(signals), np.nan)
     known &= (signals[np.isfinite(off_W)] < 0.1).all(axis=0)
     law_W = np.nan_to_num(seen.law_W) + level_W
-    hours = np.floor(seen.hour).astype(np.intp) % 24
+    hours = whole_hour(seen.clock_s)
     left_W = seen.power_W - seen.law_W
     base_W = np.array(
         [left_W[others & (hours == h)].mean() if (others & (hours == h)).any() else level_W for h in range(24)]
@@ -299,7 +300,7 @@ def learn_meter(command: Command, seen: MeterRecord) -> MeterEffect | None:
     p = len(columns)
     every = np.full(known.size, np.nan)
     every[known] = error
-    scatter = scatter_of_days(every, seen.hour, seen.step_s)
+    scatter = scatter_of_days(every, seen.clock_s, seen.step_s)
     root = np.asarray(np.linalg.cholesky(inverse[:p, :p] + 1e-12 * np.eye(p)), dtype=np.float64)
     return MeterEffect(states, usual, unit, off_W, found[:p], root, level_W, found[p : p + 24], scatter)
 
@@ -364,10 +365,10 @@ def _of_a_step(error: Array) -> float:
     return sd * float(np.sqrt((1.0 + correlation) / (1.0 - correlation)))
 
 
-def scatter_of_days(error: Array, hour: Array, step_s: float) -> Array:
-    """Errors (n,) of steps at `hour` (n,) of the clock as means of the hours of whole days (days, 24), each day's mean
+def scatter_of_days(error: Array, clock_s: Array, step_s: float) -> Array:
+    """Errors (n,) of steps that begin at `clock_s` (n,) as means of the hours of whole days (days, 24), each day's mean
     taken away; of days with an hour without any that is known (NaN) none."""
-    of_hour, day = np.floor(hour).astype(np.intp) % 24, np.arange(error.size) // max(1, round(DAY_S / step_s))
+    of_hour, day = whole_hour(clock_s), np.arange(error.size) // max(1, round(DAY_S / step_s))
     out = []
     for one in np.unique(day):
         rows = (day == one) & np.isfinite(error)

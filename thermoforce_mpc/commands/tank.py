@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.commands.command import Command, SwitchCommand, TemperatureCommand
 from thermoforce_mpc.commands.kinds import told_apart
 from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, HotWaterPlan, Plan
+from thermoforce_mpc.data.clock import hour_of_day, whole_hour
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import DataError
@@ -253,9 +254,9 @@ class LearnedTank:
         """By how much it rises while it is charged, K/h, at the mean outdoor temperature of the record."""
         return float(self.rise[0])
 
-    def draws_from(self, hour: float, n_steps: int, step_s: float) -> Array:
-        """What is drawn in each of `n_steps` from `hour` of the clock on, as in each day of the record, (S, n), K."""
-        at_h = hour + np.arange(n_steps + 1) * step_s / HOUR_S
+    def draws_from(self, clock_s: float, n_steps: int, step_s: float) -> Array:
+        """What is drawn in each of `n_steps` from `clock_s` on, as in each day of the record, (S, n), K."""
+        at_h = float(hour_of_day(clock_s)) + np.arange(n_steps + 1) * step_s / HOUR_S
         days, after = np.arange(len(self.draws_K)), np.roll(np.arange(len(self.draws_K)), -1)
         following = [self.draws_K[days], self.draws_K[after], self.draws_K[np.roll(after, -1)]]
         so_far = np.cumsum(np.concatenate(following, axis=1), axis=1)
@@ -577,7 +578,7 @@ class _Ends:
         begins, ends = charges.begin_C, charges.end_C
         told, own = record.command, record.command if record.usual is None else record.usual
         if isinstance(command, TankTarget) and np.isfinite(told).any() and np.isfinite(own).any():
-            hour = np.floor(record.clock_s / HOUR_S + 1e-6).astype(np.intp) % 24
+            hour = whole_hour(record.clock_s)
             usual = np.full(24, np.nan)
             for h in range(24):
                 values = own[(hour == h) & np.isfinite(own)]

@@ -85,6 +85,19 @@ def seconds_of(at: str, option: str = "--at") -> float:
     )
 
 
+def hour_of_day(time_s: Array | float) -> Array:
+    """Hour of the day, from 0 up to 24, at `time_s` of any shape, s since midnight of any day."""
+    return np.asarray(np.asarray(time_s) % DAY_S / HOUR_S)
+
+
+def whole_hour(time_s: Array | float) -> NDArray[np.intp]:
+    """Number of the hour of the day, 0 to 23, that holds `time_s` of any shape, s since midnight of any day.
+
+    A clock that rounds begins it up to `CLOCK_TOLERANCE_S` early.
+    """
+    return np.asarray((np.asarray(time_s) + CLOCK_TOLERANCE_S) % DAY_S // HOUR_S, dtype=np.intp)
+
+
 def words_of(time_s: float) -> str:
     """A time for people: day from 0 and clock."""
     day, minutes = divmod(round(time_s / 60.0), 24 * 60)

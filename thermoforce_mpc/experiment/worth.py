@@ -490,8 +490,8 @@ class Houses:
         meter = self._meters[0].get(self._model.names.machines[m])
         if meter is None or moved == 0.0:
             return 0.0
-        hour = clock_s(record.time_s[:-1], record.origin) / HOUR_S % 24.0
-        return beyond_sd(moved, 0.0, chance_sd(meter.scatter_W, price, hour, record.step_s))
+        at_s = clock_s(record.time_s[:-1], record.origin)
+        return beyond_sd(moved, 0.0, chance_sd(meter.scatter_W, price, at_s, record.step_s))
 
     def _of_levels_kWh(self, m: int, was: Record) -> float:
         """What levels took of the energy of machine `m`, kWh, by the law; where there is none, all of it."""

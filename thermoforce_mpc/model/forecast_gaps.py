@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import AT_THE_METER, CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
-from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
+from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S, whole_hour
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, RULES, outside
 from thermoforce_mpc.data.series import WEATHER, at_instants, gap_s
 
@@ -129,8 +129,8 @@ def weather_spread(name: str, boundary: Boundary, history: Record) -> Array:
             spread[begin:end] = _rms(off, whole_sd)
         else:
             day = round(DAY_S / step_s)
-            off, hours = values[day:] - values[:-day], (time_s[day:] % DAY_S // HOUR_S).astype(int)
-            at = (boundary.time_s[begin:end] % DAY_S // HOUR_S).astype(int)
+            off, hours = values[day:] - values[:-day], whole_hour(time_s[day:])
+            at = whole_hour(boundary.time_s[begin:end])
             spread[begin:end] = np.array([_rms(off[hours == hour], whole_sd) for hour in range(24)])[at]
     return spread
 
@@ -212,8 +212,8 @@ def _mean_of_hour(time_s: Array, history: Record, name: str) -> Array:
     """Mean of the record at the hour of the day of each instant (n,); NaN where it was never measured then."""
     values = getattr(history, name)
     measured = np.isfinite(values)
-    hour = (history.time_s % DAY_S // HOUR_S).astype(int)
+    hour = whole_hour(history.time_s)
     total = np.bincount(hour[measured], weights=values[measured], minlength=24)
     count = np.bincount(hour[measured], minlength=24)
     means = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    return np.asarray(means[(time_s % DAY_S // HOUR_S).astype(int)])
+    return np.asarray(means[whole_hour(time_s)])

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.commands.tank import CELLAR_C, LearnedTank, TankRecord, TankTarget, follow_tank
 from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data.clock import whole_hour
 from thermoforce_mpc.data.dataframes import clock_s, stamps
 from thermoforce_mpc.errors import DataError
 
@@ -72,8 +73,7 @@ class LivedTank:
         # Steps of the sensor up are no water that comes back.
         drawn_K = np.cumsum(gained_K - lost_K - np.diff(self._T_C))
         self._drawn_K = np.append(0.0, np.maximum.accumulate(np.maximum(drawn_K, 0.0)))
-        hour = (clock_s(self._at_s[:-1], record.origin) / HOUR_S % 24.0).astype(np.intp)
-        self._usual_C = tank.usual_C[hour]
+        self._usual_C = tank.usual_C[whole_hour(clock_s(self._at_s[:-1], record.origin))]
         self._set = _held(logged, self._at_s[:-1])
         self._lower_C = _wanted_C(tank, self._at_s, record.origin)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.meter import CourseState, MeterCourse, MeterEffect
-from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.data.dataframes import clock_s
 
 
@@ -32,10 +32,10 @@ class CommandOnMeter:
         T_out_C = 0.5 * (record.T_out_C[:-1] + record.T_out_C[1:])
         self.was, self._usual = learned.set_at(own_s, T_out_C), learned.usual_at(own_s, T_out_C)
         self._law_W, self._step_s = law_W, record.step_s
-        self._hour = clock_s(begins_s, record.origin) / HOUR_S % 24.0
+        self._clock_s = clock_s(begins_s, record.origin)
         now = float(self.was[0]), float(self._usual[0])
-        self._begin = meter.begin(*now, record.step_s, float(self._hour[0]))
-        self.was_W = self._power_W(self._until(record.n_steps), law_W[None], self._hour)[0]
+        self._begin = meter.begin(*now, record.step_s, float(self._clock_s[0]))
+        self.was_W = self._power_W(self._until(record.n_steps), law_W[None], self._clock_s)[0]
 
     def at(self, k: int) -> CourseState:
         """Where both courses, as it was and as it is lived through, stand at the begin of step `k`, as it was."""
@@ -51,9 +51,9 @@ class CommandOnMeter:
         """
         was = self.was[k]
         values, law = np.array([[was], [was if value is None else value]]), np.array(law_W)[:, None]
-        hour = self._hour[k : k + 1]
-        course = self.meter.course(values, self._usual[k : k + 1], seconds, 1, law, hour, before)
-        return self._power_W(course, law, hour)[:, 0], course.after
+        at_s = self._clock_s[k : k + 1]
+        course = self.meter.course(values, self._usual[k : k + 1], seconds, 1, law, at_s, before)
+        return self._power_W(course, law, at_s)[:, 0], course.after
 
     def later_kWh(self, state: CourseState) -> float:
         """What comes on the meter after both courses stand at `state`, more than as it was, kWh."""
@@ -61,8 +61,8 @@ class CommandOnMeter:
         return float(lived - was)
 
     def _until(self, k: int) -> MeterCourse:
-        usual, law_W, hour = self._usual[:k], self._law_W[None, :k], self._hour[:k]
-        return self.meter.course(self.was[None, :k], usual, self._step_s, 1, law_W, hour, self._begin)
+        usual, law_W, at_s = self._usual[:k], self._law_W[None, :k], self._clock_s[:k]
+        return self.meter.course(self.was[None, :k], usual, self._step_s, 1, law_W, at_s, self._begin)
 
-    def _power_W(self, course: MeterCourse, law_W: Array, hour: Array) -> Array:
-        return self.meter.power_W(course, self.meter.mean[None], law_W, hour)
+    def _power_W(self, course: MeterCourse, law_W: Array, clock_s: Array) -> Array:
+        return self.meter.power_W(course, self.meter.mean[None], law_W, clock_s)

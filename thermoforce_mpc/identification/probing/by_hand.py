@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Record
+from thermoforce_mpc.data.clock import hour_of_day
 from thermoforce_mpc.data.series import bridged
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.probing.design import choose, expected_rise_K
@@ -151,7 +152,7 @@ def _rise_K(future: Record, layout: Layout, u: Array) -> Array:
 
 
 def _are_awake(time_s: Array, awake: tuple[int, int]) -> NDArray[np.bool_]:
-    of_day = (time_s % DAY_S) / HOUR_S
+    of_day = hour_of_day(time_s)
     return np.asarray((of_day >= awake[0]) & (of_day < awake[1]))
 
 

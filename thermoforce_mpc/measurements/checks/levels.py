@@ -12,7 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
+from thermoforce_mpc.data import DAY_S, Array, Layout, Record
+from thermoforce_mpc.data.clock import whole_hour
 from thermoforce_mpc.measurements.checks.common import Remark, explained, fitted
 
 # Share of the variance of its power that a machine's levels explain at least, with the outdoor temperature. Part load,
@@ -154,7 +155,7 @@ def _at_the_same_hours(record: Record, layout: Layout, fed: list[int], meter_W: 
     share = float(beside_W[burst].sum()) / float(np.clip(meter_W[known], 0.0, None).sum() or np.inf)
     if share < _BURST_ENERGY or np.unique(at_s // DAY_S).size < _BURST_DAYS * days:
         return 0.0
-    by_hour = np.bincount((at_s % DAY_S // HOUR_S).astype(int), minlength=24)
+    by_hour = np.bincount(whole_hour(at_s), minlength=24)
     if np.sort(by_hour)[-_HOURS:].sum() < _SAME_HOURS * at_s.size:
         return 0.0
     # Later the rooms are warmed by what their thermostats ask for, at the same hours too.

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
-from thermoforce_mpc.data.clock import DAY_H
+from thermoforce_mpc.data.clock import DAY_H, whole_hour
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE
 from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K
@@ -99,7 +99,7 @@ class BlockedHours:
     def available(self, time_s: Array, step_s: float) -> Array:
         """Share of the steps from `time_s` (n,), s, on in which heat comes, (n,), as plans count with it."""
         parts_s = time_s[:, None] + step_s * (np.arange(_PARTS) + 0.5) / _PARTS
-        blocked = np.isin(parts_s % DAY_S // HOUR_S, list(self.hours))
+        blocked = np.isin(whole_hour(parts_s), list(self.hours))
         if self.may_be_tried(float(time_s[0])):
             blocked &= parts_s // HOUR_S != parts_s[0, 0] // HOUR_S
         return np.asarray(1.0 - blocked.mean(axis=1))
@@ -351,7 +351,7 @@ class HourEffects:
         The hour of now is tried again after some days in which nothing was asked of it.
         """
         parts_s = time_s[:, None] + step_s * (np.arange(_PARTS) + 0.5) / _PARTS
-        hours, shares = parts_s % DAY_S // HOUR_S, np.ones(parts_s.shape)
+        hours, shares = whole_hour(parts_s), np.ones(parts_s.shape)
         now = parts_s // HOUR_S == parts_s[0, 0] // HOUR_S
         for hour, law in self.laws.items():
             shares[(hours == hour) & ~(self.may_be_tried(hour, float(time_s[0])) & now)] = law.share
@@ -430,4 +430,4 @@ def said(directions: Directions) -> str:
 
 
 def _hour(time_s: float) -> int:
-    return int((time_s % DAY_S + 1.0) // HOUR_S) % DAY_H
+    return int(whole_hour(time_s))

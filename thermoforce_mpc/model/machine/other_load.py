@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
-from thermoforce_mpc.data.clock import DAY_H
+from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data.clock import DAY_H, whole_hour
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE, MEASURED, error_of_a_step
 
@@ -70,13 +70,13 @@ class OtherLoad:
 
     def __call__(self, time_s: Array, T_out_C: Array) -> Array:
         """Return the load over steps that start at `time_s`, s since 1 January, at `T_out_C` °C, W; shapes alike."""
-        by_hour = np.asarray(self.by_hour_W)[_hour(time_s)]
+        by_hour = np.asarray(self.by_hour_W)[whole_hour(time_s)]
         warmer_K = np.clip(T_out_C, *self.T_out_range_C) - self.reference_C
         return np.maximum(by_hour + self.per_K_W * warmer_K, 0.0)
 
     def steady(self, time_s: Array, T_out_C: Array) -> Array:
         """The same, NaN in hours in which it comes and goes."""
-        return np.where(np.isin(_hour(time_s), self.at_times), np.nan, self(time_s, T_out_C))
+        return np.where(np.isin(whole_hour(time_s), self.at_times), np.nan, self(time_s, T_out_C))
 
     @property
     def mean_W(self) -> float:
@@ -111,7 +111,7 @@ def other_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> Other
     if settled.sum() < _LEAST_STEPS or not (known & ~off).any():
         return None
     on = known & ~off
-    load_W, T, hour = meter_W[settled], T_out_C[settled], _hour(time_s)
+    load_W, T, hour = meter_W[settled], T_out_C[settled], whole_hour(time_s)
     mean_W, full_W = float(load_W.mean()), float(np.percentile(meter_W[on], 90.0))
     # A meter against the machine's direction has none, and a machine that never ran tells none.
     if mean_W <= max(0.0, _LEAST_SHARE * full_W):
@@ -167,7 +167,7 @@ def own_W(
 
 def _lacking(load: OtherLoad, time_s: Array, T_out_C: Array, meter_W: Array) -> float:
     """Share of `load` that a meter (n,) did not hold, by its means of the hours of the day."""
-    hour, load_W = _hour(time_s), load(time_s, T_out_C)
+    hour, load_W = whole_hour(time_s), load(time_s, T_out_C)
     meter, expected = (np.bincount(hour, weights=values, minlength=DAY_H) for values in (meter_W, load_W))
     return float(np.maximum(expected - meter, 0.0).sum() / max(expected.sum(), 1e-9))
 
@@ -202,10 +202,6 @@ def _coefficients(design: Array, load_W: Array, error_W: float) -> Array:
     rows = np.vstack([design / error_W, smooth / (_BY_HOUR * mean_W), flat / (_PER_K * mean_W)])
     values = np.concatenate([load_W / error_W, np.zeros(DAY_H + 1)])
     return np.asarray(np.linalg.lstsq(rows, values, rcond=None)[0])
-
-
-def _hour(time_s: Array) -> NDArray[np.intp]:
-    return np.asarray((np.asarray(time_s) % DAY_S + 1e-6) // HOUR_S, dtype=np.intp) % DAY_H
 
 
 def _off_h(off: NDArray[np.bool_], time_s: Array) -> Array:
