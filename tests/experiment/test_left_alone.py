@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import copy
+import json
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
+from click.testing import CliRunner
 from home_by_setpoint import RULES, START, HomeBySetpoint
 from simple_house import GAIN_K, POLE, outdoor_C, simple_model
+from two_houses import TWO, two_model
 
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
-from thermoforce_mpc.commands.loop import saving_in_words
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.commands.loop import USUAL_COMMANDS, saving_in_words
 from thermoforce_mpc.data import HOUR_S, Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.experiment.left_alone import LEFT_ALONE, saving_of_levels
@@ -45,7 +51,7 @@ def model():
     known = {f"step_response_{h}h_K": steady * (1.0 - POLE**h) for h in (1, 2, 4, 8, 12, 24, 48)}
     known |= {f"step_response_{h}h_sd_K": 0.1 * steady * (1.0 - POLE**h) for h in (1, 2, 4, 8, 12, 24, 48)}
     scores = tuple(HorizonScore(float(h), 0.1, 2.0, 2.0, 9.0, 9) for h in JUDGED_H)
-    verdict = Competence(True, horizons=scores, effect_K=2.0, effect_sd_K=0.2)
+    verdict = Competence(True, horizons=scores, effect_K=known["step_response_8h_K"], effect_sd_K=0.2)
     return replace(exact, cards=(replace(exact.cards[0], uncertainty=known, competence=verdict),))
 
 
@@ -116,3 +122,78 @@ def test_what_the_model_does_not_tell_is_said(measured, model, planned):
         saving_of_levels(unsure, measured.record, ahead, plan)
     with pytest.raises(DataError, match="not all actuators follow the plan"):
         saving_of_levels(model, measured.record, ahead, replace(plan, u=np.empty((1, 0))))
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    """Two such homes as rooms of one house, of which one takes set-points and the other levels: its files by name."""
+    place, homes = tmp_path_factory.mktemp("two"), {"bath": HomeBySetpoint(days=14), "hall": HomeBySetpoint(days=14)}
+    both = [home.measurements().set_index("time") for home in homes.values()]
+    own = ("T", "u", "set", "P")
+    table = both[0].drop(columns=list(own))
+    for name, one in zip(homes, both, strict=True):
+        table = table.join(one[list(own)].add_suffix(f"_{name}"))
+    ahead = homes["bath"].forecast().head(25)
+    ahead["price"] = [price(at) for at in ahead.index]
+    rooms = {name: RULES["zones"]["zone"] | {"temperature": f"T_{name}"} for name in homes}
+    act = {
+        name: {"zone": zone, "machine": machine, "level": f"u_{zone}"}
+        for name, zone, machine in zip(TWO.actuators, TWO.zones, TWO.machines, strict=True)
+    }
+    act["radiator"]["command"] = {"kind": "setpoint", "column": "set_bath"}
+    machines = {m: {"power": f"P_{z}", "price": "price"} for m, z in zip(TWO.machines, TWO.zones, strict=True)}
+    files = {"data": place / "data.csv", "forecast": place / "ahead.csv", "map": place / "map.yaml"}
+    table.drop(columns=["set_hall"]).to_csv(files["data"])
+    ahead.to_csv(files["forecast"])
+    files["map"].write_text(
+        yaml.safe_dump(RULES | {"zones": rooms, "actuators": act, "machines": machines}, sort_keys=False)
+    )
+    return homes["bath"], files, place
+
+
+def planned_by(two, model):
+    """What `tf-mpc plan` says and writes."""
+    _, files, place = two
+    model.save(place / "model", overwrite=True)
+    call = ["plan", "--model", place / "model", "--out", place / "plan.json", "--commands", place / "set.json"]
+    call += [part for name, file in files.items() for part in (f"--{name}", file)]
+    for one in ("free_response.name=persistence", "gate.enabled=false", "watch.enabled=false"):
+        call += ["--set", one]
+    found = CliRunner().invoke(cli, list(map(str, call)))
+    assert found.exit_code == 0, found.output
+    return " ".join(found.output.split()), json.loads((place / "plan.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def of_two(model):
+    """The model of both rooms, with what it says of its errors."""
+    return replace(two_model(), cards=model.cards * 2)
+
+
+def test_what_a_plan_in_commands_and_levels_saves_is_that_of_the_house_lived_both_ways(two, of_two):
+    home, _, place = two
+    said, told = planned_by(two, of_two)
+    saving = told["saving"]
+    by_commands, alone = copy.deepcopy(home), lived(home, None)
+    for one in told["commands"]:
+        by_commands.told = one["value"]
+        by_commands.wait_until(pd.Timestamp(one["until"]))
+    by_commands.told = None
+    by_commands.wait_until(START + pd.Timedelta(days=8))
+    of_commands = sum(price(row["time"]) * row["P"] for row in by_commands.rows[len(home.rows) :]) / 12000.0
+    of_levels = lived(home, [row["u[floor]"] for row in told["rows"]])
+    true = 2.0 * alone - of_commands - of_levels
+    assert saving["low"] < true < saving["high"]
+    assert saving["saved"] == pytest.approx(true, abs=0.1 * saving["cost_alone"])
+    assert saving["cost_alone"] == pytest.approx(2.0 * lived(home, None, days=1), rel=0.15)
+    assert f"{saving['saved']:.2f} (90 % band {saving['low']:.2f} to {saving['high']:.2f}): cost" in said
+    assert f"By the same model {USUAL_COMMANDS}, and with {LEFT_ALONE}." in said
+    assert json.loads((place / "set.json").read_text(encoding="utf-8"))["saving"] == saving
+
+
+def test_where_levels_tell_no_saving_that_of_the_commands_is_called_so(two, of_two):
+    unsure = replace(of_two, cards=(of_two.cards[0], replace(of_two.cards[1], uncertainty={})))
+    said, told = planned_by(two, unsure)
+    assert told["saving"] is None
+    assert "Of its commands alone: " in told["no_saving"]
+    assert "What the plan saves is not told: the model does not say how well it knows" in said

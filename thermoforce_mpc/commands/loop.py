@@ -667,9 +667,12 @@ def command_rows(plan: Plan, commands: Mapping[str, LearnedCommand]) -> list[dic
     return rows
 
 
+USUAL_COMMANDS = "under the commands of the record's weeks"
+"""What a plan in commands is compared with."""
+
+
 def saving_in_words(saving: PlannedSaving, alone: str = "") -> str:
     """What a plan saves, in two sentences; `alone`: what a plan in levels is compared with, '' of one in commands."""
-    usual = "under the commands of the record's weeks"
     s, band = saving, f"(90 % band {saving.low:.2f} to {saving.high:.2f})"
     if not alone and not s.gain > 0.0:
         what = f"Not set: the commands that were found would save {s.saved:.2f} against leaving it alone {band}"
@@ -683,5 +686,5 @@ def saving_in_words(saving: PlannedSaving, alone: str = "") -> str:
     return (
         f"{what}: cost {s.cost:.2f} instead of {s.cost_alone:.2f}{peak}, energy {s.energy_kWh:.1f} instead of "
         f"{s.energy_alone_kWh:.1f} kWh, outside the bounds {s.outside_Kh:.1f} instead of {s.outside_alone_Kh:.1f} K·h, "
-        f"and what is stored at the end. By the same model {alone or usual}."
+        f"and what is stored at the end. By the same model {alone or USUAL_COMMANDS}."
     )

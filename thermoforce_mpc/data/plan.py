@@ -47,7 +47,7 @@ class HeldCommand:
 
 @dataclass(frozen=True)
 class PlannedSaving:
-    """What a plan in commands saves against the building left alone, by the same model, over the horizon.
+    """What a plan saves against the building left alone, by the same model, over the horizon.
 
     `saved`: currency, with its 90 % band `low` to `high` and what is stored at the end; `cost` and `energy_kWh` of the
     plan and `alone`; `outside_Kh`: K·h outside the comfort bounds in all zones. `gain`: `saved` with what differences

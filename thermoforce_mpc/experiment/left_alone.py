@@ -6,12 +6,15 @@ that keeps it there. Whether that is what the record's levels took is looked at:
 habits of the others, and what it takes is compared with what was. Where days differ too much, nothing is said; else
 what it takes is put right by them, and the band has what is left. Houses that differ by what the model does not know
 are put right each by itself, so that an effect that is larger than it is thought changes little.
+
+Where others are set by commands, what these save is the plan's own figure, by the same levels in both; here their rooms
+are kept as usual in both, so that the two add up to what the whole plan saves (`of_both`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -44,7 +47,9 @@ LEFT_ALONE = "rooms kept as warm as they were at these hours while their heat ac
 """What such a saving is compared with."""
 
 
-def saving_of_levels(model: ThermalModel, history: Record, ahead: Boundary, plan: Plan) -> PlannedSaving:
+def saving_of_levels(
+    model: ThermalModel, history: Record, ahead: Boundary, plan: Plan, by_commands: Collection[int] = ()
+) -> PlannedSaving:
     """What a plan in levels saves over its N steps, by the model and the habits of the record.
 
     Args:
@@ -52,6 +57,7 @@ def saving_of_levels(model: ThermalModel, history: Record, ahead: Boundary, plan
         history: what was measured until it begins, at its step.
         ahead: weather, bounds and prices of its steps.
         plan: its levels and temperatures.
+        by_commands: numbers of its actuators that are set by commands, whose rooms are kept as usual.
 
     Raises:
         DataError: the record does not tell how the building is left alone; says why.
@@ -65,6 +71,8 @@ def saving_of_levels(model: ThermalModel, history: Record, ahead: Boundary, plan
     gain = np.exp(np.clip(spread * standard((_DRAWS + 1, *spread.shape), rng), -_MOST_LOG, _MOST_LOG))
     ratio, scatter = habits.against_record(model, operator, whole, forced, gain)
     u, now = np.clip(plan.u, operator.u_min[:, None], 1.0), forced[:, :, -1]
+    given = u.copy()
+    given[list(by_commands)] = np.nan
     T_free_C = plan.T_zone_C - operator.rollout(now, u, _features(plan.T_zone_C, ahead)).sum(axis=(1, 3))
     x = _features(T_free_C, ahead)
     error_K = free_errors_K(model.cards, operator.home, len(operator.zones), ahead.time_s)
@@ -72,22 +80,24 @@ def saving_of_levels(model: ThermalModel, history: Record, ahead: Boundary, plan
     target_C = habits.at(clock_s(ahead.time_s[1:], history.origin), _is_weekend(ahead.time_s[:-1], history))
     begin, T_free_C = np.repeat(now[None], len(gain), axis=0), T_free_C + away_K
     u_alone, T_alone_C, after_alone = _kept(operator, begin, T_free_C, x, target_C, gain)
-    T_plan_C, after_plan = _held(operator, begin, T_free_C, x, u, gain)
+    u_plan, T_plan_C, after_plan = _kept(operator, begin, T_free_C, x, target_C, gain, given)
     hours = -whole.step_s / HOUR_S / np.log(np.clip(operator.poles, 1e-9, 1.0 - 1e-9))
     warmer_Kh = ((after_plan - after_alone) * hours).sum(axis=(2, 3))
     days = max(u.shape[1] * whole.step_s / DAY_S, 1.0)
     other = np.exp(scatter / np.sqrt(days) * standard(ratio.shape, rng)) / ratio
-    both = _Both(u, u_alone, other, T_plan_C, T_alone_C, warmer_Kh)
+    both = _Both(u_plan, np.isnan(given[:, 0]), u_alone, other, T_plan_C, T_alone_C, warmer_Kh)
     return _compared([_cost(model, m, whole, ahead, both, rng) for m in range(len(model.machines))], both, ahead, rng)
 
 
 @dataclass(frozen=True, eq=False)
 class _Both:
-    """A plan's levels `u` (A, N), and those of S houses left alone (S, A, N), which take `other` (S,) times what they
-    say; temperatures of both (S, Z, N), °C, and by how much the plan leaves rooms warmer, `warmer_Kh` (S, Z), K·h.
+    """Levels of S houses under a plan and left alone (S, A, N), which take `other` (S,) times what they say, but for
+    those of the plan that are `given`, of actuators that do not keep a room (`keeps`, (A,)); temperatures of both
+    (S, Z, N), °C, and by how much the plan leaves rooms warmer, `warmer_Kh` (S, Z), K·h.
     """
 
     u: Array
+    keeps: NDArray[np.bool_]
     u_alone: Array
     other: Array
     T_plan_C: Array
@@ -98,7 +108,8 @@ class _Both:
 @dataclass(frozen=True, eq=False)
 class _Cost:
     """What S houses cost and take by a plan and left `alone`, currency and kWh (S,); `stored`: what the plan leaves,
-    and `by_demand`: what it saves in the likeliest house since its rooms are colder, currency.
+    and in the likeliest house `by_demand`: what it saves since its rooms are colder, and `given`: what rooms whose
+    levels it gives cost left alone, currency.
     """
 
     cost: Array
@@ -107,6 +118,7 @@ class _Cost:
     alone_kWh: Array
     stored: Array
     by_demand: float
+    given: float
 
 
 def _cost(model: ThermalModel, m: int, record: Record, ahead: Boundary, both: _Both, rng: np.random.Generator) -> _Cost:
@@ -116,26 +128,32 @@ def _cost(model: ThermalModel, m: int, record: Record, ahead: Boundary, both: _B
     per_W, price, T_out_C = record.step_s / HOUR_S / 1000.0, ahead.price_per_kWh[m, :-1], ahead.T_out_C
     fed, S = [model.layout.home[a] for a in model.layout.fed_by(m)], len(both.other)
     share = model.power_change(m, record)
-    idle_W, plan_W = (model.power_by_law(m, one, T_out_C[:-1]) for one in (np.zeros_like(both.u), both.u))
-    rooms_W = np.stack([model.power_by_law(m, one, T_out_C[:-1]) - idle_W for one in both.u_alone])
-    alone_W = idle_W + rooms_W * both.other[:, None]
+    given = np.where(both.keeps[:, None], 0.0, both.u[0])
+    idle_W, given_W = (model.power_by_law(m, one, T_out_C[:-1]) for one in (np.zeros_like(given), given))
+
+    def in_houses(levels: Array, known_W: Array) -> Array:
+        of_rooms_W = np.stack([model.power_by_law(m, one, T_out_C[:-1]) - known_W for one in levels])
+        return np.asarray(known_W + of_rooms_W * both.other[:, None])
+
+    alone_W, plan_W = in_houses(both.u_alone, idle_W), in_houses(both.u, given_W)
     if not np.isfinite(alone_W).all():
         raise DataError(f"the power of {model.layout.names.machines[m]} is not known")
-    alone_kWh, alone = alone_W.sum(axis=1) * per_W, alone_W @ price * per_W
-    plan_kWh, law = float(plan_W.sum()) * per_W, float(plan_W @ price) * per_W
+    (alone_kWh, alone), (plan_kWh, law) = ((one.sum(axis=1) * per_W, one @ price * per_W) for one in (alone_W, plan_W))
     T_C = both.T_plan_C, both.T_alone_C
     over_K, over_alone_K = (np.maximum((one[:, fed] - T_out_C[1:]).mean(axis=(1, 2)), 1.0) for one in T_C)
     z_more, z_less = standard((S, 2), rng).T
-    asked = alone_kWh * over_K / over_alone_K / max(plan_kWh, 1e-9)
+    asked = alone_kWh * over_K / over_alone_K / np.maximum(plan_kWh, 1e-9)
     goes = np.append(0.5, rng.random(S - 1)) * weight_of_demand(share.spread)
     factor = 1.0 + goes * (asked - 1.0)
-    more, less = more_and_less((plan_W - alone_W[0]) * price * per_W, record.step_s)
+    more, less = more_and_less((plan_W[0] - alone_W[0]) * price * per_W, record.step_s)
     errs = more * z_more - less * z_less
     of_rooms = alone - float(idle_W @ price) * per_W
     an_hour_kWh = (alone_kWh - float(idle_W.sum()) * per_W) / (price.size * record.step_s / HOUR_S)
     stored = both.warmer_Kh[:, fed].mean(axis=1) * an_hour_kWh / over_alone_K * alone / np.maximum(alone_kWh, 1e-9)
     by_demand = float(of_rooms[0] * (1.0 - over_K[0] / over_alone_K[0]))
-    return _Cost(law * factor + share.spread * errs, plan_kWh * factor, alone, alone_kWh, stored, by_demand)
+    given_alone = in_houses(np.where(both.keeps[:, None], 0.0, both.u_alone[:1]), idle_W)[0] @ price * per_W
+    law = law * factor + share.spread * errs
+    return _Cost(law, plan_kWh * factor, alone, alone_kWh, stored, by_demand, float(given_alone))
 
 
 def _compared(machines: Sequence[_Cost], both: _Both, ahead: Boundary, rng: np.random.Generator) -> PlannedSaving:
@@ -143,10 +161,10 @@ def _compared(machines: Sequence[_Cost], both: _Both, ahead: Boundary, rng: np.r
     cost, kWh, alone, alone_kWh, stored = (
         np.sum([getattr(one, of) for one in machines], axis=0) for of in ("cost", "kWh", "alone", "alone_kWh", "stored")
     )
-    by_demand = sum(one.by_demand for one in machines)
-    saved = alone - cost + stored + _BEYOND * alone[0] * standard(alone.shape, rng)
+    by_demand, given = (sum(getattr(one, of) for one in machines) for of in ("by_demand", "given"))
+    saved = alone - cost + stored + _BEYOND * given * standard(alone.shape, rng)
     # What colder rooms need less comes true.
-    expected, low, high = expected_saving(saved, _SAVES * float(alone[0]), float(by_demand))
+    expected, low, high = expected_saving(saved, _SAVES * float(given), float(by_demand))
     step_h = float(ahead.step_s) / HOUR_S
     outside = [float(ahead.outside_K(one[0]).sum()) * step_h for one in (both.T_plan_C, both.T_alone_C)]
     return PlannedSaving(
@@ -160,6 +178,27 @@ def _compared(machines: Sequence[_Cost], both: _Both, ahead: Boundary, rng: np.r
         outside_Kh=outside[0],
         outside_alone_Kh=outside[1],
         gain=expected,
+    )
+
+
+def of_both(commands: PlannedSaving, levels: PlannedSaving) -> PlannedSaving:
+    """What a plan saves by its commands, at its levels, and by its levels, with the commands left alone.
+
+    Both are of one model, whose errors may be the same: their bands add up.
+    """
+    more = {
+        of: getattr(levels, f"{of}_alone{unit}") - getattr(levels, f"{of}{unit}")
+        for of, unit in (("cost", ""), ("energy", "_kWh"), ("outside", "_Kh"))
+    }
+    return replace(
+        commands,
+        saved=commands.saved + levels.saved,
+        low=commands.low + levels.low,
+        high=commands.high + levels.high,
+        cost_alone=commands.cost_alone + more["cost"],
+        energy_alone_kWh=commands.energy_alone_kWh + more["energy"],
+        outside_alone_Kh=max(commands.outside_alone_Kh + more["outside"], 0.0),
+        gain=commands.gain + levels.gain,
     )
 
 
@@ -281,16 +320,25 @@ def _power_W(model: ThermalModel, u: Array, T_out_C: Array) -> Array:
 
 
 def _kept(
-    operator: BuildingOperator, state: Array, T_free_C: Array, x: Array, target_C: Array, gain: Array
+    operator: BuildingOperator,
+    state: Array,
+    T_free_C: Array,
+    x: Array,
+    target_C: Array,
+    gain: Array,
+    given: Array | None = None,
 ) -> tuple[Array, Array, Array]:
     """The least levels that keep rooms at `target_C` (Z, N) at the ends of steps: levels (S, A, N), temperatures
     (S, Z, N), and forced states at the end, of S houses with forced states `state` (S, Z, A, r), `T_free_C` (S, Z, N)
-    and effects `gain` (S, Z, A) as a multiple.
+    and effects `gain` (S, Z, A) as a multiple. `given` (A, N): levels of actuators that keep no room, NaN of others.
     """
     S, A, N = len(state), len(operator.home), T_free_C.shape[-1]
     per_drive = operator.gains.sum(axis=2) * gain  # (S, Z, A)
     table = np.linspace(0.0, 1.0, _TABLE)
     u, T_C = np.zeros((S, A, N)), np.empty(T_free_C.shape)
+    keeps = np.ones(A, dtype=bool) if given is None else np.isnan(given).any(axis=1)
+    if given is not None:
+        u[:, ~keeps] = given[~keeps]
     for k in range(N):
         faded = operator.poles * state
         at_rest = T_free_C[..., k] + faded.sum(axis=(2, 3))
@@ -300,8 +348,12 @@ def _kept(
             for a, z in enumerate(operator.home)
         ]
         drive = np.zeros((S, A))
+        for a in np.flatnonzero(~keeps).tolist():
+            T_out_C = np.full(S, x[operator.home[a], k, OUTDOOR])
+            drive[:, a] = factor[a] * operator.of_actuator(a).heat_input(u[:, a, k], T_out_C)
         for _ in range(_ROUNDS):
-            for a, z in enumerate(operator.home):
+            for a in np.flatnonzero(keeps).tolist():
+                z = operator.home[a]
                 others = (
                     at_rest[:, z] + np.einsum("sa,sa->s", per_drive[:, z], drive) - per_drive[:, z, a] * drive[:, a]
                 )
@@ -311,19 +363,3 @@ def _kept(
         state = faded + operator.gains * (gain * drive[:, None, :])[..., None]
         T_C[..., k] = T_free_C[..., k] + state.sum(axis=(2, 3))
     return u, T_C, state
-
-
-def _held(
-    operator: BuildingOperator, state: Array, T_free_C: Array, x: Array, u: Array, gain: Array
-) -> tuple[Array, Array]:
-    """Temperatures (S, Z, N) and forced states at the end under levels `u` (A, N), as `_kept`."""
-    T_C, A = np.empty(T_free_C.shape), len(operator.home)
-    for k in range(u.shape[1]):
-        heat = [
-            float(operator.of_actuator(a).heat_input(np.asarray(u[a, k]), np.asarray(x[z, k, OUTDOOR])))
-            for a, z in enumerate(operator.home)
-        ]
-        drive = operator.modulated(np.ones(A), x[:, k], state[0]) * np.array(heat)
-        state = operator.poles * state + operator.gains * (gain * drive[None, None])[..., None]
-        T_C[..., k] = T_free_C[..., k] + state.sum(axis=(2, 3))
-    return T_C, state

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,7 @@ from thermoforce_mpc.cli.options import (
     plot_option,
     said_tank,
 )
-from thermoforce_mpc.commands.loop import command_rows, saving_in_words
+from thermoforce_mpc.commands.loop import USUAL_COMMANDS, command_rows, saving_in_words
 from thermoforce_mpc.commands.tank import tank_in_words, tank_rows
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan, PlannedSaving
 from thermoforce_mpc.data.names import check_same_building
@@ -101,7 +101,7 @@ def plan(
     from controllers.checks import ControllerConfigError
     from controllers.mpc.config import MPCConfig
     from controllers.mpc.controller import ThermoForceMPC
-    from thermoforce_mpc.experiment.left_alone import LEFT_ALONE, saving_of_levels
+    from thermoforce_mpc.experiment.left_alone import saving_of_levels
     from thermoforce_mpc.measurements.forecast import read_forecast
     from thermoforce_mpc.measurements.load import learned_commands, learned_tank, read_measurements
     from thermoforce_mpc.model.thermal_model import load_model
@@ -154,25 +154,27 @@ def plan(
         click.get_current_context().exit(NOT_COMPETENT if plan.status == "gate" else 1)
     table = plan_table(plan, ahead.head(plan.u.shape[1]), measured.layout)
     _show(plan, table, measured.layout, display, by_commands=bool(commands))
-    saving, unsaid = _saving_of(plan, lambda: saving_of_levels(thermal, history, ahead, plan), config, bool(commands))
-    if saving is not plan.saving and saving is not None:
-        display.say(saving_in_words(saving, f"with {LEFT_ALONE}"))
+    by_commands = [a for a, name in enumerate(plan.names.actuators) if name in commands]
+
+    def of_levels() -> PlannedSaving:
+        return saving_of_levels(thermal, history, ahead, plan, by_commands)
+
+    saving, said = _saving_of(plan, of_levels, config, by_commands)
     found = [*command_rows(plan, commands), *tank_rows(plan, None if tank is None else tank.command)]
     if found:
-        _show_commands(plan, found, display)
-    if unsaid:
-        display.say(unsaid)
+        _show_commands(found, display)
+    display.say(said)
     if plan.hot_water is not None:
         display.say(tank_in_words(plan.hot_water))
     if commands_file is not None:
-        _write_commands(commands_file, plan, found, display)
+        _write_commands(commands_file, plan, found, saving, display)
     if out is not None:
         acting = dict(zip(plan.names.actuators, map(str, plan.acting), strict=True))
         beside: dict[str, Any] = {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status}
         beside["acting"] = acting
         beside["saving"] = _saving_json(saving)
-        if unsaid:
-            beside["no_saving"] = unsaid
+        if saving is None:
+            beside["no_saving"] = said
         if found:
             beside["commands"] = found
         if (of_tank := plan.hot_water) is not None:
@@ -237,41 +239,48 @@ def plan_table(plan: Plan, ahead: Boundary, layout: Layout | None = None) -> pd.
 
 
 def _saving_of(
-    plan: Plan, of_levels: Callable[[], PlannedSaving], config: MPCConfig, by_commands: bool
+    plan: Plan, of_levels: Callable[[], PlannedSaving], config: MPCConfig, by_commands: Sequence[int]
 ) -> tuple[PlannedSaving | None, str]:
-    """What a plan saves, and why it is not told; '' where it is."""
-    if plan.saving is not None:
-        return plan.saving, ""
+    """What a plan saves, None where it is not told, and that or why in words; `by_commands`: its actuators that are."""
+    from thermoforce_mpc.experiment.left_alone import LEFT_ALONE, of_both
+
+    commands, usual = plan.saving, ""
+    if commands is not None and len(by_commands) == len(plan.names.actuators):
+        return commands, saving_in_words(commands)
     try:
-        if by_commands:
+        if len(by_commands) == len(plan.names.actuators):
             raise DataError("none of its commands is set")
         if plan.hot_water is not None:
             raise DataError("what is done with hot water beside the rooms is not counted")
         if config.objective.prices_peaks or config.objective.at_the_meter:
             raise DataError("what it changes at the meter, as a peak, is not counted")
-        return of_levels(), ""
+        saving = of_levels()
+        if commands is not None and commands.gain > 0.0:  # else none of them is set
+            saving, usual = of_both(commands, saving), f"{USUAL_COMMANDS}, and "
+        return saving, saving_in_words(saving, f"{usual}with {LEFT_ALONE}")
     except DataError as error:
         told = "tf-mpc worth tells what plans would have saved in the days of a record"
-        return None, f"What the plan saves is not told: {error}. {told}"
+        of_commands = "" if commands is None else f"Of its commands alone: {saving_in_words(commands)} "
+        return None, f"{of_commands}What the plan saves is not told: {error}. {told}"
 
 
 def _saving_json(saving: PlannedSaving | None) -> dict[str, float] | None:
     return None if saving is None else {name: round(value, 4) for name, value in asdict(saving).items()}
 
 
-def _show_commands(plan: Plan, rows: list[dict[str, Any]], display: RunDisplay) -> None:
+def _show_commands(rows: list[dict[str, Any]], display: RunDisplay) -> None:
     shown = plain_table(["actuator", "from", "until", "set"], "Commands to set")
     for row in rows:
         begin, end = pd.Timestamp(row["from"]), pd.Timestamp(row["until"])
         shown.add_row(row["actuator"], f"{begin:%a %d %b %H:%M}", f"{end:%a %H:%M}", row["text"])
     print_whole(shown, display.console)
-    if plan.saving is not None:
-        display.say(saving_in_words(plan.saving))
 
 
-def _write_commands(path: Path, plan: Plan, rows: list[dict[str, Any]], display: RunDisplay) -> None:
+def _write_commands(
+    path: Path, plan: Plan, rows: list[dict[str, Any]], saving: PlannedSaving | None, display: RunDisplay
+) -> None:
     if path.suffix == ".json":
-        content = {"status": str(plan.status), "why": plan.why, "saving": _saving_json(plan.saving), "commands": rows}
+        content = {"status": str(plan.status), "why": plan.why, "saving": _saving_json(saving), "commands": rows}
         write_json_file(path, content, display.console, "Commands")
         return
     from thermoforce_mpc.files import write_whole

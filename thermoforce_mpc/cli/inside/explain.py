@@ -138,7 +138,7 @@ def _lines(decision: ExplainedStep, *, under_way: bool) -> list[str]:
     lines += [f"margin: {margin}" for margin in decision.margins_in_words()]
     plan = decision.step.plan
     if plan.saving is not None:
-        lines.append(f"saving: {saving_in_words(plan.saving)}")
+        lines.append(f"saving of its commands: {saving_in_words(plan.saving)}")
     if plan.hot_water is not None:
         value = plan.hot_water.command[0]
         set_to = "left to its device" if value is None else f"set to {value:g}"
