@@ -40,6 +40,23 @@ def test_valves_on_one_machine_share_it_by_what_its_power_says_of_each():
     assert with_shares_by_power(given, [record_of(u, taken_W)]).shares == given.shares
 
 
+def test_a_meter_says_as_much_of_valves_as_its_errors_leave_it():
+    """Errors of a step are averaged out; those of an hour tell no more in four steps than in one."""
+    rng = np.random.default_rng(4)
+    u, taken_W = np.repeat(rng.random((3, 24)), 3, axis=1), np.array([900.0, 150.0, 450.0])
+    quarters = np.repeat(u, 4, axis=1)
+    by_steps, by_hours = rng.normal(0.0, 150.0, quarters.shape[1]), rng.normal(0.0, 800.0, u.shape[1])
+
+    def shares(u, error_W, step_s=900.0):
+        record = record_of(u, 1000.0 + taken_W @ u + error_W)
+        return np.array(with_shares_by_power(LAYOUT, [replace(record, time_s=record.time_s * step_s / 900.0)]).shares)
+
+    np.testing.assert_allclose(shares(quarters, by_steps), (0.6, 0.1, 0.3), atol=0.04)
+    by_the_hour = shares(u, by_hours, 3600.0)
+    assert np.abs(by_the_hour - (0.6, 0.1, 0.3)).max() > 0.05
+    np.testing.assert_allclose(shares(quarters, np.repeat(by_hours, 4)), by_the_hour, atol=0.03)
+
+
 def test_rooms_are_as_large_as_what_their_emitters_take():
     """Emitters of one room count together; rooms are alike without a meter, or where a machine feeds one alone."""
     rng = np.random.default_rng(4)

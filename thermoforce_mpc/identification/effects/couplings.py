@@ -11,7 +11,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H, Effect, in_steps
 from thermoforce_mpc.model.card import TOGETHER_SD, UNTOLD_SD
-from thermoforce_mpc.model.machine.load import LEVEL_EDGE
+from thermoforce_mpc.model.machine.load import LEVEL_EDGE, RESIDUAL_SCALE, error_of_a_step
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -26,10 +26,10 @@ _LEAST_EFFECT_K = 0.02
 # `office:3rooms:771300` has 12.6 by this rule and 7 by what three days of probing at 6 to 14 °C took).
 _NEAR_MOST, _GIVEN, _ALL_FED_C = 0.85, 0.97, 0.0
 # What full level of one of several actuators takes by the meter of their machine: prior standard deviation as a share
-# of equal shares (radiators of a home differ by a factor of two to three), how long an error lasts, s (hot water,
-# defrosting), measured time from which the meter is asked, s, and the least share beside the largest. By judgement,
-# when `bench commands` was given the meter's shares (2026-11-28).
-_SHARES_SD, _ERRORS_LAST_S, _LEAST_S, _LEAST_SHARE = 0.7, 3.0 * HOUR_S, 2.0 * DAY_S, 0.1
+# of equal shares (radiators of a home differ by a factor of two to three), measured time from which the meter is asked,
+# s, and the least share beside the largest. By judgement, when `bench commands` was given the meter's shares
+# (2026-11-28).
+_SHARES_SD, _LEAST_S, _LEAST_SHARE = 0.7, 2.0 * DAY_S, 0.1
 
 
 def others_of(layout: Layout, a: int, config: IdentificationConfig) -> list[int]:
@@ -182,16 +182,21 @@ def _power_of_each(fed: Sequence[int], machine: int, histories: Sequence[Record]
     levels, W = u[:, known].T, power_W[known]
     is_on = (levels > LEVEL_EDGE).any(axis=1).astype(np.float64)
     together = np.column_stack([np.ones(len(W)), is_on, levels.sum(axis=1)])
-    (_, _, each_W), _, _, _ = np.linalg.lstsq(together, W, rcond=None)
-    if not each_W > 0.0:
+    alike = np.linalg.lstsq(together, W, rcond=None)[0]
+    if not (each_W := float(alike[2])) > 0.0:
         return equal
-    # Errors last for hours: so many steps count as one.
-    error_W = float(np.std(W)) * np.sqrt(max(1.0, _ERRORS_LAST_S / step_s))
-    from scipy.optimize import lsq_linear
-
+    columns = np.column_stack([np.ones(len(W)), is_on, levels])
     prior = np.hstack([np.zeros((len(u), 2)), np.eye(len(u)) / (_SHARES_SD * each_W)])
-    rows = np.vstack([np.column_stack([np.ones(len(W)), is_on, levels]) / error_W, prior])
-    found = lsq_linear(rows, np.append(W / error_W, np.full(len(u), 1.0 / _SHARES_SD)), bounds=(0.0, np.inf)).x[2:]
+
+    def fitted(residual_W: Array) -> Array:
+        from scipy.optimize import lsq_linear
+
+        error_W = error_of_a_step(residual_W, RESIDUAL_SCALE * float(np.max(W)))
+        rows = np.vstack([columns / error_W, prior])
+        return np.asarray(lsq_linear(rows, np.append(W / error_W, np.full(len(u), 1.0 / _SHARES_SD)), (0.0, np.inf)).x)
+
+    # What valves that are alike leave has what makes them differ in it: the errors are those of a first fit.
+    found = fitted(W - columns @ fitted(W - together @ alike))[2:]
     return np.asarray(np.maximum(found, _LEAST_SHARE * found.max()))
 
 
