@@ -22,6 +22,7 @@ from thermoforce_mpc.identification.zones.two_stage import (
     TwoStageFit,
     first_stage_bounds,
 )
+from thermoforce_mpc.model.machine.load import error_of_a_step
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
 # Tolerance of the box for rounding, as a share of the bound.
@@ -75,14 +76,14 @@ def fit_two_stage_many(
     predicted = (design @ scaled[..., None])[..., 0]
     solution = scaled * SCALE
     n_off, n_on = off.sum(axis=1), on.sum(axis=1)
-    noise = ((predicted - rise) ** 2 * off).sum(axis=1) / np.maximum(1, n_off - 4)
-    a_sd = np.sqrt(noise * np.linalg.pinv(normal, hermitian=True)[:, 0, 0]) * SCALE[0]
+    off_sd = np.array([error_of_a_step((predicted - rise)[i, off[i]], 0.0) for i in range(len(runs))])
+    inverse = np.linalg.pinv(normal, hermitian=True)[:, 0, 0]
+    a_sd = off_sd * np.sqrt(n_off / np.maximum(1, n_off - 4) * inverse) * SCALE[0]
 
     residual = rise - predicted
     power = (drive**2 * on).sum(axis=1)
     gain = (drive * residual * on).sum(axis=1) / power
-    error = (residual - gain[:, None] * drive) * on
-    spread = (error**2).sum(axis=1) / n_on - (error.sum(axis=1) / n_on) ** 2
+    error = residual - gain[:, None] * drive
     clipped = sign * np.maximum(sign * gain, 0.0)
     rmse = np.sqrt((((residual - clipped[:, None] * drive) * kept) ** 2).sum(axis=1) / kept.sum(axis=1))
     return [
@@ -93,7 +94,7 @@ def fit_two_stage_many(
             e=float(solution[i, 3]),
             g=float(clipped[i]),
             a_sd=float(a_sd[i]),
-            g_sd=float(np.sqrt(spread[i] / power[i])),
+            g_sd=error_of_a_step(error[i, on[i]], 0.0) / float(np.sqrt(power[i])),
             n_off=int(n_off[i]),
             n_on=int(n_on[i]),
             rmse_K=float(rmse[i]),

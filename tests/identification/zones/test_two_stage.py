@@ -19,17 +19,19 @@ from thermoforce_mpc.identification.zones.two_stage import fit_two_stage
 A, C, D, E, G = 0.96, 0.03, 4e-4, 0.25, 0.5
 
 
-def arx_run(u=None, *, days=4.0, seed=0, noise_K=0.0, sign=1, thermostat=False) -> Record:
+def arx_run(u=None, *, days=4.0, seed=0, noise_K=0.0, lasts=0.0, sign=1, thermostat=False) -> Record:
+    """`lasts`: correlation of what disturbs the room from one step to the next."""
     time_s, T_out, solar = weather(days, 3600.0, seed)
     n = time_s.size - 1
     rng = np.random.default_rng(seed)
     u = random_levels(n, seed, hold=5) if u is None else np.array(u)
-    T = [19.0]
+    T, disturbed = [19.0], 0.0
     for t in range(n):
         if thermostat:
             u[t] = float(T[-1] < 19.5)
         w, s = 0.5 * (T_out[t] + T_out[t + 1]), 0.5 * (solar[t] + solar[t + 1])
-        T.append(A * T[-1] + sign * G * u[t] + C * w + D * s + E + noise_K * rng.normal())
+        disturbed = lasts * disturbed + np.sqrt(1.0 - lasts**2) * noise_K * rng.normal()
+        T.append(A * T[-1] + sign * G * u[t] + C * w + D * s + E + disturbed)
     return Record(time_s, np.array(T), T_out, solar, u, np.full(n, np.nan), np.full(n, np.nan))
 
 
@@ -45,6 +47,15 @@ def test_thermostat_feedback_does_not_hide_the_gain():
     assert fit.g == pytest.approx(G, rel=0.1)
     assert fit.g_sd < 0.1 * G
     assert 0 < fit.a_sd < 0.05
+
+
+@pytest.mark.parametrize("lasts", [0.0, 0.8])
+def test_standard_errors_are_those_of_errors_that_follow_one_another(lasts):
+    """Of forty buildings in which a disturbance goes on for hours pole and gain vary as each of them says."""
+    fits = [fit_two_stage([arx_run(days=10.0, seed=k, noise_K=0.05, lasts=lasts)]) for k in range(40)]
+    for name in ("a", "g"):
+        spread = np.std([getattr(fit, name) for fit in fits])
+        assert 0.6 < spread / np.mean([getattr(fit, f"{name}_sd") for fit in fits]) < 1.4, name
 
 
 def test_gain_is_clipped_to_its_sign():

@@ -7,6 +7,7 @@ the drive, and the gain clipped to its physical sign. The model is of order 1. P
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData, fold_of
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
+from thermoforce_mpc.model.machine.load import error_of_a_step
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
@@ -41,7 +43,8 @@ class TwoStageFit:
     """Parameters of paper eq:arx with standard errors.
 
     `a` 1, `c` K/K, `d` K per W/m², `e` K and `g` K per step of `step_s` s; `a_sd` and `g_sd` are standard errors of the
-    first and second stage; `n_off` and `n_on` steps used; `rmse_K` of the one-step residual over all steps.
+    first and second stage, with errors that follow one another (`error_of_a_step`); `n_off` and `n_on` steps used;
+    `rmse_K` of the one-step residual over all steps.
     """
 
     a: float
@@ -128,12 +131,11 @@ def fit_two_stage(
     drive = heat_input(u, T_out)
     power = float(drive[on] @ drive[on])
     gain = float(drive[on] @ residual[on]) / power
-    spread = float(np.var(residual[on] - gain * drive[on]))
     clipped = sign * max(sign * gain, 0.0)
     return replace(
         passive,
         g=clipped,
-        g_sd=float(np.sqrt(spread / power)),
+        g_sd=error_of_a_step(residual[on] - gain * drive[on], 0.0) / math.sqrt(power),
         n_on=int(on.sum()),
         rmse_K=float(np.sqrt(np.mean((residual - clipped * drive) ** 2))),
         sign=sign,
@@ -158,9 +160,11 @@ def fit_passive(
     low, high = first_stage_bounds(step_s, time_constant_h)
     solution = lsq_linear(design * SCALE, rise[off], bounds=(low / SCALE, high / SCALE)).x * SCALE
     loss, c, d, e = (float(value) for value in solution)
-    squares = float(np.sum((design @ solution - rise[off]) ** 2))
-    a_sd = float(np.sqrt(squares / max(1, off.sum() - 4) * np.linalg.pinv(design.T @ design)[0, 0]))
-    rmse_K = float(np.sqrt(squares / max(1, off.sum())))
+    error, n = design @ solution - rise[off], max(1, int(off.sum()))
+    # Of four parameters.
+    unbiased = math.sqrt(n / max(1, n - 4))
+    a_sd = unbiased * error_of_a_step(error, 0.0) * math.sqrt(np.linalg.pinv(design.T @ design)[0, 0])
+    rmse_K = math.sqrt(float(error @ error) / n)
     return TwoStageFit(1.0 - loss, c, d, e, 0.0, a_sd, 0.0, int(off.sum()), 0, rmse_K, step_s, 1, IDENTITY)
 
 

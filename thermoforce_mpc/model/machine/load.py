@@ -12,6 +12,29 @@ together are nested, so over a step it runs for ∫₀¹ f({a: on_a > τ}) dτ. 
 the on-times because f is submodular (Lovász 1983; Bach 2013, Learning with Submodular Functions, prop. 3.6). By duality
 
     running  =  min_{θ ≥ 0}  θ + Σ_a w_a max(on_a − θ, 0)                                          θ: time at ℓ or above
+
+Errors of 15-minute steps go on for hours. What a step counts with in each law that is fitted by least squares, and in
+what else is (paths in `thermoforce_mpc`):
+
+| law | in | a step counts with |
+|---|---|---|
+| power, its slope, return water | `model/machine/power.py` | `error_of_a_step` |
+| other loads on a meter | `model/machine/other_load.py` | `error_of_a_step` |
+| heat of circuits | `identification/network/circuits.py` | `error_of_a_step` |
+| shares of valves by the power of their machine | `identification/effects/couplings.py` | `error_of_a_step` |
+| pole and gain of the two-stage estimator | `identification/zones/two_stage.py` | `error_of_a_step` |
+| heat over the level | `model/machine/heat_capacity.py` | 2 % of full heat that lasts for 3 h |
+| free response by weather | `model/free_response/linear_weather.py` | errors that last a step, and a day |
+| what a record tells against itself | `measurements/checks/common.py` | covariance of Newey and West |
+| delay of what acts | `measurements/checks/timing.py` | nothing: the best of some is taken |
+| effect of an hour of the day | `model/machine/blocked_hours.py` | one error a day |
+| change of a machine since it was identified | `model/machine/change.py` | days, drawn again |
+| maps of commands | `commands/loop.py` | days, drawn again |
+| energy before and after a measure | `whatif/saving.py` | days, with their correlation |
+| modes nearest to an operator, of no record | `identification/network/projection.py` | – |
+| effects by pairs of runs | `identification/estimation/rest.py` | a fixed error: weather and people fall out |
+
+Emitters, rooms and levels are in the likelihood of the network, whose states are disturbed.
 """
 
 from __future__ import annotations
