@@ -362,6 +362,16 @@ def _other_load(found: BuiltCase, case: PanelCase) -> BuiltCase:
     return replace(found, plant=MeddledPlant(found.plant, shows))
 
 
+def _other_load_ends(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """Another load by day on the meter, twice as large, that ends with the probing."""
+
+    def shows(measurement: Measurement) -> Measurement:
+        on = 6.0 <= measurement.time_s % DAY_S / HOUR_S <= 18.0 and measurement.time_s <= found.period.start_s
+        return replace(measurement, power_W=measurement.power_W + (2.0 * _OTHER_W if on else 0.0))
+
+    return replace(found, plant=MeddledPlant(found.plant, shows))
+
+
 def _wh_per_step(found: BuiltCase, case: PanelCase) -> BuiltCase:
     return replace(found, plant=MeddledPlant(found.plant, lambda seen: replace(seen, power_W=0.25 * seen.power_W)))
 
@@ -432,6 +442,7 @@ FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "hours of the day of a unit": ("air unit", _unit_asleep),
     "hours of the day, less effect": ("generated house", _cold_mornings),
     "other load": ("generated house", _other_load),
+    "other load, ended": ("generated house", _other_load_ends),
     "watch": ("embedded", _changed("weak")),
     "watch, stays weak": ("embedded", _changed("weak", days=math.inf)),
     "watch, sensor moved": ("generated house", _moved_sensor),

@@ -418,12 +418,12 @@ def machine_ratio(
     requests: Sequence[tuple[float, float]],
     history: Record,
     heat: MachineLoad | None,
-    power_W: Callable[[Record], Array],
+    power_W: Callable[[Record, int], Array],
 ) -> tuple[str, float] | None:
     """Which meter was read, and its sum over the modelled sum at the levels requested; None where little was running.
 
-    `requests`: see `level_fault`; `heat`: the machine's, used where it is measured; `power_W`: electric power (n,) W
-    expected for the levels of a record (n steps).
+    `requests`: see `level_fault`; `heat`: the machine's, used where it is measured; `power_W`: electric power
+    (n − first,) W expected for the levels of a record (n steps) from step `first` on.
     """
     requested, levels, index = _paired_levels(requests, history)
     following = index[np.abs(levels - requested) <= _SAME]
@@ -438,7 +438,7 @@ def machine_ratio(
             modelled = heat(np.clip(history.u[0, steps], 0.0, 1.0), history.T_out_C[steps])
         else:
             first = int(steps[0])
-            modelled = power_W(history.slice(first, history.n_steps))[steps - first]
+            modelled = power_W(history, first)[steps - first]
         if not (np.isfinite(modelled).all() and modelled.sum() > 0):
             continue
         return meter, float(measured[steps].sum() / modelled.sum())
@@ -516,13 +516,13 @@ class Watch:
         config: WatchConfig,
         model: ZoneModel,
         n_steps: int,
-        power: Callable[[Record], Array],
+        power: Callable[[Record, int], Array],
         *,
         shared: bool = False,
     ) -> None:
         """Watch predictions of `n_steps` steps at the step of `model`.
 
-        `power`: electric power (n,) W expected for the levels of a record (n steps). `shared`: the machine feeds other
+        `power`: as `power_W` of `machine_ratio`. `shared`: the machine feeds other
         actuators too: how warm its water is goes by them, and so the heat of a level; `machine_factor` counts twice.
         """
         self.config, self._model, self._power = config, model, power

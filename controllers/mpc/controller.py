@@ -306,6 +306,7 @@ class ThermoForceMPC(ActuatedController):
         overrides, joined_in = self._shared.open(decide(self._overrides, situation))
         before, state = state.margins, self._learn(readings, state)
         limits = self._formulation.margins.news(before, state.margins)
+        others = self.model.news_of_others(readings.history, observation.history)
         if len(overrides) == len(self._fallbacks):
             plan = self._realisation.stand_back(overrides, state)
         else:
@@ -327,7 +328,7 @@ class ThermoForceMPC(ActuatedController):
                 ways = self._tank.begin(*begin, observation.tank_C, observation.tank_charges, state.tank)
                 result = yield from self._with_tank(result, instance, ways, forecast.planner.evaluator, solve)
             plan = self._realise(result, readings, overrides, situation)
-        return self._watched.record_request(readings.observation, plan.with_news(*readings.news, limits))
+        return self._watched.record_request(readings.observation, plan.with_news(*readings.news, limits, others))
 
     def _clean(self, observation: Observation, state: MPCState) -> Computation[tuple[Readings, MPCState]]:
         """What is believed; a model that may not act says nothing of readings."""

@@ -134,7 +134,8 @@ class Formulation:
         highest_W = np.array(layout.weights) * fixed_W[fed_by, -1] + per_u_W[:, -1] * highest
         if bent:
             highest_W = highest_W + per_u2_W[:, -1] * highest**2
-        foreign = [power.foreign for power in self._expected if power.foreign is not None]
+        seen = (self._seen(m, history.u[layout.fed_by(m)], history, m) for m in range(len(self._expected)))
+        foreign = [power.foreign for power in seen if power.foreign is not None]
         foreign_W = sum((other(boundary.time_s[:-1], T_out) for other in foreign), np.zeros(boundary.n_steps))
         cap_kW = math.inf if aims.power_cap_kW is None else aims.power_cap_kW
         left_W = np.maximum(1000.0 * cap_kW - foreign_W, 0.0)
@@ -252,11 +253,17 @@ class Formulation:
             limit_W = np.maximum(limit_W - 0.5 * (share * block_W).min(axis=0), 0.0)
         return PowerCap(limit_W, aims.power_cap_price_per_kWh)
 
-    def expected_power_W(self, a: int, record: Record) -> Array:
-        """What the meter of its machine shows (n,), W, for the levels of actuator `a` in a record of its own."""
+    def expected_power_W(self, a: int, record: Record, first: int) -> Array:
+        """What the meter of its machine shows, W, for the levels of actuator `a` in a record of its own (n steps), from
+        step `first` on (n − first,).
+        """
+        power, record = self._seen(self._layout.machine_of[a], record.u, record, 0), record.slice(first, record.n_steps)
         levels = np.clip(record.u[0], self._layout.u_min[a], 1.0)
-        power = self._expected[self._layout.machine_of[a]]
         return power.metered(levels, record.time_s[:-1], record.T_out_C[:-1], record.T_return_C[0])
+
+    def _seen(self, m: int, u: Array, record: Record, row: int) -> PowerModel:
+        """The power expected of machine `m`, with levels `u` (A, n) of all that it feeds and its meter in `row`."""
+        return self._expected[m].seen(u, record.time_s[:-1], record.T_out_C[:-1], record.power_W[row])
 
     def _comfort_weights(self, operator: BuildingOperator, features: Array, price_W: Array) -> tuple[Array, Array, str]:
         """Penalty on comfort violation (Z,), currency/(K·h), what the heat costs that avoids one, infinite where there

@@ -706,7 +706,8 @@ class MarginRules:
             u, last = history.u[a, -1:] / self._actuators.each[a].highest, slice(-2, -1)
             power = self._powers[m]
             assert power is not None
-            expected_W = power.metered(
+            before_W = history.u[[a]], history.time_s[:-1], history.T_out_C[:-1], history.power_W[m]
+            expected_W = power.seen(*before_W).metered(
                 history.u[a, -1:], history.time_s[last], history.T_out_C[last], history.T_return_C[m, -1:]
             )
             behind_K = -self._layout.signs[a] * float(error_K[self._layout.home[a]])

@@ -185,6 +185,7 @@ def _beside_model(record: Record, layout: Layout, model: ThermalModel) -> Iterat
         power, law = model.power[m], model.operator.of_actuator(a).heat_input.law
         meters = []
         if power is not None and len(layout.fed_by(m)) == 1:
+            power = power.seen(record.u[[a]], record.time_s[:-1], T_out, record.power_W[m])
             expected_W = power.metered(u, record.time_s[:-1], T_out, record.T_return_C[m])
             meters.append((names.label("power_W", m), record.power_W[m], expected_W))
         if law is not None:

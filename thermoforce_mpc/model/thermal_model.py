@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, SINGLE, Array, Boundary, Layout, Names, Observation, Record
 from thermoforce_mpc.data.limits import EFFECT_K
@@ -247,7 +248,31 @@ class ThermalModel:
         foreign = [card.foreign_heat for card in self.cards]
         if not any(foreign):
             return record
-        return replace(record, heat_W=own_W(record.heat_W, foreign, record, self.layout.signs))
+        own = own_W(record.heat_W, foreign, record, self.layout.signs)
+        return replace(record, heat_W=np.where(self._other_heat(record), own, record.heat_W))
+
+    def _other_heat(self, record: Record) -> NDArray[np.bool_]:
+        """Whether there is another load on the heat meter of each actuator after each step (A, n)."""
+        return np.stack(
+            [
+                np.zeros(record.n_steps, dtype=bool)
+                if card.foreign_heat is None
+                else card.foreign_heat.there(record.u[[a]], record.time_s[:-1], record.T_out_C[:-1], sign * heat_W)
+                for a, (card, sign, heat_W) in enumerate(zip(self.cards, self.layout.signs, record.heat_W, strict=True))
+            ]
+        )
+
+    def news_of_others(self, power: Record, heat: Record) -> str:
+        """What the last step told of other loads on meters, in words, by records of `power` and of `heat` as read."""
+        told: dict[str, str] = {}
+        for m, (machine, one) in enumerate(zip(self.names.machines, self.power, strict=True)):
+            if one is not None and one.foreign is not None:
+                rows = power.u[self.layout.fed_by(m)], power.time_s[:-1], power.T_out_C[:-1], power.power_W[m]
+                told[f"power of {machine}"] = one.foreign.news(one.foreign.there(*rows))
+        for actuator, card, there in zip(self.names.actuators, self.cards, self._other_heat(heat), strict=True):
+            if card.foreign_heat is not None:
+                told[f"heat of {actuator}"] = card.foreign_heat.news(there)
+        return "; ".join(f"{where}: {news}" for where, news in told.items() if news)
 
     def in_rooms(self, record: Record) -> Record:
         """`record` with the temperatures of the rooms and the heat of the actuators, as `own_heat`."""

@@ -154,7 +154,7 @@ def test_a_night_stays_where_the_clock_on_the_wall_has_it():
     """Known of a winter's probing, in the night in which summer time begins, and of a run that begins in summer."""
     model, new_year = simple_model(), pd.Timestamp("2026-01-01", tz="Europe/Berlin")
     zone = replace(model, cards=(replace(model.only.card, blocked_hours=tuple(range(5))),)).only
-    watch = Watch(WatchConfig(), zone, 48, lambda record: record.u)
+    watch = Watch(WatchConfig(), zone, 48, lambda record, first: record.u)
 
     def until(at: str) -> Record:
         now_s = (pd.Timestamp(at, tz="Europe/Berlin") - new_year).total_seconds()

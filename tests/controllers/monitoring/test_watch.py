@@ -202,7 +202,7 @@ def test_the_e_value_has_mean_one_at_most_for_errors_as_promised():
 @pytest.mark.slow
 def test_false_alarms_are_no_more_frequent_than_stated():
     """Months of predictions whose errors are as promised, straight into the detectors."""
-    watch = Watch(WatchConfig(), simple_model().only, 48, lambda record: record.u)
+    watch = Watch(WatchConfig(), simple_model().only, 48, lambda record, first: record.u)
     assert watch.threshold == pytest.approx(2 * 2 * 720 / 0.025), "half of the 5 % is for the effect of acting"
     rng, hours, runs = np.random.default_rng(5), 720, 300
     z = rng.standard_t(2, (runs, hours)) / 1.8856
@@ -251,7 +251,7 @@ def test_a_missing_effect_is_told_from_cold_that_has_another_cause():
 
 
 def test_predictions_from_before_a_return_do_not_count_against_the_effect():
-    watch = Watch(WatchConfig(), simple_model().only, 48, lambda record: record.u)
+    watch = Watch(WatchConfig(), simple_model().only, 48, lambda record, first: record.u)
     now = 20 * DAY_S
     judged = np.array([Judged(now - h * HOUR_S, 0, -0.2, 0.1, 0.4) for h in range(24)])
     state = WatchState(tracks=(Track(judged=judged),))
@@ -300,7 +300,7 @@ def test_readings_that_were_shifted_go_on_as_predicted_from_where_they_are(long_
 
 
 def test_a_shift_is_said_and_control_handed_back_for_a_day():
-    watch = Watch(WatchConfig(), simple_model().only, 48, lambda record: record.u)
+    watch = Watch(WatchConfig(), simple_model().only, 48, lambda record, first: record.u)
     house, now = SimpleHouse(), 20 * DAY_S
     house.reset(now, DAY_S)
 
@@ -344,7 +344,7 @@ def test_levels_that_differ_for_long_enough_are_a_fault():
 
 def test_low_levels_that_nobody_asked_for_are_a_fault_within_a_day():
     """Native control that holds a zone on a mild day: less than an hour at full level in 6 h."""
-    watch, state = Watch(WatchConfig(), simple_model().only, 48, lambda record: record.u), WatchState()
+    watch, state = Watch(WatchConfig(), simple_model().only, 48, lambda record, first: record.u), WatchState()
     asked, seen = record([0.0] * 24, [0.13] * 24)
     found = {}
     for hour, (time_s, level) in enumerate(asked, start=1):
@@ -365,9 +365,9 @@ def test_a_fault_after_a_day_that_was_followed_is_found_as_soon_as_without_it():
 def test_meters_are_compared_where_the_machine_ran():
     heat = MachineLoad((0.0, 0.0, 4000.0, 0.0), (-20.0, 30.0), lowest_level=1.0)
     asked, seen = record([1.0, 0.5, 1.0], [1.0, 0.5, 1.0], [2000.0, 1000.0, 2000.0])
-    what, ratio = machine_ratio(asked, seen, heat, lambda r: r.u)
+    what, ratio = machine_ratio(asked, seen, heat, lambda r, first: r.u)
     assert (what, ratio) == ("heat", pytest.approx(0.5))
-    assert machine_ratio(asked[:1], seen, heat, lambda r: r.u) is None, "an hour is not enough"
+    assert machine_ratio(asked[:1], seen, heat, lambda r, first: r.u) is None, "an hour is not enough"
     levels = applied_levels([(0.0, float("nan")), *asked[1:]], seen, HeatInput(heat))
     np.testing.assert_allclose(levels, [0.5, 0.5, 1.0], atol=1e-6)
 
@@ -399,7 +399,7 @@ def watch_of(ranges: dict[str, tuple[float, float]], gain_sd: float = 0.0) -> Wa
     zone = simple_model().only
     known = {"step_response_1h_K": 1.0, "step_response_1h_sd_K": gain_sd} if gain_sd else {}
     sure = replace(zone, card=replace(zone.card, ranges=ranges, uncertainty=known))
-    return Watch(WatchConfig(), sure, 48, lambda record: zone.power(record.u[0], record.T_out_C[:-1]))
+    return Watch(WatchConfig(), sure, 48, lambda record, first: zone.power(record.u[0], record.T_out_C[:-1])[first:])
 
 
 def judged_after(ranges: dict[str, tuple[float, float]], error_K: float = 0.0) -> tuple[Judged, float]:

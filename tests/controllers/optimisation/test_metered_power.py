@@ -86,6 +86,39 @@ def test_what_else_is_on_the_meter_leaves_less_of_a_cap_and_of_a_peak():
     assert instance.peak_so_far_W == pytest.approx(1500.0)
 
 
+def test_another_load_that_has_ended_is_said_and_counted_with_no_more():
+    other = OtherLoad((500.0,) * 24, 0.0, 5.0, (-20.0, 30.0), 0.0)
+    model = simple_model()
+    (power,), (card,) = model.power, model.cards
+    beside = replace(model, power=(replace(power, foreign=other),), cards=(replace(card, foreign_heat=other),))
+    house = alone()
+
+    def off(ended_h: int) -> Observation:
+        """The machine was off for two days; its meters held the load until so many hours ago."""
+        held_W = np.where(np.arange(house.history.n_steps, 0, -1) > ended_h, 500.0, 0.0)[None]
+        levels = np.zeros_like(house.history.u)
+        return replace(house, history=replace(house.history, u=levels, power_W=held_W, heat_W=held_W.copy()))
+
+    peaks = mpc(beside, peak_price_per_kW=1.0)
+    for ended_h, others, others_W in (
+        (8, [], 500.0),
+        (9, ["power of machine", "heat of actuator"], 0.0),
+        (10, [], 0.0),
+    ):
+        seen = off(ended_h)
+        told = [
+            text.partition(": the meter lacks the other load of 500 W") for text in peaks.plan(seen).news.split("; ")
+        ]
+        assert [where for where, found, _ in told if found] == others
+        instance = peaks.instance(peaks.predictor.context(seen), seen.history, peak_W=2000.0)
+        assert instance.peak_so_far_W == pytest.approx(2000.0 - others_W)
+        u, heat_W = seen.history.u.copy(), seen.history.heat_W.copy()
+        u[0, -1], heat_W[0, -1] = 1.0, 3000.0
+        assert beside.own_heat(replace(seen.history, u=u, heat_W=heat_W)).heat_W[0, -1] == (
+            2500.0 if ended_h < 10 else 3000.0
+        )
+
+
 def test_what_takes_the_place_of_a_plan_is_not_held_to_the_cap():
     seen = two_observation(houses=TwoHouses(lower_K=1.0))
     condemned = Competence(False, reasons=("it errs",), effect_K=7.0, effect_sd_K=5.0)

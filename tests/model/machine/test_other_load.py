@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
+from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.other_load import OtherLoad, other_load, own_W
+from thermoforce_mpc.model.machine.power import PowerModel
 
 STEP_S, N = 900.0, 4 * 96
 TIME_S = 30 * DAY_S + STEP_S * np.arange(N)
@@ -125,6 +127,36 @@ def test_hours_in_which_a_load_comes_and_goes_say_nothing_of_the_machine():
     assert np.isnan(own[(hour >= 6) & (hour < 7)]).all()
     on = (u[0] > 0.0) & np.isfinite(own)
     np.testing.assert_allclose(own[on], FULL_W, rtol=0.02)
+
+
+@pytest.mark.parametrize(("rmse_W", "taken_back"), [(40.0, True), (900.0, False)])
+def test_a_load_that_ends_is_not_believed_any_more_until_the_meter_holds_it_again(rmse_W, taken_back):
+    """Taken back within a day and a half, by hours with the machine off; one that was hardly told is kept."""
+    rng = np.random.default_rng(7)
+    u, T = levels(rng), weather(rng)
+    by_day = np.where((np.arange(24) >= 6) & (np.arange(24) < 19), 800.0, 0.0)
+    load = OtherLoad(tuple(by_day), 0.0, 5.0, (-20.0, 30.0), rmse_W)
+    day = (TIME_S - TIME_S[0]) / DAY_S
+    there = (day < 1.0) | (day > 2.5)
+    meter_W = FULL_W * u[0] + np.where(there, load(TIME_S, T), 0.0) + 10.0 * rng.standard_normal(N)
+    believed = load.there(u, TIME_S, T, meter_W)
+    assert believed[day < 1.25].all()
+    assert believed[-1]
+    assert believed.all() != taken_back
+    assert believed[(day > 1.9) & (day < 2.5)].any() != taken_back
+    power = PowerModel(MachineLoad((0.0, 0.0, FULL_W, 0.0), (-20.0, 30.0)), foreign=load)
+    for k in range(2, N):
+        rows = u[:, :k], TIME_S[:k], T[:k], meter_W[:k]
+        assert load.there(*rows)[-1] == believed[k - 1], "as it was seen then"
+        assert (power.seen(*rows).foreign is None) != believed[k - 1]
+    assert load.there(np.ones_like(u), TIME_S, T, meter_W).all(), "a machine that is never off tells nothing"
+    assert load.there(u, TIME_S, T, np.full(N, np.nan)).all()
+    told = [load.news(believed[:k]) for k in range(2, N + 1)]
+    assert len(list(filter(None, told))) == 2 * taken_back
+    if taken_back:
+        ended, again = filter(None, told)
+        assert "lacks the other load of 433 W on average while the machine is off" in ended
+        assert "again" in again
 
 
 def test_a_load_that_lies_where_the_machine_was_never_seen_off_is_none():

@@ -204,6 +204,11 @@ class PowerModel:
         own = self(u, T_out_C, T_return_C)
         return own if self.foreign is None else own + self.foreign(time_s, T_out_C)
 
+    def seen(self, u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> PowerModel:
+        """Itself, or without the other load where the meter (n,) does not hold that any more, see `OtherLoad.there`."""
+        gone = self.foreign is not None and time_s.size and not self.foreign.there(u, time_s, T_out_C, meter_W)[-1]
+        return replace(self, foreign=None) if gone else self
+
     def __call__(self, u: Array, T_out_C: Array, T_return_C: Array | float = float("nan")) -> Array:
         """Return the mean electric power over a step for `u` in [0, 1] at `T_out_C` and `T_return_C` °C, W.
 
