@@ -100,7 +100,6 @@ def test_sg_ready_is_blocked_for_two_hours_at_most():
         ({"kind": "enable", "usual": 5}, "usual (5) is neither 1, on, nor 0, off"),
         ({"kind": "sg_ready", "usual": 5}, "usual (5) is no state of SG-Ready"),
         ({"kind": "sg_ready", "states": [2]}, "of one alone there is nothing to plan"),
-        ({"kind": "sg_ready", "hold_min": 180}, "hold_min (180 min) lies above blocked_at_most_min (120 min)"),
         ({"kind": "setpoint", "unit": "K"}, "unit"),
         ({"kind": "sg_ready", "hold_min": 5}, "greater than or equal to 10"),
         ({"kind": "setpoint", "setpoint": 21}, "Extra inputs are not permitted"),

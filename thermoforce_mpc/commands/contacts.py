@@ -39,12 +39,7 @@ class SGReady(Command):
         return tuple(sorted(set(states)))
 
     @model_validator(mode="after")
-    def _can_be_held(self) -> SGReady:
-        if 1 in self.states and self.hold_min > self.blocked_at_most_min:
-            raise ValueError(
-                f"hold_min ({self.hold_min:g} min) lies above blocked_at_most_min ({self.blocked_at_most_min:g} min): "
-                "blocked cannot be held for as long as each state is; leave 1 out of states"
-            )
+    def _is_usually_a_state(self) -> SGReady:
         if isinstance(self.usual, float) and self.usual not in _SG_STATES:
             raise ValueError(f"usual ({self.usual:g}) is no state of SG-Ready, 1 to 4")
         return self
