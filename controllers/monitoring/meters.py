@@ -11,7 +11,8 @@ So the sun at night and the power of a machine that is off, or runs evenly, may 
 next to nothing is not validated: a machine that does not run reads that too, and the watch compares it with the level
 that was requested. Nor is a point that never moved in the record, since nothing measures it.
 
-What is rejected counts as not measured, from its second reading on; it is used again when it moves.
+What is rejected counts as not measured, from its second reading on; it is used again when it moves. A run that begins
+sees in the record since when a meter stays and which levels it had since; forecasts of then are not in it.
 """
 
 from __future__ import annotations
@@ -144,14 +145,22 @@ class Meters:
         value = float(values[-1]) if values.size else math.nan
         at_s, reference = float(history.time_s[values.size - 1]), self._reference(name, row, history, boundary)
         same = math.isclose(value, state.value, rel_tol=_SAME) if math.isfinite(value) else False
+        if math.isnan(state.since_s) and math.isfinite(value) and name not in _WEATHER:
+            stays = np.isclose(values, value, rtol=_SAME, atol=0.0)
+            first = 0 if stays.all() else int(values.size - np.argmin(stays[::-1]))
+            # What the last step asked for may show on it in the next.
+            since = [self._reference(name, row, history, boundary, k) for k in range(first, values.size - 1)]
+            low, high = (of.reduce(since or [math.nan]) for of in (np.fmin, np.fmax))
+            return replace(state, value=value, since_s=float(history.time_s[first]), low=float(low), high=float(high))
         if not same:
             return replace(state, value=value, since_s=at_s, low=reference, high=reference, stuck="")
         return replace(state, low=_lesser(state.low, reference), high=-_lesser(-state.high, -reference))
 
-    def _reference(self, name: str, row: int, history: Record, boundary: Boundary) -> float:
+    def _reference(self, name: str, row: int, history: Record, boundary: Boundary, k: int = -1) -> float:
+        """What a reading follows: the forecast for now, or the level in step `k`."""
         if name in _WEATHER:
             return float(getattr(boundary, name)[0])
-        levels = history.u[:, -1] if history.n_steps else np.full(len(self.layout.home), np.nan)
+        levels = history.u[:, k] if history.n_steps else np.full(len(self.layout.home), np.nan)
         fed = self.layout.fed_by(row) if name == "power_W" else [row]
         if len(fed) == 1:
             return float(levels[fed[0]])

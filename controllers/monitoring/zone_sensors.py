@@ -3,7 +3,9 @@
 A reading is rejected where it is missing, outside its range, further from its prediction than the record ever
 changed within a step (jump), or the same for longer than the record ever showed while the model says that the zone
 moved (frozen; a sensor of 0.1 or 0.5 K repeats itself by its resolution). The prediction is that of the last plan
-from an accepted reading: its free forecast, plus the forced state of the levels that were applied since.
+from an accepted reading: its free forecast, plus the forced state of the levels that were applied since. A run that
+begins with a reading that repeats itself has none: it predicts from where the record last moved, with the weather that
+was measured since.
 
 For `bridge_h` the model stands in for the readings: plans go on, marked. Then the zone counts as unknown, and its
 actuators are left to the plant's own control, or to the on/off rule on the model's temperature. Readings are accepted
@@ -197,6 +199,15 @@ class Sensor:
         half_K = 0.5 * (context.free.quantile_C(0.9)[z] - context.free.quantile_C(0.1)[z])
         return replace(state, anchor=Anchor(time_s, context.free.median_C[z], half_K))
 
+    def repeats(self, state: SensorState, history: Record, z: int) -> int:
+        """Steps at the end of the record of a run that begins in which readings of zone `z` repeat themselves for
+        `frozen_h` or longer; 0 where they do not, or something predicts them.
+        """
+        if not self.config.enabled or state.anchor is not None or not math.isinf(state.seen_s):
+            return 0
+        repeated = _repeated(history.T_zone_C[z], float(history.T_zone_C[z, -1]))
+        return repeated if repeated * history.step_s >= self.config.frozen_h * HOUR_S - 1.0 else 0
+
     @property
     def _prefix(self) -> str:
         return f"{self.name}: " if self.name else ""
@@ -248,18 +259,17 @@ class Sensor:
         """How many readings repeat the one before, and why the sensor is frozen; empty where it may not be."""
         if record.T_C.size > 1 and record.T_C[-2] != y:
             return 0, ""
-        same = np.equal(record.T_C, y)
-        repeated = int(same.size if same.all() else np.argmin(same[::-1])) - 1
+        repeated = _repeated(record.T_C, y)
         if repeated * record.step_s < self.config.frozen_h * HOUR_S - 1.0:
             return repeated, ""
-        before = record.T_C[: same.size - repeated]
+        before = record.T_C[: record.T_C.size - repeated]
         changes = np.abs(np.diff(before))
         moved = changes[changes > 0]
         if not moved.size:
             return repeated, ""
         plausible = repeated <= _longest_run(np.diff(before) == 0)
         bands, least_K = (_SURELY_BANDS, _SURELY_K) if plausible else (_FROZEN_BANDS, SENSOR_STEP_K)
-        courses = np.array([record.predicted(i) for i in range(same.size - repeated, same.size)])
+        courses = np.array([record.predicted(i) for i in range(before.size, record.T_C.size)])
         beyond_K = np.abs(courses[:, 0] - y) - bands * courses[:, 1] - moved.min() - least_K
         if not (beyond_K > 0.0).any():
             return repeated, ""
@@ -319,6 +329,12 @@ def _keeps_moving(since: tuple[tuple[float, float, float], ...]) -> bool:
     return bool((steps > 0).all() and steps.max() <= first and steps.sum() >= _GOES_ON_SHARE * first)
 
 
+def _repeated(T_C: Array, y: float) -> int:
+    """How many of the last readings (n,) repeat the one before, which is `y` as they are."""
+    same = np.equal(T_C, y)
+    return int(same.size if same.all() else np.argmin(same[::-1])) - 1
+
+
 def _longest_run(flags: Array) -> int:
     return max((len(list(run)) for is_set, run in groupby(flags) if is_set), default=0)
 
@@ -373,6 +389,12 @@ class ZoneSensors:
             after.append(state)
             zones.append(zone)
         return tuple(after), self.mask_rejected(after, history), Zones(tuple(zones))
+
+    def repeat_since(self, states: Sequence[SensorState], history: Record) -> dict[int, int]:
+        """The boundary of the record since which readings repeat themselves, by zone, see `Sensor.repeats`."""
+        each = enumerate(self._each(states))
+        repeated = {z: sensor.repeats(state, history, z) for z, (sensor, state) in each}
+        return {z: history.n_steps - n for z, n in repeated.items() if 0 < n < history.n_steps}
 
     def anchored(
         self, states: Sequence[SensorState], history: Record, context: PredictionContext

@@ -189,7 +189,7 @@ class ThermoForceMPC(ActuatedController):
         self._watched = WatchedPredictions(
             watches, self._planners.of, model, enabled=c.watch.enabled and not self._gate.closes_all
         )
-        self._readings = ReadingsFilter(c, model, self._planners.base.predictor)
+        self._readings = ReadingsFilter(c, model, self._planners.base.predictor, n_steps)
         self._prediction = PlanPredictor(
             self._planners, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
         )

@@ -21,7 +21,7 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.planner import Planner, Planners
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import Array, Boundary, Observation, Plan, Record
-from thermoforce_mpc.data.series import gapless
+from thermoforce_mpc.data.series import bridged, gapless
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, gather, within
 from thermoforce_mpc.model.forced_state import ForcedState
@@ -62,16 +62,17 @@ class Readings:
 class ReadingsFilter:
     """Takes an observation and what a run knows, and gives what is believed; it holds no state.
 
-    `sensors`, `meters`: the checks of zone sensors, and of weather sensors and meters.
+    `sensors`, `meters`: the checks of zone sensors, and of weather sensors and meters; `n_steps`: of a plan.
     """
 
-    def __init__(self, config: MPCConfig, model: ThermalModel, predictor: Predictor) -> None:
+    def __init__(self, config: MPCConfig, model: ThermalModel, predictor: Predictor, n_steps: int) -> None:
         zones = model.names.zones
         self.sensors = ZoneSensors([Sensor(config.sensor_of(zone), "" if len(zones) == 1 else zone) for zone in zones])
         self.meters = Meters(model.layout, config.meter, config.meters)
         self._sun = SunOnSensors(model, [config.sensor_of(zone).enabled for zone in zones])
         self._model, self._predictor, self._cold_after = model, predictor, config.fallback.cold_after
         self._look_s = config.deadline.look_s
+        self._n_steps = n_steps
 
     def clean(
         self, observation: Observation, state: MPCState, *, with_model: bool, as_identified: bool
@@ -93,7 +94,8 @@ class ReadingsFilter:
         if with_model:
             history = self._in_time(history)
         before = self.sensors.mask_rejected(state.sensors, history)
-        forced = self._forced(before, state) if with_model else None
+        state, began = (yield from self._anchored(before, state)) if with_model else (state, None)
+        forced = (self._forced(before, state) if began is None else began) if with_model else None
         forced_K = None if forced is None else forced.forced_K
         sensors, validated, zones = self.sensors.validate(state.sensors, history, forced_K)
         if forced and as_identified and validated is before and gapless(validated) and state.predictor:
@@ -105,6 +107,27 @@ class ReadingsFilter:
         doubts = tuple(filter(None, (zones.bridged, metered.why, filled)))
         news = tuple(filter(None, (sun_news, zones.news, metered.news)))
         return Readings(seen, observation.boundary, zones, forced_K, doubts, news), state
+
+    def _anchored(self, history: Record, state: MPCState) -> Computation[tuple[MPCState, ForcedState | None]]:
+        """The state of a run that begins with what predicts readings that repeat themselves, and forced states until
+        now; None where nothing does.
+        """
+        since = self.sensors.repeat_since(state.sensors, history)
+        if not since:
+            return state, None
+        whole, _ = bridged(history)
+        sensors = list(state.sensors)
+        try:
+            for z, i in since.items():
+                begin, measured = (
+                    whole.slice(0, i),
+                    Boundary.measured(whole.slice(i, whole.n_steps)).head(self._n_steps),
+                )
+                context = yield from self._predictor.contexting(Observation(begin, measured))
+                sensors[z] = self.sensors.anchored(state.sensors, begin, context)[z]
+            return replace(state, sensors=tuple(sensors)), self._predictor.followed(history)
+        except Exception:  # prediction meets the same error and says it
+            return state, None
 
     def _without_sun(self, history: Record, state: MPCState) -> Computation[tuple[Record, MPCState, str]]:
         """The record without the sun on sensors, which is looked for at night, the state, and what was found."""

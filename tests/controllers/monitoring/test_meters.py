@@ -25,8 +25,11 @@ LEVEL = np.where(np.arange(HOURS) % 24 < 10, 0.5 + 0.5 * np.sin(np.arange(HOURS)
 POWER = 20.0 + 2000.0 * LEVEL
 
 
-def judged(stuck: dict[str, tuple[int, int]], meters: Meters | None = None, **signals):
-    """What is said hour by hour of a record in which `stuck` signals repeat their value from one hour to another."""
+def judged(stuck: dict[str, tuple[int, int]], meters: Meters | None = None, begins: int = 24, **signals):
+    """What is said hour by hour of a record in which `stuck` signals repeat their value from one hour to another.
+
+    `begins`: the hour in which a run begins.
+    """
     meters = meters or Meters(Layout.single())
     given = {"T_out_C": T_OUT, "solar_W_m2": SUN, "u": LEVEL, "power_W": POWER, "heat_W": 2.5 * POWER - 50.0} | signals
     true = dict(given)
@@ -34,7 +37,7 @@ def judged(stuck: dict[str, tuple[int, int]], meters: Meters | None = None, **si
         given[name] = np.array(given[name])
         given[name][start:stop] = given[name][start]
     states, said, history = meters.begin, [], None
-    for now in range(24, HOURS):
+    for now in range(begins, HOURS):
         sampled = {name: given[name][: now + 1] for name in ("T_out_C", "solar_W_m2")}
         means = {name: given[name][:now] for name in ("u", "power_W", "heat_W")}
         history = Record(time_s=TIME_S[: now + 1], T_zone_C=np.full(now + 1, 21.0), **sampled, **means)
@@ -78,6 +81,16 @@ def test_a_reading_that_stays_while_what_it_follows_moves_is_not_believed(name, 
     assert name == "solar_W_m2" or np.isfinite(values[start]), "the first reading of all may be true"
     assert set(range(start + 1, stop)) <= set(refused)
     assert refused.max() == stop - 1
+
+
+@pytest.mark.parametrize("name", ["power_W", "heat_W"])
+def test_a_run_that_begins_finds_a_meter_that_is_stuck_in_the_record(name):
+    said, history = judged({name: (27, HOURS)}, begins=34)
+    assert f"{name} has been " in said[0].why
+    assert "h, in which its level moved by" in said[0].why
+    np.testing.assert_array_equal(np.isnan(getattr(history, name)[0]), np.arange(HOURS - 1) > 27)
+    sound, _ = judged({}, begins=34)
+    assert not sound[0].why
 
 
 def test_what_has_a_reason_to_stay_is_believed():

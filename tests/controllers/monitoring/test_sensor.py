@@ -15,7 +15,7 @@ from controllers import ThermoForceMPC
 from controllers.checks import ControllerConfigError
 from controllers.monitoring.zone_sensors import SensorConfig
 from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.data import DAY_S, Boundary, FreeForecast, PlanStatus, Record
+from thermoforce_mpc.data import DAY_S, Boundary, FreeForecast, Observation, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 
@@ -123,6 +123,30 @@ def test_a_stuck_sensor_is_found_and_its_readings_since_are_not_believed():
     assert found[-1] is PlanStatus.NATIVE
     believed = run(sensor(lambda T, last: last, hours=200.0), days=3.0, sensor={"enabled": False})
     assert result.kpis["tdis_tot"] < 0.5 * believed.kpis["tdis_tot"]
+
+
+def begun(shown, hours: int):
+    """What a fresh process plans: four days of the thermostat and `hours` without heat, of which `shown` are read."""
+    house = SimpleHouse()
+    house.reset(10 * DAY_S, 4 * DAY_S)
+    before = house.past(3600.0)
+    history = before.extended(*(house.advance(0.0, 3600.0) for _ in range(hours)))
+    read = replace(history, T_zone_C=shown(history.T_zone_C, before.T_zone_C[0, -1]))
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=Exact())
+    return mpc.plan(Observation(read, house.forecast(24 * 3600.0, 3600.0)))
+
+
+@pytest.mark.parametrize(("hours", "status"), [(4, PlanStatus.BRIDGED), (20, PlanStatus.NATIVE)])
+def test_a_run_that_begins_with_a_stuck_sensor_finds_it_in_the_record(hours, status):
+    plan = begun(lambda T, last: np.append(T[:, :-hours], np.full((1, hours), last), axis=1), hours)
+    assert plan.status is status
+    assert f"for {hours} h, in which the model moved away" in plan.why
+
+
+def test_a_run_that_begins_with_a_sensor_that_repeats_itself_believes_it():
+    """A coarse one that moves, and one that stays as the thermostat keeps the room, up to an hour of it."""
+    for shown in (lambda T, last: np.round(2.0 * T) / 2.0, lambda T, last: np.append(T[:, :-1], T[:, -2:-1], axis=1)):
+        assert begun(shown, 4).status is PlanStatus.SOLVED
 
 
 @pytest.mark.slow
