@@ -16,6 +16,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.machine.other_load import OtherLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.whatif.counterfactual import counterfactual
@@ -93,6 +94,25 @@ def test_what_the_law_missed_on_a_day_it_misses_under_other_levels_too(model: Th
     found = counterfactual(model, replace(run, power_W=power_W), np.repeat([0.0, 1.0], 12), start="2026-01-05 00:00")
     assert found.energy_other_kWh[0] == pytest.approx(0.9 * 4.3 * 12.0, rel=0.03)
     assert found.energy_low_kWh[0] < found.energy_other_kWh[0] < found.energy_high_kWh[0]
+
+
+def test_hot_water_on_the_meter_is_in_no_energy_and_stands_beside_them(model: ThermalModel) -> None:
+    """Half an hour in each of two hours, so that a step holds twice the mean of the hour or nothing."""
+    run, levels = _run(_levels(1)), np.repeat([0.0, 1.0], 12)
+    water = OtherLoad((0.0,) * 6 + (900.0, 600.0) + (0.0,) * 16, 0.0, 5.0, (-20.0, 30.0), 800.0, (6, 7))
+    of_day = water(run.time_s[:-1], run.T_out_C[:-1])
+    comes_and_goes = of_day * np.where(np.arange(run.n_steps) // 24 % 2, 2.0, 0.0)
+    with_water = replace(model, power=(replace(model.power[0], foreign=water),))
+    alone = counterfactual(model, run, levels, start="2026-01-05 00:00")
+    found = counterfactual(with_water, replace(run, power_W=run.power_W + of_day), levels, start="2026-01-05 00:00")
+    assert (alone.beside_kWh[0], found.beside_kWh[0]) == (0.0, pytest.approx(1.5))
+    for name in ("energy_kWh", "energy_other_kWh", "energy_low_kWh", "energy_high_kWh"):
+        assert getattr(found, name)[0] == pytest.approx(getattr(alone, name)[0])
+    unsteady = replace(run, power_W=run.power_W + comes_and_goes)
+    of_two = [counterfactual(with_water, unsteady, levels, start=f"2026-01-0{day} 00:00") for day in (4, 5)]
+    own = [counterfactual(model, run, levels, start=f"2026-01-0{day} 00:00") for day in (4, 5)]
+    mean = [sum(float(one.energy_kWh[0]) for one in days) for days in (of_two, own)]
+    assert mean[0] == pytest.approx(mean[1])  # right over days, which own_W by steps is not
 
 
 def test_energy_that_follows_the_rooms_demand_has_a_band_that_says_so(model: ThermalModel) -> None:
@@ -224,6 +244,8 @@ def test_counterfactual_command(house: Path) -> None:
                      "--out", str(house / "cf.json"), "--plot", str(house / "cf.png"))  # fmt: skip
     assert code == 0, said
     assert "Energy of machine" in said
+    assert "other loads" not in said
+    assert json.loads((house / "cf.json").read_text())["energy_kWh"]["machine"]["beside"] == 0.0
     rows = json.loads((house / "cf.json").read_text())["rows"]
     assert [row["u_other"] for row in rows] == [0.0] * 6 + [1.0] * 18
     u = _levels(4)

@@ -40,6 +40,7 @@ from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.free_response.checks import LEVELS
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse
 from thermoforce_mpc.model.machine.change import Share
+from thermoforce_mpc.model.machine.other_load import own_W
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -299,8 +300,9 @@ class Counterfactual:
     where the model's card has none (the errors of all steps are taken to have one sign, so it is rather too wide);
     `certified_low_K`, `certified_high_K`: proven bounds in any weather and state. `energy_kWh`, `energy_other_kWh`
     (M,): what the meter said, and by the law of the model's power with what that missed on this day; the law alone
-    where the meter was not read. `power_W`, `power_other_W` (M, N): by the law, NaN, as the energies, where a machine
-    has none, or heats and cools and feeds several actuators.
+    where the meter was not read; both without `beside_kWh` (M,), what other loads on the meter took, as hot water.
+    `power_W`, `power_other_W` (M, N): by the law, NaN, as the energies, where a machine has none, or heats and cools
+    and feeds several actuators.
     `energy_low_kWh`, `energy_high_kWh` (M,): 90 % band of the latter, with the error of the law on days of the record.
     Where levels followed the rooms' demand the record does not tell what they do to power by themselves: the band then
     reaches from what the law of power says to what the rooms' temperatures ask for. Where valves of one machine are
@@ -321,6 +323,7 @@ class Counterfactual:
     energy_other_kWh: Array
     energy_low_kWh: Array
     energy_high_kWh: Array
+    beside_kWh: Array
     power_W: Array
     power_other_W: Array
 
@@ -456,6 +459,7 @@ def _under(
         energy_other_kWh=other,
         energy_low_kWh=energy_low,
         energy_high_kWh=energy_high,
+        beside_kWh=_beside_kWh(model, stretch),
         power_W=power_W,
         power_other_W=power_other_W,
     )
@@ -512,8 +516,7 @@ def _beside_law(model: ThermalModel, m: int, record: Record, stretch: Record) ->
     power = model.power[m]
     assert power is not None  # it has a law
     law_W = model.power_by_law_of(m, record)
-    other = 0.0 if power.foreign is None else power.foreign(record.time_s[:-1], record.T_out_C[:-1])
-    metered_W = record.power_W[m] - other
+    metered_W = own_W(record.power_W[m : m + 1], [power.foreign], record, of_days=True)[0]
     first = record.nearest(float(stretch.time_s[0]))
     part = metered_W[first : first + stretch.n_steps]
     read = np.isfinite(part).mean() >= _LEAST_MEASURED
@@ -526,6 +529,13 @@ def _beside_law(model: ThermalModel, m: int, record: Record, stretch: Record) ->
         return metered, 1.0, _FEW_DAYS_SD
     usual = float(meter.sum() / law.sum())
     return metered, usual, float(np.sqrt(np.mean((meter - usual * law) ** 2)) / meter.mean())
+
+
+def _beside_kWh(model: ThermalModel, stretch: Record) -> Array:
+    """What other loads on the meters of machines (M,) took in a stretch, kWh."""
+    loads = [None if power is None else power.foreign for power in model.power]
+    each = [0.0 if one is None else float(one(stretch.time_s[:-1], stretch.T_out_C[:-1]).sum()) for one in loads]
+    return np.array(each) * stretch.step_s / J_PER_KWH
 
 
 def _never_held(model: ThermalModel, m: int, record: Record, levels: Array) -> bool:

@@ -217,8 +217,11 @@ def other_levels(
                 "other": _known(other) if _is_told(other, low, high) else None,
                 "other_low": _known(low),
                 "other_high": _known(high),
+                "beside": _known(beside),
             }
-            for name, was, other, low, high in zip(result.names.machines, *energies, strict=True)
+            for name, was, other, low, high, beside in zip(
+                result.names.machines, *energies, result.beside_kWh, strict=True
+            )
         }
         write_table(out, result.to_dataframe(), console, "Course", energy_kWh=energy)
     if plot is not None:
@@ -255,7 +258,7 @@ def _show_other(result: Counterfactual, console: Console) -> None:
         table.add_row(*cells)
     print_whole(table, console)
     energies = (result.energy_kWh, result.energy_other_kWh, result.energy_low_kWh, result.energy_high_kWh)
-    for name, was, other, low, high in zip(names.machines, *energies, strict=True):
+    for name, was, other, low, high, beside in zip(names.machines, *energies, result.beside_kWh, strict=True):
         if not np.isfinite(was):
             continue
         told = (
@@ -263,7 +266,8 @@ def _show_other(result: Counterfactual, console: Console) -> None:
             if _is_told(other, low, high)
             else f"{low:.1f} to {high:.1f} kWh"
         )
-        console.print(f"Energy of {name}: {was:.1f} kWh as it was, {told} under the other levels (90 % band)")
+        more = f", both without {beside:.1f} kWh of other loads on its meter, as hot water" if beside >= 0.05 else ""
+        console.print(f"Energy of {name}: {was:.1f} kWh as it was, {told} under the other levels (90 % band){more}")
         if not _is_told(other, low, high):
             console.print(
                 "  The record does not tell what these levels do to power: levels went with what the rooms asked for, "
