@@ -233,7 +233,9 @@ def detectors_command(
 @click.option("--days", type=click.IntRange(1, 21), default=14, show_default=True, help="Cold days under control.")
 @click.option(
     "--kinds", multiple=True, help="How the houses are set; repeatable.  [default: the first three]",
-    type=click.Choice(["set-points", "curve offset", "SG-Ready", "flow temperature", "enable"]),
+    type=click.Choice(
+        ["set-points", "curve offset", "SG-Ready", "flow temperature", "enable", "set-point of the house"]
+    ),
 )  # fmt: skip
 @execution_options()
 @QUICK

@@ -2,21 +2,21 @@
 
 A drawn house of rooms has a heat pump behind its own controller: heating curve and hysteresis, minimum times,
 defrosting, hot water that comes first, on the same meter (`thermoforce_mpc.plants.rooms.device`). It is set in one of
-five ways: by the rooms' set-points (thermostats), or, where the rooms follow the water and thermostats only keep them
-from becoming too warm, by the curve's offset, by SG-Ready, by the flow temperature or by an enable contact. It lives
-for 30 days, the last three of them with polite trials: another value of the command for some hours. Heat is not
-metered. From this record a model and the maps are learned; then cold days are run twice, left alone and by planned
-commands, at a dynamic tariff, and the house of set-points once more with valves that take levels directly, beside which
-the other ways of the same house stand too. No room is asked to be warmer than its own thermostat keeps it, so that
-comfort is equal where a machine is too small. What the first plan of each day said that it would save is
-compared with what it saves: the house as it stands then is lived through the plan's horizon twice, by all its commands
-and left alone. That is done with thermostats as they are and with some that are off by a tenth of a kelvin, and the
-mean counts: a thermostat that switches every seven hours is at another turn after two days, which costs more or
-less by chance (house 9725 left alone after a plan by SG-Ready and without one: 10.9 and 11.6 kWh in two days, 16.7 and
-16.7 in three, 2026-11-30). Four days left alone follow each, and count: what heat that is left or missing in house and
-tank is worth, the house says itself. A price for it does not: at the mean cost of the rooms' heat, which holds hot
-water and standby, four plans of 9508 by SG-Ready saved 57 % of what it cost left alone, and 26 % with those days
-(2026-11-29).
+six ways: by the rooms' set-points (thermostats), by that of one thermostat in the largest room, which switches all of
+the house, or, where the rooms follow the water and thermostats only keep them from becoming too warm, by the curve's
+offset, by SG-Ready, by the flow temperature or by an enable contact. It lives for 30 days, the last three of them with
+polite trials: another value of the command for some hours. Heat is not metered. From this record a model and the maps
+are learned; then cold days are run twice, left alone and by planned commands, at a dynamic tariff, and the house of
+set-points once more with valves that take levels directly, beside which the other ways of the same house stand too. No
+room is asked to be warmer than its own thermostat keeps it, so that comfort is equal where a machine is too small. What
+the first plan of each day said that it would save is compared with what it saves: the house as it stands then is lived
+through the plan's horizon twice, by all its commands and left alone. That is done with thermostats as they are and with
+some that are off by a tenth of a kelvin, and the mean counts: a thermostat that switches every seven hours is at
+another turn after two days, which costs more or less by chance (house 9725 left alone after a plan by SG-Ready and
+without one: 10.9 and 11.6 kWh in two days, 16.7 and 16.7 in three, 2026-11-30). Four days left alone follow each, and
+count: what heat that is left or missing in house and tank is worth, the house says itself. A price for it does not: at
+the mean cost of the rooms' heat, which holds hot water and standby, four plans of 9508 by SG-Ready saved 57 % of what
+it cost left alone, and 26 % with those days (2026-11-29).
 """
 
 from __future__ import annotations
@@ -62,7 +62,9 @@ from thermoforce_mpc.plants.rooms.plant import native_setpoints_C
 Row = dict[str, Any]
 
 ROOMS = 3
-KINDS = ("set-points", "curve offset", "SG-Ready", "flow temperature", "enable")
+KINDS = ("set-points", "curve offset", "SG-Ready", "flow temperature", "enable", "set-point of the house")
+# Ways in which thermostats keep the rooms.
+_THERMOSTATS = (KINDS[0], KINDS[5])
 # Those that are run where none are named: each costs a house a month of record and its days, some minutes of a core.
 USUAL_KINDS = KINDS[:3]
 # Day of the year on which control begins; ordinary operation and polite trials before it, days.
@@ -74,6 +76,7 @@ _AWAY: dict[str, tuple[tuple[float, ...], int]] = {
     "SG-Ready": ((1.0, 2.0, 3.0), 2),
     "flow temperature": ((-3.0, 0.0, 3.0), 4),
     "enable": ((0.0, 1.0, 1.0), 2),
+    "set-point of the house": ((-1.0, 0.0, 1.0), 4),
 }
 # Where rooms follow the curve, thermostats stand above what they keep elsewhere, K, and the curve is moved by at most
 # so much until the neediest room is as warm as there, looked at over so many days, with so many halvings.
@@ -156,7 +159,8 @@ def run_house(case: tuple[int, str, int]) -> Row:
     try:
         model = identify(home.record(900.0), config=IdentificationConfig(), layout=home.plant.layout)
         over_K = None if kind == "set-points" else home.water_over_rooms_K(_STEP_S)
-        commands = learned(home.record(_STEP_S), kind, np.append(set_to, set_to[:, -1:], axis=1), over_K)
+        set_to = np.append(set_to, set_to[:, -1:], axis=1)
+        commands = learned(home.record(_STEP_S), kind, set_to, over_K, home.plant.reference)
     except DataError as error:
         return row | {"note": f"refused: {str(error)[:200]}"}
     fit = [card.competence is not None and card.competence.competent for card in model.cards]
@@ -208,17 +212,27 @@ class Home:
 
     def __init__(self, seed: int, kind: str) -> None:
         self.kind, self.plant = kind, house_of_rooms(f"house:{ROOMS}rooms:{seed}")
+        # The room of the thermostat of the house, where it has one.
+        self._lead: int | None = None
         self.plant.device = draw_device(self.plant.house)
         self._curve_K, self._over_K = 0.0, np.ones(ROOMS)
         # By how much its thermostats are off (Z,), K.
         self.dials_K = np.zeros(ROOMS)
-        if kind != "set-points":
+        if kind == "set-point of the house":
+            self._lead = int(np.argmax([room.area_m2 for room in self.plant.house.rooms]))
+            self.plant.reference = self.plant.zones[self._lead]
+        if kind not in _THERMOSTATS:
             self._curve_K = self._tuned_curve_K()
 
     def own_setpoints_C(self, time_s: Array) -> Array:
         """What the thermostats are set to when they are left alone, (Z, n), °C."""
-        own_C = native_setpoints_C(self.plant.house, time_s)
-        return own_C if self.kind == "set-points" else self._wanted_C(time_s) + _ABOVE_K
+        if self.kind not in _THERMOSTATS:
+            return self._wanted_C(time_s) + _ABOVE_K
+        return self._in_all_rooms(native_setpoints_C(self.plant.house, time_s))
+
+    def _in_all_rooms(self, of_rooms: Array) -> Array:
+        """What thermostats of the rooms (Z, ...) have, in each that of the house where it has one."""
+        return of_rooms if self._lead is None else np.repeat(of_rooms[self._lead : self._lead + 1], ROOMS, axis=0)
 
     def _wanted_C(self, time_s: Array) -> Array:
         """What thermostats of its own would keep rooms at while they are used (Z, n), °C."""
@@ -232,7 +246,7 @@ class Home:
 
     def usual(self, time_s: Array) -> Array:
         """What the commands are when they are left alone (Z, n)."""
-        if self.kind == "set-points":
+        if self.kind in _THERMOSTATS:
             return self.own_setpoints_C(time_s)
         of_machine = self._flow_C(time_s) if self.kind == "flow temperature" else _USUAL[self.kind]
         return of_machine * np.ones((ROOMS, time_s.size))
@@ -255,7 +269,7 @@ class Home:
         told = [usual if one is None else one for one, usual in zip(command, self.usual(now)[:, 0], strict=True)]
         setpoints_C = self.own_setpoints_C(now)[:, 0].tolist()
         self.plant.curve_offset_K, self.plant.contact = self._curve_K, NORMAL
-        if self.kind == "set-points":
+        if self.kind in _THERMOSTATS:
             setpoints_C = told
         elif self.kind == "curve offset":
             self.plant.curve_offset_K += told[0]
@@ -265,7 +279,8 @@ class Home:
             self.plant.is_enabled = told[0] >= 0.5
         else:
             self.plant.contact = round(told[0])
-        return self.plant.advance(None, seconds, tuple((np.asarray(setpoints_C) + self.dials_K).tolist()))
+        set_C = np.asarray(setpoints_C) + self._in_all_rooms(self.dials_K)
+        return self.plant.advance(None, seconds, tuple(set_C.tolist()))
 
     def move_tank(self, more_K: float) -> None:
         """Its tank is charged to `more_K` above its device's target from now on; 0: to that."""
@@ -294,7 +309,7 @@ class Home:
         return out
 
     def record(self, step_s: float) -> Record:
-        """What a home's logger has: no heat; where rooms follow the curve, level is valve times water over room."""
+        """What a home's logger has: no heat; level is valve times water over room but with a thermostat in each."""
         record = self.plant.past(step_s)
         u = record.u
         if self.kind != "set-points":
@@ -323,10 +338,13 @@ class Home:
         return self._curve_K
 
 
-def learned(record: Record, kind: str, set_to: Array, over_K: Array | None) -> dict[str, LearnedCommand]:
+def learned(
+    record: Record, kind: str, set_to: Array, over_K: Array | None, reference: str | None = None
+) -> dict[str, LearnedCommand]:
     """The commands of a house, by name of the valve, from a record and what was set at its last boundaries (Z, m).
 
-    `over_K` (Z, n): what the water is above the rooms; None where levels are not made of it.
+    `over_K` (Z, n): what the water is above the rooms; None where levels are not made of it. `reference`: the room of
+    the thermostat of the house, where it has one.
     """
     out: dict[str, LearnedCommand] = {}
     record, shared = record.last(set_to.shape[1] - 1), kind != "set-points"
@@ -334,8 +352,12 @@ def learned(record: Record, kind: str, set_to: Array, over_K: Array | None) -> d
         was = CommandRecord(set_to[a], set_to[a, :-1])
         if over_K is not None:
             was = replace(was, over_K=over_K[a, -record.n_steps :])
-        signals = record.T_zone_C[a], record.T_out_C, record.u[a], record.time_s
-        out[name] = learn_command(_command(kind, name), was, *signals, f"{kind} of {name}", may_be_untold=True)
+        room = a if reference is None else record.names.zones.index(reference)
+        signals = record.T_zone_C[room], record.T_out_C, record.u[a], record.time_s
+        command = _command(kind, name, reference)
+        out[name] = learn_command(command, was, *signals, f"{kind} of {name}", may_be_untold=True)
+        if room != a:
+            out[name] = replace(out[name], reference=record.names.zones[room])
         if shared:
             out[name] = replace(out[name], machine="heat_pump", record=record, set_to=was.mean)
             if kind in _USUAL:  # what else it is the record tells
@@ -344,9 +366,9 @@ def learned(record: Record, kind: str, set_to: Array, over_K: Array | None) -> d
     return out
 
 
-def _command(kind: str, name: str) -> Command:
-    if kind == "set-points":
-        return Setpoint(kind="setpoint", column=name)
+def _command(kind: str, name: str, reference: str | None) -> Command:
+    if kind in _THERMOSTATS:
+        return Setpoint(kind="setpoint", column=name if reference is None else "setpoint", reference=reference)
     if kind == "curve offset":
         return CurveOffset(kind="curve_offset", column="offset")
     if kind == "flow temperature":

@@ -75,6 +75,17 @@ def test_a_machine_that_is_not_enabled_stands():
     assert stands < 0.05 * runs < again
 
 
+def test_one_thermostat_in_the_largest_room_sets_the_whole_house():
+    home, begin_s = Home(17, "set-point of the house"), 36 * DAY_S
+    home.plant.reset(begin_s, DAY_S)
+    areas = [room.area_m2 for room in home.plant.house.rooms]
+    assert home.plant.reference == home.plant.zones[int(np.argmax(areas))]
+    assert np.ptp(home.usual(begin_s + HOUR_S * np.arange(24.0)), axis=0).max() == 0.0
+    home.dials_K = np.array([0.1, 0.2, 0.3])  # all go by the one
+    off, on = (home.advance((told,) * ROOMS, HOUR_S) for told in (12.0, 28.0))
+    assert (off.u.max(), on.u.min()) == (0.0, pytest.approx(1.0))
+
+
 def test_levels_of_the_valves_stand_beside_every_way_in_which_the_same_house_is_set():
     told = {"note": "", "colder_Kh": 0.0, "colder_by_chance_Kh": 0.0, "judged": 0.0}
     rows = [told | {"house": "a", "by": KINDS[0], "saved": 0.1, "saved_direct": 0.2}]
