@@ -19,7 +19,7 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.commands.loop import USUAL_COMMANDS, saving_in_words
-from thermoforce_mpc.data import HOUR_S, Observation
+from thermoforce_mpc.data import HOUR_S, HotWaterPlan, Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.experiment.left_alone import LEFT_ALONE, saving_of_levels
 from thermoforce_mpc.measurements.forecast import read_forecast
@@ -96,6 +96,20 @@ def test_the_saving_of_levels_is_that_of_the_house_lived_both_ways(home, measure
         "By the same model with rooms kept as warm as they were at these hours while their heat acted."
     )
     assert "Not set" not in words
+
+
+def test_what_a_tank_takes_of_the_machine_the_rooms_do_not_get(measured, model, planned):
+    ahead, plan = planned
+    share = np.where(np.arange(24) % 6 == 0, 0.5, 0.0)
+    hours = {name: np.zeros(24) for name in ("T_C", "low_C", "lower_C", "power_W")}
+    tank = HotWaterPlan(command=(None,) * 24, share=share, cost=1.0, cost_alone=2.0, below_Kh=0.0, below_alone_Kh=0.0,
+                        **hours)  # fmt: skip
+    levels = 0.5 * plan.u + 0.2
+    of_rooms = saving_of_levels(
+        model, measured.record, ahead, replace(plan, u=levels, hot_water=tank), tank_machine=model.names.machines[0]
+    )
+    assert of_rooms == saving_of_levels(model, measured.record, ahead, replace(plan, u=levels * (1.0 - share)))
+    assert of_rooms != saving_of_levels(model, measured.record, ahead, replace(plan, u=levels))
 
 
 def test_a_record_that_shows_no_habit_tells_no_saving(measured, model, planned):

@@ -48,7 +48,12 @@ LEFT_ALONE = "rooms kept as warm as they were at these hours while their heat ac
 
 
 def saving_of_levels(
-    model: ThermalModel, history: Record, ahead: Boundary, plan: Plan, by_commands: Collection[int] = ()
+    model: ThermalModel,
+    history: Record,
+    ahead: Boundary,
+    plan: Plan,
+    by_commands: Collection[int] = (),
+    tank_machine: str = "",
 ) -> PlannedSaving:
     """What a plan in levels saves over its N steps, by the model and the habits of the record.
 
@@ -58,6 +63,8 @@ def saving_of_levels(
         ahead: weather, bounds and prices of its steps.
         plan: its levels and temperatures.
         by_commands: numbers of its actuators that are set by commands, whose rooms are kept as usual.
+        tank_machine: the machine that heats the tank of the plan, whose levels give rooms nothing meanwhile; what the
+            tank itself saves is not in the figure.
 
     Raises:
         DataError: the record does not tell how the building is left alone; says why.
@@ -71,6 +78,9 @@ def saving_of_levels(
     gain = np.exp(np.clip(spread * standard((_DRAWS + 1, *spread.shape), rng), -_MOST_LOG, _MOST_LOG))
     ratio, scatter = habits.against_record(model, operator, whole, forced, gain)
     u, now = np.clip(plan.u, operator.u_min[:, None], 1.0), forced[:, :, -1]
+    if plan.hot_water is not None:
+        fed = list(model.layout.fed_by(model.layout.names.machines.index(tank_machine)))
+        u[fed] *= 1.0 - np.minimum(plan.hot_water.share, 1.0)
     given = u.copy()
     given[list(by_commands)] = np.nan
     T_free_C = plan.T_zone_C - operator.rollout(now, u, _features(plan.T_zone_C, ahead)).sum(axis=(1, 3))

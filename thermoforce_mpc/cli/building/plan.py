@@ -157,7 +157,7 @@ def plan(
     by_commands = [a for a, name in enumerate(plan.names.actuators) if name in commands]
 
     def of_levels() -> PlannedSaving:
-        return saving_of_levels(thermal, history, ahead, plan, by_commands)
+        return saving_of_levels(thermal, history, ahead, plan, by_commands, "" if tank is None else tank.machine)
 
     saving, said = _saving_of(plan, of_levels, config, by_commands)
     found = [*command_rows(plan, commands), *tank_rows(plan, None if tank is None else tank.command)]
@@ -244,20 +244,19 @@ def _saving_of(
     """What a plan saves, None where it is not told, and that or why in words; `by_commands`: its actuators that are."""
     from thermoforce_mpc.experiment.left_alone import LEFT_ALONE, of_both
 
-    commands, usual = plan.saving, ""
+    commands, usual, of = plan.saving, "", "" if plan.hot_water is None else "In the rooms: "
     if commands is not None and len(by_commands) == len(plan.names.actuators):
-        return commands, saving_in_words(commands)
+        return commands, f"{of}{saving_in_words(commands)}"
     try:
         if len(by_commands) == len(plan.names.actuators):
             raise DataError("none of its commands is set")
-        if plan.hot_water is not None:
-            raise DataError("what is done with hot water beside the rooms is not counted")
         if config.objective.prices_peaks or config.objective.at_the_meter:
             raise DataError("what it changes at the meter, as a peak, is not counted")
         saving = of_levels()
         if commands is not None and commands.gain > 0.0:  # else none of them is set
             saving, usual = of_both(commands, saving), f"{USUAL_COMMANDS}, and "
-        return saving, saving_in_words(saving, f"{usual}with {LEFT_ALONE}")
+        words = saving_in_words(saving, f"{usual}with {LEFT_ALONE}")
+        return saving, f"{of}{words}"
     except DataError as error:
         told = "tf-mpc worth tells what plans would have saved in the days of a record"
         of_commands = "" if commands is None else f"Of its commands alone: {saving_in_words(commands)} "
