@@ -24,6 +24,8 @@ _QUICK = 120
 # Roles that a map does not use are alike.
 _UNUSED = {"", "humidity", "humidity of outdoors", "return water", "gas"}
 _SET = {"setpoint", "lower", "upper"}
+# Words of contacts of windows.
+_WINDOWS = ("window", "fenster", "fönster", "fenêtre", "raam", "vindue", "ikkuna")
 
 
 @dataclass(frozen=True)
@@ -161,12 +163,14 @@ def drawn(seed: int, number: int) -> tuple[str, list[Signal]]:
     for _ in range(int(rng.integers(0, 4))):
         label = name("other", int(rng.integers(n_rooms)))
         if all(signal.column.name != label for signal in signals):
-            signals.append(Signal(Column(label, time_s, _other(rng, label, time_s)), ""))
+            contact = any(word in label.lower() for word in _WINDOWS)
+            of = ("window", "0-1") if contact else ("",)
+            signals.append(Signal(Column(label, time_s, _other(rng, label, time_s)), *of))
     if rng.random() < 0.3:
         add("pv", np.round(5.0 * made["sun"]), "")
     if rng.random() < 0.3 and names.get("price"):
         label = name("price")
-        cents = "ct/" in label
+        cents = "ct/" in label or "öre/" in label
         price = np.round(0.25 + 0.08 * np.sin(time_s / 7000.0), 4)
         signals.append(
             Signal(
@@ -217,6 +221,8 @@ def _other(rng: np.random.Generator, label: str, time_s: Array) -> Array:
     """Values of a signal that is of no use, by its name."""
     low = label.lower()
     hour = time_s / 3600.0 % 24.0
+    if any(word in low for word in _WINDOWS):
+        return (rng.random(time_s.size) < 0.1).astype(float)
     if "co2" in low:
         return np.asarray(
             np.round(650.0 + 250.0 * np.sin((hour - 4.0) / 12.0 * np.pi) + rng.normal(0.0, 20.0, time_s.size)),
