@@ -35,7 +35,7 @@ from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.commands.contacts import Enable, SGReady
 from thermoforce_mpc.commands.heating_curve import CurveOffset, FlowTemperature
-from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, check_told, learn_command
+from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, check_told, learn_command, on_one_water
 from thermoforce_mpc.commands.setpoint import Setpoint
 from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import (
@@ -348,10 +348,12 @@ def learned(
     """
     out: dict[str, LearnedCommand] = {}
     record, shared = record.last(set_to.shape[1] - 1), kind != "set-points"
-    for a, name in enumerate(record.names.actuators):
-        was = CommandRecord(set_to[a], set_to[a, :-1])
-        if over_K is not None:
-            was = replace(was, over_K=over_K[a, -record.n_steps :])
+    names = record.names.actuators
+    over = [None if over_K is None else over_K[a, -record.n_steps :] for a in range(len(names))]
+    each = {name: CommandRecord(set_to[a], set_to[a, :-1], over_K=over[a]) for a, name in enumerate(names)}
+    if shared:
+        each = on_one_water(each, dict(zip(names, record.u, strict=True)))
+    for a, (name, was) in enumerate(each.items()):
         room = a if reference is None else record.names.zones.index(reference)
         signals = record.T_zone_C[room], record.T_out_C, record.u[a], record.time_s
         command = _command(kind, name, reference)

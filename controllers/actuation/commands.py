@@ -69,16 +69,17 @@ class CommandedLoop:
             return CommandState(self.learned.last, self.learned.held_s + max(self.age_s, 0.0))
         return CommandState(float(self.usual[0]), self.step_s)
 
-    def reach(self, T_mean_C: Array, before: float) -> tuple[Array, Array]:
+    def reach(self, T_mean_C: Array, taken: Array, before: float) -> tuple[Array, Array]:
         """Least and largest level of each step (N,) that commands within the limits bring, room at `T_mean_C` (N,).
 
-        `before`: x of the last step, see `LoopMap`.
+        `taken` (N,): by other valves, `before`: x of the last step, see `LoopMap`.
         """
         out, loop = [], self.learned.loop
+        taken = np.broadcast_to(taken, T_mean_C.shape)
         for commands in (self.low, self.high):
             x, last = np.empty(commands.size), before
             for k, value in enumerate(commands):
-                last = x[k] = float(loop.behind(value, T_mean_C[k], self.T_out_C[k], last))
+                last = x[k] = float(loop.behind(value, T_mean_C[k], self.T_out_C[k], last, 0.0, taken[k]))
             out.append(loop.opened(T_mean_C) * x)
         return out[0], np.maximum(out[0], out[1])
 

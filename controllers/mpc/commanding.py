@@ -301,10 +301,12 @@ class CommandedPlan:
 
     def _reach(self, T_C: Array) -> dict[int, tuple[Array, Array]]:
         """Least and largest levels that commands bring at temperatures of the zones (Z, N + 1), by actuator."""
+        mean_C = 0.5 * (T_C[:, :-1] + T_C[:, 1:])
+        names = self.operator.actuators
+        opened = {names[a]: loop.learned.loop.opened(mean_C[loop.room]) for a, loop in self.loops.items()}
         return {
-            a: loop.reach(0.5 * (T_C[z, :-1] + T_C[z, 1:]), float(self._tables.before[a]))
+            a: loop.reach(mean_C[loop.room], loop.learned.loop.taken(opened), float(self._tables.before[a]))
             for a, loop in self.loops.items()
-            for z in [loop.room]
         }
 
     def realise(self, u: Array, evaluator: Evaluator) -> Commanded:
@@ -761,6 +763,7 @@ class _LoopTables:
             m = max(one.size for one in of)
             return np.array([np.append(one, np.full(m - one.size, one[-1])) for one in of])
 
+        names = [operator.actuators[a] for a in loops]
         self._of_loop = (
             np.array(list(loops), dtype=np.int64),
             np.array([loop.room for loop in loops.values()], dtype=np.int64),
@@ -771,6 +774,7 @@ class _LoopTables:
             *(filled([getattr(one, of) for one in maps]) for of in ("knots", "levels", "uncertain", "spread")),
             np.array([one.shuts_C.size for one in maps], dtype=np.int64),
             *(filled([getattr(one, of) for one in maps]) for of in ("shuts_C", "opens")),
+            *(np.array([[one.others.get(b, (0.0, 0.0))[i] for b in names] for one in maps]) for i in (0, 1)),
         )
         self._per_u, self._per_drive = _per_u(problem), np.ascontiguousarray(operator.gains.sum(axis=2))
         self.before = behind_levels(
@@ -837,16 +841,18 @@ def _settle(
     at_rest_C: np.ndarray, factor: np.ndarray, heat: np.ndarray, per_drive: np.ndarray, per_u: np.ndarray,
     acts: np.ndarray, rooms: np.ndarray, zone: np.ndarray, carry: np.ndarray, holds_K: np.ndarray, count: np.ndarray,
     knots: np.ndarray, levels: np.ndarray, uncertain: np.ndarray, spread: np.ndarray, shut_count: np.ndarray,
-    shuts_C: np.ndarray, opens: np.ndarray,
+    shuts_C: np.ndarray, opens: np.ndarray, takes: np.ndarray, open_mean: np.ndarray,
 ) -> None:  # fmt: skip
     """Levels and temperatures of a step that agree, house by house: half way to what the loops answer, again and again.
 
-    `asked` (L, S, n): s of the commands but for the room; `heat` (V, A): of levels from 0 to 1; the others as in
-    `_LoopTables`. Writes `level` and `before` (S, A) and adds to `scatter` (S,).
+    `asked` (L, S, n): s of the commands but for the room; `heat` (V, A): of levels from 0 to 1; `takes`, `open_mean`
+    (L, L): w_b and ō_b of each loop; the others as in `_LoopTables`. Writes `level` and `before` (S, A) and adds to
+    `scatter` (S,).
     """
     S, A = level.shape
     Z, n, last = T_C.shape[1], asked.shape[2], heat.shape[0] - 1
-    T_end, moved, x_mean = np.empty(Z), np.empty(A), np.empty(A)
+    T_end, moved, x_mean, opened = np.empty(Z), np.empty(acts.size), np.empty(acts.size), np.empty(acts.size)
+    s_of = np.empty((acts.size, n))
     for s in range(S):
         for i in range(acts.size):
             level[s, acts[i]] = before[s, acts[i]]
@@ -861,30 +867,36 @@ def _settle(
                     T_end[j] += per_drive[j, a] * drive
             worst = 0.0
             for i in range(acts.size):
-                a, own = acts[i], rooms[i]
-                mean = x_mean[i] = 0.0
-                for part in range(n):
+                x_mean[i] = moved[i] = 0.0
+            for part in range(n):
+                for i in range(acts.size):
+                    room = T_C[s, rooms[i]] + (part + 0.5) / n * (T_end[rooms[i]] - T_C[s, rooms[i]])
+                    opened[i] = _between(room, shut_count[i], shuts_C[i], opens[i])
+                for i in range(acts.size):
+                    a, own = acts[i], rooms[i]
                     room = T_C[s, own] + (part + 0.5) / n * (T_end[own] - T_C[s, own])
                     x = asked[i, s, part] - zone[i] * room + holds_K[i] * (before[s, a] - 0.5)
+                    for b in range(acts.size):
+                        if takes[i, b] != 0.0:
+                            x -= takes[i, b] * (opened[b] - open_mean[i, b])
+                    s_of[i, part] = x
                     up = _between(x, count[i], knots[i], levels[i])
                     if z[s] != 0.0:
                         up += z[s] * _between(x, count[i], knots[i], uncertain[i])
                     behind = min(max(carry[i] * before[s, a] + up, 0.0), 1.0)
                     x_mean[i] += behind / n
-                    mean += _between(room, shut_count[i], shuts_C[i], opens[i]) * behind / n
-                moved[i] = 0.5 * (level[s, a] + mean)
-                worst = max(worst, abs(moved[i] - level[s, a]))
+                    moved[i] += opened[i] * behind / n
+            for i in range(acts.size):
+                moved[i] = 0.5 * (level[s, acts[i]] + moved[i])
+                worst = max(worst, abs(moved[i] - level[s, acts[i]]))
             if worst < _CLOSE:
                 break
             for i in range(acts.size):
                 level[s, acts[i]] = moved[i]
         for i in range(acts.size):
-            own, held = rooms[i], holds_K[i] * (before[s, acts[i]] - 0.5)
             before[s, acts[i]] = x_mean[i]
             for part in range(n):
-                room = T_C[s, own] + (part + 0.5) / n * (T_end[own] - T_C[s, own])
-                x = asked[i, s, part] - zone[i] * room + held
-                scatter[s] += per_u[acts[i]] * _between(x, count[i], knots[i], spread[i]) / n
+                scatter[s] += per_u[acts[i]] * _between(s_of[i, part], count[i], knots[i], spread[i]) / n
 
 
 def _heat(operator: BuildingOperator, problem: MPCProblem, level: Array, k: int) -> Array:

@@ -7,7 +7,7 @@ import pytest
 
 from thermoforce_mpc.commands.contacts import SGReady
 from thermoforce_mpc.commands.heating_curve import CurveOffset, FlowTemperature
-from thermoforce_mpc.commands.loop import CommandRecord, learn_command
+from thermoforce_mpc.commands.loop import CommandRecord, learn_command, on_one_water
 from thermoforce_mpc.commands.setpoint import Setpoint
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import DataError
@@ -244,6 +244,29 @@ def test_water_of_a_blocked_machine_goes_on_to_heat_though_thermostats_scatter_t
         level = float(loop.level(1.0, *room, before))
         assert level / float(loop.opened(21.0)) == pytest.approx(left, abs=0.08)
         before = level / float(loop.opened(21.0))
+
+
+@pytest.mark.parametrize("limit", [1.2, 10.0])
+def test_rooms_share_the_water_of_a_machine_at_its_limit(limit):
+    """With two open valves it keeps the water 12 K above rooms, with one 20 K; one with power to spare always 20 K."""
+    rng = np.random.default_rng(9)
+    T, out = np.full(N + 1, 21.0), 3.0 + rng.normal(0.0, 1.0, N + 1)
+    state = np.repeat(rng.choice([1.0, 2.0, 3.0], N // 4 + 1, p=[0.1, 0.7, 0.2]), 4)[: N + 1]
+    valves = {name: rng.choice([0.2, 1.0], N) for name in ("living", "bath")}
+    asked_K = np.array([{1.0: 5.0, 2.0: 20.0, 3.0: 23.0}[s] for s in state[:-1]])
+    over_K = asked_K * np.minimum(1.0, limit / sum(valves.values())) + 0.2 * rng.standard_normal(N)
+    was = CommandRecord(state, state[:-1], over_K=over_K)
+    u = {name: np.clip(valve * over_K / 24.0, 0.0, 1.0) for name, valve in valves.items()}
+    each = on_one_water(dict.fromkeys(u, was), u)
+    command = SGReady(kind="sg_ready", column="x")
+    signals = T, out, u["bath"], HOURS, "bath"
+    loop = learn_command(command, each["bath"], *signals, may_be_untold=True).loop
+    level = [loop.behind(2.0, 21.0, 3.0, 0.8, taken=loop.taken({"living": o})) for o in (0.2, 1.0)]
+    usual = asked_K[state[:-1] == 2.0][0] / 24.0 * np.minimum(1.0, limit / np.array([0.7, 1.5])).mean()
+    assert float(np.mean(level)) == pytest.approx(usual, abs=0.08)
+    less = 0.2 if limit < 2.0 else 0.0
+    assert float(level[0] - level[1]) == pytest.approx(less, abs=0.1 if less else 0.02)
+    assert not learn_command(command, was, *signals, may_be_untold=True).loop.others
 
 
 def test_the_usual_command_is_that_of_the_same_time_of_the_week():

@@ -1,12 +1,14 @@
 """What a building's own loop makes of a command: the level that it answers with, learned from a record.
 
     u_k = o(T_zone,k) x_k,   x_k = clip(c x_{k−1} + g(s_k + h (x_{k−1} − ½)), 0, 1)
-    s_k = e(command_k) − w_zone T_zone,k − w_out T_out,k
+    s_k = e(command_k) − w_zone T_zone,k − w_out T_out,k − Σ_b w_b (o_b,k − ō_b)
 
-(T_zone: of the actuator's room; of a thermostat of the whole house, of the room where it is.)
+(T_zone: of the actuator's room; of a thermostat of the whole house, of the room where it is; o_b: how far the other
+valves b on the same water are open, on average ō_b.)
 
 g and e do not fall, o is not negative, c lies in [0, 1], and h and the weights are not negative: more of a command is
-never less heat, in the same step and in all later ones, whatever was learned. A valve with a P band has c = h = 0 (g is
+never less heat, in the same step and in all later ones, whatever was learned (a warmer room shuts its valve, which
+leaves more for the others). A valve with a P band has c = h = 0 (g is
 its line); a thermostat that switches has h, the kelvins between where it comes on and goes off (g is the share of a
 step that it is on); the integral part of a PI controller is c near 1. Without h a room that was heated up was held at
 once where a thermostat lets it cool for hours: of the levels of four rooms, followed from set-points and temperatures,
@@ -15,7 +17,10 @@ What the loop does within a step, and what else moves it, is `spread`.
 
 Where what the water is above the room is logged, a level is an open valve times that: x is then what the water gives
 with the valve open, which it goes on to while its machine is off, and o how far the room's own thermostat opens it,
-which falls with the room's temperature. Elsewhere o is 1, and x the level. As one sum, a thermostat that shuts some
+which falls with the room's temperature. Rooms share the water: with all valves open a machine at its limit keeps it
+less warm (w_b; 0 where it has power to spare). Without w_b the bath of house 9759 of `bench commands` was said to get
+.70 of a level while both other rooms heat, where it gets .55, and was cold after hours in which they had rested
+(2026-11-30). Elsewhere o is 1, and x the level. As one sum, a thermostat that shuts some
 hours was taken for water that gives 0.4 of a level less per kelvin of the room (true 0.1), so that what an offset
 brings was soon undone (`bench commands`, houses 9503 and 9508, 2026-11-28).
 """
@@ -56,6 +61,8 @@ _DRAWS, _SEED = 30, 64
 _NO_HEAT_K, _OPEN, _LEAST_OPEN = 1.0, 0.9, 24
 # A level below it, or a share of the usual one, is that of a valve that is shut.
 _SHUT = 0.05
+# Least standard deviation of how far another valve is open that tells what it takes of the water.
+_LEAST_OPENING = 0.1
 # Least standard deviation of the outdoor temperature at the same hours, K, that tells what goes by it.
 _LEAST_WEATHER_K = 1.0
 # Variance of levels, up to rounding, of which nothing is explained: of a valve that is shut throughout.
@@ -70,13 +77,15 @@ class CommandRecord:
     """What was set: `at` the boundaries of n steps (n + 1,), and the `mean` over each step (n,); NaN: not known.
 
     `usual` (n + 1,): what would have been set by people; None: what was set. `over_K` (n,): what the water is above the
-    room, of a level that is made of it; None: the level is not.
+    room, of a level that is made of it; None: the level is not. `others` (n,): how far the other valves on the same
+    water were open, by name of their actuators, NaN: not known; see `on_one_water`.
     """
 
     at: Array
     mean: Array
     usual: Array | None = None
     over_K: Array | None = None
+    others: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +96,8 @@ class LoopMap:
     weights; `knots`, `levels`, `spread`, `uncertain` (m,): s, g(s), scatter of a step's level and standard error of g,
     straight between and constant beyond what was seen. Of levels followed from the commands alone over `days`: `rmse`
     of a step's, `r2` of an hour's. `shuts_C`, `opens` (j,): the room's temperature and o(T), likewise. `of_water`:
-    levels are made of what the water is above the room, so that they tell heat while its machine is off too.
+    levels are made of what the water is above the room, so that they tell heat while its machine is off too. `others`:
+    w_b and ō_b, by name of the actuators.
     """
 
     carry: float
@@ -106,6 +116,7 @@ class LoopMap:
     opens: Array = field(default_factory=lambda: np.ones(1))
     of_water: bool = False
     holds_K: float = 0.0
+    others: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def index(self, value: float | Array, T_zone_C: float | Array, T_out_C: float | Array) -> Array:
         """s of commands at temperatures, °C; of one shape."""
@@ -122,7 +133,7 @@ class LoopMap:
     ) -> Array:
         """Mean level of a step with the command `value`, mean temperatures, °C, and x `before`; of one shape.
 
-        `z`: how many standard errors the loop lies above what was learned.
+        `z`: how many standard errors the loop lies above what was learned. Other valves are open as on average.
         """
         return np.asarray(self.opened(T_zone_C) * self.behind(value, T_zone_C, T_out_C, before, z))
 
@@ -133,11 +144,17 @@ class LoopMap:
         T_out_C: float | Array,
         before: float | Array,
         z: float | Array = 0.0,
+        taken: float | Array = 0.0,
     ) -> Array:
-        """x of a step, as `level`."""
-        s = self.index(value, T_zone_C, T_out_C) + self.held(before)
+        """x of a step, as `level`; `taken`: see there."""
+        s = self.index(value, T_zone_C, T_out_C) + self.held(before) - taken
         moved = np.interp(s, self.knots, self.levels) + z * np.interp(s, self.knots, self.uncertain)
         return np.clip(self.carry * np.asarray(before) + moved, 0.0, 1.0)
+
+    def taken(self, opened: Mapping[str, float | Array]) -> Array:
+        """By how much s is less for other valves that are `opened` more than on average; of one shape."""
+        more = (w * (np.asarray(opened[b]) - mean) for b, (w, mean) in self.others.items() if b in opened)
+        return np.asarray(sum(more), dtype=np.float64)
 
     def held(self, before: float | Array) -> Array:
         """By how much s is higher after x `before`."""
@@ -287,7 +304,7 @@ def learn_command(
         DataError: the record is too short, or does not tell what the command does; says what to do.
     """
     step_s = float(time_s[1] - time_s[0])
-    signals = _Signals(was.mean, _means(T_zone_C), _means(T_out_C), u, was.over_K)
+    signals = _Signals(was.mean, _means(T_zone_C), _means(T_out_C), u, was.over_K, was.others)
     loop, untold = _learn_loop(command, signals, step_s, time_s, where)
     if untold and not may_be_untold:
         raise DataError(untold)
@@ -359,6 +376,21 @@ class _Signals:
     T_out_C: Array
     u: Array
     over_K: Array | None
+    others: Mapping[str, Array]
+
+
+def on_one_water(was: Mapping[str, CommandRecord], u: Mapping[str, Array]) -> dict[str, CommandRecord]:
+    """Records of commands of one machine, by actuator, each with how far the others' valves were open.
+
+    `u` (n,): levels of the steps. Nothing is known of levels that are not made of water.
+    """
+    opened: dict[str, Array] = {}
+    for name, one in was.items():
+        water = None if one.over_K is None else _water_levels(u[name], one.over_K, np.arange(u[name].size))
+        if water is not None:
+            open_share = np.minimum(u[name] / np.maximum(water[0], _SHUT), 1.0)
+            opened[name] = np.where(water[0] > _SHUT, open_share, np.nan)
+    return {a: replace(one, others={b: each for b, each in opened.items() if b != a}) for a, one in was.items()}
 
 
 def _learn_loop(command: Command, seen: _Signals, step_s: float, time_s: Array, where: str) -> tuple[LoopMap, str]:
@@ -400,7 +432,7 @@ def _learn_loop(command: Command, seen: _Signals, step_s: float, time_s: Array, 
         some = np.concatenate([rng.choice(days, days.size) for days in groups])
         again.append(np.concatenate([rows[day[rows] == one] for one in some]))
     drawn = [_fit(command, draw, seen, loop.carry, loop.holds_K) for draw in again]
-    s = (loop.index(value, seen.T_zone_C, seen.T_out_C)[1:] + loop.held(courses[chosen][:-1]))[rows - 1]
+    s = (_index(loop, seen)[1:] + loop.held(courses[chosen][:-1]))[rows - 1]
     uncertain = np.std([_at(one, loop) for one in drawn], axis=0)
     untold = _untold(command, loop, drawn, value[rows], seen.T_zone_C[rows], seen.T_out_C[rows], r2, where)
     spread = _by_bins(s, error**2, loop.knots) ** 0.5
@@ -439,6 +471,7 @@ def _fit(command: Command, rows: NDArray[np.intp], seen: _Signals, carry: float,
     y = level[rows] - carry * level[rows - 1]
     set_to = np.unique(np.round(value[rows], 6))
     values, effects, zone, outdoor = np.array([set_to[0], set_to[-1]]), np.array([set_to[0], set_to[-1]]), 1.0, 0.0
+    others: dict[str, tuple[float, float]] = {}
     if command.of_zone != -1.0:
         kinds = [set_to[0], *set_to[1:]] if set_to.size <= 4 else [set_to[0], set_to[-1]]
         steps = [np.interp(value, kinds, np.eye(len(kinds))[i:].sum(axis=0)) for i in range(1, len(kinds))]
@@ -446,24 +479,45 @@ def _fit(command: Command, rows: NDArray[np.intp], seen: _Signals, carry: float,
         free = [-T for T, weight in ((T_zone_C, command.of_zone), (T_out_C, command.of_outdoor)) if weight is None]
         # A kelvin of the room is one less of the water above it; a controller with a room sensor takes more.
         less = (1.0 - carry) * per_K
-        columns = np.column_stack([rises, *free, np.ones(value.size), -np.ones(value.size)])
+        away = _away(seen, rows) if water is not None else {}
+        columns = np.column_stack(
+            [rises, *free, *(-x for x, _ in away.values()), np.ones(value.size), -np.ones(value.size)]
+        )
         found = _between_ends(columns[rows], y, -less * T_zone_C[rows], carry * level[rows - 1])
         each, weights = found[: rises.shape[1]], list(found[rises.shape[1] :])
         values, effects = np.array(kinds), np.concatenate([[0.0], np.cumsum(each)])[: len(kinds)]
         zone = less + (float(weights.pop(0)) if command.of_zone is None else 0.0)
         outdoor = float(weights.pop(0)) if command.of_outdoor is None else 0.0
+        others = {b: (float(weights.pop(0)), mean) for b, (_, mean) in away.items()}
     if values.size == 1 or values[0] == values[-1]:  # one value all the time
         values, effects = np.array([set_to[0] - 0.5, set_to[0] + 0.5]), np.array([set_to[0] - 0.5, set_to[0] + 0.5])
     nothing = np.zeros(1)
-    loop = LoopMap(
-        carry, values, effects, zone, outdoor, nothing, nothing, nothing, nothing, 0.0, 0.0, 0.0, holds_K=holds_K
-    )
+    loop = LoopMap(carry, values, effects, zone, outdoor, nothing, nothing, nothing, nothing, 0.0, 0.0, 0.0)
+    loop = replace(loop, holds_K=holds_K, others=others)
     if command.of_zone == -1.0:  # the difference counts, also of commands that were never set
         loop = replace(loop, values=np.array([-1e3, 1e3]), effects=np.array([-1e3, 1e3]))
-    knots, levels = _monotone(loop.index(value, T_zone_C, T_out_C)[rows] + loop.held(level[rows - 1]), y)
+    knots, levels = _monotone(_index(loop, seen)[rows] + loop.held(level[rows - 1]), y)
     none = np.zeros(knots.size)
     loop = replace(loop, knots=knots, levels=levels, spread=none, uncertain=none)
     return loop if water is None else replace(loop, shuts_C=water.shuts_C, opens=water.opens)
+
+
+def _away(seen: _Signals, rows: NDArray[np.intp]) -> dict[str, tuple[Array, float]]:
+    """By how much other valves were open more than on average in `rows` (n,), nought where that is not known, and that
+    average, by name; of those that were open now more and now less."""
+    out = {}
+    for b, opened in seen.others.items():
+        known = opened[rows][np.isfinite(opened[rows])]
+        if known.size and known.std() > _LEAST_OPENING:
+            mean = float(known.mean())
+            out[b] = np.nan_to_num(opened - mean), mean
+    return out
+
+
+def _index(loop: LoopMap, seen: _Signals) -> Array:
+    """s of the steps of a record (n,), other valves as they were."""
+    opened = {b: np.where(np.isfinite(seen.others[b]), seen.others[b], mean) for b, (_, mean) in loop.others.items()}
+    return np.asarray(loop.index(seen.value, seen.T_zone_C, seen.T_out_C) - loop.taken(opened))
 
 
 def _between_ends(columns: Array, y: Array, known: Array, carried: Array) -> Array:
@@ -516,16 +570,24 @@ def _by_water(seen: _Signals, rows: NDArray[np.intp]) -> _Water | None:
     if seen.over_K is None:
         return None
     over_K, u = seen.over_K, seen.u
-    heats = rows[np.isfinite(over_K[rows]) & (over_K[rows] >= _NO_HEAT_K)]
-    given = heats[u[heats] > 0.0]
-    if given.size < _LEAST_OPEN:
+    found = _water_levels(u, over_K, rows)
+    if found is None:
         return None
-    per_K = float(np.quantile(u[given] / over_K[given], _OPEN))
-    level = np.clip(per_K * over_K, 0.0, 1.0)
+    level, per_K = found
+    heats = rows[np.isfinite(over_K[rows]) & (over_K[rows] >= _NO_HEAT_K)]
     shuts_C, opens = _monotone(seen.T_zone_C[heats], np.minimum(u[heats] / level[heats], 1.0), falls=True)
     # A shut valve's water tells nothing; nor does it warm the room that is too little above it.
     opened = np.isfinite(level[rows]) & np.isfinite(level[rows - 1]) & ((u[rows] > 0.0) | (over_K[rows] < _NO_HEAT_K))
     return _Water(level, rows[opened], per_K, shuts_C, opens)
+
+
+def _water_levels(u: Array, over_K: Array, rows: NDArray[np.intp]) -> tuple[Array, float] | None:
+    """Levels (n,) with an open valve by what the water is above the room, and a level per K; None: too few `rows`."""
+    given = rows[np.isfinite(over_K[rows]) & (over_K[rows] >= _NO_HEAT_K) & (u[rows] > 0.0)]
+    if given.size < _LEAST_OPEN:
+        return None
+    per_K = float(np.quantile(u[given] / over_K[given], _OPEN))
+    return np.clip(per_K * over_K, 0.0, 1.0), per_K
 
 
 def _bins(s: Array) -> list[NDArray[np.intp]]:
@@ -548,7 +610,7 @@ def _followed(
     loop: LoopMap, rows: NDArray[np.intp], seen: _Signals, measured: NDArray[np.bool_], behind: Array
 ) -> Array:
     """x (n,) that follows from the commands alone, from each gap and each beginning on, where it is `behind` (n,)."""
-    s = loop.index(seen.value, seen.T_zone_C, seen.T_out_C)
+    s = _index(loop, seen)
     moved, out = np.interp(s, loop.knots, loop.levels), np.where(measured, behind, np.nan)
     if loop.carry == 0.0 and loop.holds_K == 0.0:
         out[rows] = np.clip(moved[rows], 0.0, 1.0)
@@ -562,7 +624,7 @@ def _followed(
 
 def _at(one: LoopMap, loop: LoopMap) -> Array:
     """g of another draw at the places of `loop`, by quantile where the two have weights of their own."""
-    if (one.zone, one.outdoor) == (loop.zone, loop.outdoor):
+    if (one.zone, one.outdoor, one.others) == (loop.zone, loop.outdoor, loop.others):
         return np.asarray(np.interp(loop.knots, one.knots, one.levels))
     places = np.linspace(0.0, 1.0, loop.knots.size)
     return np.asarray(np.interp(places, np.linspace(0.0, 1.0, one.levels.size), one.levels))

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.commands.command import Command, TemperatureCommand
-from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, check_told, learn_command
+from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, check_told, learn_command, on_one_water
 from thermoforce_mpc.commands.tank import CHARGED, LearnedTank, TankRecord, learn_tank
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.dataframes import clock_s, new_year, seconds_at, seconds_since, stamps
@@ -466,10 +466,16 @@ def learned_tank(measured: Measurements) -> LearnedTank | None:
 def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
     """The commands of the actuators with their maps, by name; raises `DataError` where the record does not tell one."""
     record, out = measured.record, {}
-    for a, name in enumerate(record.names.actuators):
-        found = measured.map.command_of(name) if name in measured.commands else None
-        if found is not None:
-            (where, command), was = found, measured.commands[name]
+    names, together, each = record.names.actuators, dict[str, dict[str, Array]](), dict[str, CommandRecord]()
+    commands = {name: measured.map.command_of(name) for name in names if name in measured.commands}
+    for a, name in enumerate(names):
+        if (found := commands.get(name)) is not None:
+            together.setdefault(found[0], {})[name] = record.u[a]
+    for u in together.values():
+        each |= on_one_water({name: measured.commands[name] for name in u}, u)
+    for a, name in enumerate(names):
+        if (found := commands.get(name)) is not None:
+            (where, command), was = found, each[name]
             kind, _, machine = where.partition(".")
             own, shared = record.names.zones[measured.layout.home[a]], kind == "machines"
             room = command.reference_of(own)

@@ -314,13 +314,15 @@ class IdentifiedHouse(Releasing):
         level = np.array([was[a] if one is None else one for a, one in enumerate(u)], dtype=np.float64)
         untold = {a: one for a, one in self._loops.items() if command[a] is None}
         behind = self._behind_levels(level, untold, self._k)
+        rooms_C, names = self._rooms_C(self._k), self._was.names.actuators
+        opened = {names[a]: one.loop.opened(rooms_C[a]) for a, one in self._loops.items()}
         for a, told in enumerate(command):
             if told is None:
                 continue
             if a not in self._loops or isinstance(told, tuple):
                 raise InputError(f"command of '{self._was.names.actuators[a]}': it has none")
-            loop, T_C = self._loops[a].loop, self._rooms_C(self._k)[a]
-            behind[a] = loop.behind(told, T_C, T_out_C, self._behind[a])
+            loop, T_C = self._loops[a].loop, rooms_C[a]
+            behind[a] = loop.behind(told, T_C, T_out_C, self._behind[a], 0.0, loop.taken(opened))
             level[a] = loop.opened(T_C) * behind[a] * float(share_on(np.full((1, 1), told), self._off.get(a, ()))[0])
         return np.clip(level, np.array(self.model.layout.u_min), 1.0), behind
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from statistics import NormalDist
 
 import numpy as np
@@ -93,9 +92,17 @@ def test_what_is_left_alone_has_its_usual_levels_and_its_zone_is_asked_no_more(p
     np.testing.assert_array_equal(within.upper_C[BEDROOM], too_little["upper_C"][BEDROOM])
 
 
-def test_levels_of_the_usual_commands_are_what_loops_answer_to_the_rooms_that_they_bring(parts):
-    """In a building in which the radiator of one room warms the other too, from heat that is in both."""
-    commands, boundary, problem, mpc = parts
+@pytest.mark.parametrize("shared", [0.0, 0.3])
+def test_levels_of_the_usual_commands_are_what_loops_answer_to_the_rooms_that_they_bring(home, parts, shared):
+    """In a building in which the radiator of one room warms the other too, from heat that is in both; and with water
+    that is less warm while the other valve is open."""
+    _, boundary, problem, mpc = parts
+    measured = read_measurements(home.measurements(), RULES, step_s=HOUR_S).served()
+    learned = {
+        a: replace(one, machine="", loop=replace(one.loop, others={ROOMS[1 - a]: (shared, 0.6)}))
+        for a, one in enumerate(learned_commands(measured).values())
+    }
+    commands = BuildingCommands(measured.layout, learned, curve_model(home).cards, {})
     (living, _), (_, bedroom) = mpc.planning_operator.pairs
     beside = replace(living, gains=0.3 * living.gains)
     coupled = replace(mpc.planning_operator, pairs=((living, None), (beside, bedroom)))
@@ -113,10 +120,13 @@ def test_levels_of_the_usual_commands_are_what_loops_answer_to_the_rooms_that_th
     T_out_C = 0.5 * (boundary.T_out_C[1:] + boundary.T_out_C[:-1])
     for a, loop in plan.loops.items():
         part = (np.arange(loop.parts) + 0.5) / loop.parts
-        for k, (T_start_C, T_end_C) in enumerate(pairwise(T_C[a].tolist())):
+        other = plan.loops[1 - a].learned.loop
+        for k in range(problem.n_steps):
             before = problem.last_u[a] if k == 0 else u[a, k - 1]
-            room_C = T_start_C + part * (T_end_C - T_start_C)
-            answer = loop.learned.loop.level(loop.usual[k], room_C, T_out_C[k], before)
+            room_C, other_C = (T_C[z, k] + part * (T_C[z, k + 1] - T_C[z, k]) for z in (a, 1 - a))
+            one = loop.learned.loop
+            taken = one.taken({ROOMS[1 - a]: other.opened(other_C)})
+            answer = one.opened(room_C) * one.behind(loop.usual[k], room_C, T_out_C[k], before, taken=taken)
             assert u[a, k] == pytest.approx(float(np.mean(answer)), abs=2e-3)
 
 
