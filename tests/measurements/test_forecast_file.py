@@ -199,8 +199,19 @@ def test_comfort_by_weekday_hour_and_holiday_is_in_the_map():
         ("Beginn;Spotpreis [EUR/MWh];Menge\n{1}\n", [0.1, 0.11, 0.12]),
         ("start,tarif ct/kWh\n{2}\n", [0.1, 0.11, 0.12]),
         ("time,price\n{3}\n", [0.1, 0.11, 0.12]),
+        ("MTU (UTC),Day-ahead Price [EUR/MWh]\n{4}\n", [0.1, 0.11, 0.12]),
+        ("Start (EET/EEST),EUR/MWh price\n{5}\n", [0.1, 0.11, 0.12]),
+        ("start_timestamp,price EUR/MWh\n{6}\n", [0.1, 0.11, 0.12]),
     ],
-    ids=["zone of the map", "per MWh, semicolons, commas", "cents in UTC", "seconds of the year"],
+    ids=[
+        "zone of the map",
+        "per MWh, semicolons, commas",
+        "cents in UTC",
+        "seconds of the year",
+        "UTC by its header",
+        "another clock by its header",
+        "ms since 1970",
+    ],
 )
 def test_a_file_of_prices_takes_the_place_of_the_map(measured, tmp_path, text, first):
     at = pd.date_range("2025-01-10", periods=60, freq="1h", tz="Europe/Brussels")
@@ -210,6 +221,9 @@ def test_a_file_of_prices_takes_the_place_of_the_map(measured, tmp_path, text, f
         [f"{t:%Y-%m-%d %H:%M};{1000 * p:.2f};7".replace(".", ",") for t, p in zip(at, price, strict=True)],
         [f"{t.tz_convert('UTC').isoformat()},{100 * p:.1f}" for t, p in zip(at, price, strict=True)],
         ["0,0.2", *(f"{(t - at[0]).total_seconds() + 9 * 86400:.0f},{p:.2f}" for t, p in zip(at, price, strict=True))],
+        [f"{t.tz_convert('UTC'):%d.%m.%Y %H:%M},{1000 * p:.2f}" for t, p in zip(at, price, strict=True)],
+        [f"{t.tz_convert('Europe/Athens'):%d.%m.%Y %H:%M},{1000 * p:.2f}" for t, p in zip(at, price, strict=True)],
+        [f"{t.timestamp() * 1000:.0f},{1000 * p:.2f}" for t, p in zip(at, price, strict=True)],
     )
     (tmp_path / "prices.csv").write_text(text.format(*("\n".join(lines) for lines in kinds)), encoding="utf-8")
     notes = []

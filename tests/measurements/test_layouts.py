@@ -631,6 +631,30 @@ def test_stamps_that_count_from_1970_are_told_by_their_size(unit, tmp_path):
     assert tf.read_measurements(tmp_path / "q.csv", tmp_path / "map.yaml").record.stamps()[0] == HOUSE.index[0]
 
 
+@pytest.mark.parametrize("told", ["GMT", "America/New_York", "Etc/GMT-3"])
+def test_weather_is_of_the_zone_that_stands_above_it(told, tmp_path):
+    """Open-Meteo's table: what it knows of the place, a line of values, an empty one."""
+    stamps = HOUSE.index.tz_convert(told).strftime("%Y-%m-%dT%H:%M")
+    table = pd.DataFrame(
+        {"time": stamps, "temperature_2m (°C)": HOUSE["out"].array, "room (°C)": HOUSE["living"].array}
+    )
+    above = "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation"
+    text = f"{above}\n50.8,4.4,50.0,0,{told},CET\n\n{table.to_csv(index=False)}"
+    (tmp_path / "weather.csv").write_text(text, encoding="utf-8")
+    (tmp_path / "map.yaml").write_text(starting_map(tmp_path / "weather.csv"), encoding="utf-8")
+    assert tf.read_measurements(tmp_path / "weather.csv", tmp_path / "map.yaml").record.stamps()[0] == HOUSE.index[0]
+
+
+def test_commas_within_all_numbers_part_nothing(tmp_path):
+    """A spreadsheet's days since 1899 with decimal commas, as no other column has fewer."""
+    df = HOUSE[["living", "out"]].rename(columns={"living": "Raum", "out": "Außen"}).reset_index(drop=True)
+    df.insert(0, "Zeit", (HOUSE.index.tz_localize(None) - pd.Timestamp("1899-12-30")) / pd.Timedelta("1D") + 1e-6)
+    df.to_csv(tmp_path / "q.csv", sep=";", decimal=",", index=False, float_format="%.6f", encoding="utf-8")
+    (tmp_path / "map.yaml").write_text(starting_map(tmp_path / "q.csv"), encoding="utf-8")
+    record = tf.read_measurements(tmp_path / "q.csv", tmp_path / "map.yaml").record
+    np.testing.assert_allclose(record.T_zone_C[0, :200], HOUSE["living"].to_numpy()[:200], atol=0.01)
+
+
 def test_stamps_without_a_year_are_of_the_year_that_the_map_says(tmp_path):
     """EnergyPlus: ' 12/30  24:00:00' is midnight at the end of that day; the record goes over New Year."""
     ends = pd.date_range("2025-12-29 00:15", periods=N, freq="15min")

@@ -49,7 +49,7 @@ from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import found_files, head_of, read_tables
 from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules, Written
 from thermoforce_mpc.measurements.tables.raw_table import NoColumn, as_numbers, tables_of
-from thermoforce_mpc.measurements.tables.recognition import Recognised, guessed_form, recognised
+from thermoforce_mpc.measurements.tables.recognition import Recognised, counted_clock, guessed_form, recognised
 from thermoforce_mpc.scenario.bill import SUFFIXES, Bill, file_beside, read_bill
 from thermoforce_mpc.scenario.building import PRICES
 
@@ -71,9 +71,9 @@ def prices_over_steps(
     """Prices per kWh (n,) over the steps that begin at `grid_s` (n,), s from `origin`, and what was read, in words.
 
     `currency`: of the prices, by default the one that their column names.
-    Stamps without an offset are of the zone of `clock`; NaN where the file has no price. The name of a tariff of the
-    simulated buildings, where no file has it, is that tariff by the building's clock. Raises `DataError` for a file
-    whose column of prices or unit is not clear.
+    Stamps without an offset are of the zone that the file tells, as in "Time (UTC)", else of `clock`; NaN where the
+    file has no price. The name of a tariff of the simulated buildings, where no file has it, is that tariff by the
+    building's clock. Raises `DataError` for a file whose column of prices or unit is not clear.
     """
     if path.name in PRICES and not path.exists():
         words = "of the simulated buildings, per kWh" + (", synthetic" if path.name == "highly_dynamic" else "")
@@ -84,7 +84,7 @@ def prices_over_steps(
     names = [str(name) for name in head.columns]
     if len(names) < 2:
         raise DataError(f"{path}: has one column; expected a time and a price per kWh")
-    if pd.api.types.is_numeric_dtype(head.iloc[:, 0]):
+    if pd.api.types.is_numeric_dtype(head.iloc[:, 0]) and counted_clock(head.iloc[:, 0])[0].unit is None:
         return _of_year(tariff_from_file(path), str(path), origin, grid_s), f"{path}: prices of a year, which repeats"
     numeric = [name for name in names[1:] if as_numbers(head[name], form.decimal).notna().any()]
     named = [name for name in numeric if _PRICE.search(name)] or numeric
@@ -93,7 +93,7 @@ def prices_over_steps(
             f"{path}: which column is the price? there are {', '.join(names[1:])}; keep one, or call one 'price'"
         )
     stamped = recognised([path]).clock
-    own = {"zone": clock.zone or stamped.zone, "order": "sort", "duplicates": "last"}
+    own = {"zone": stamped.zone or clock.zone, "order": "sort", "duplicates": "last"}
     stamped = stamped.model_copy(update=own)
     tables = read_tables([path], named, lambda _: Written(time=stamped, csv=form), [])
     rows = timed(tables, stamped)

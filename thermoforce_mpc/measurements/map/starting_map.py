@@ -282,6 +282,8 @@ class _Text:
             lines.append(f"csv: {{{', '.join(other)}}}{_comment(note)}")
         if numbered := self.taken.notes["names"]:
             lines.append(f"# {_CHECK}{numbered}")
+        if sheets := "; ".join(kind.notes["sheets"] for kind in (self.taken, *self.others) if kind.notes["sheets"]):
+            lines.append(f"# {_CHECK}{sheets}")
         if told := _told(table):
             lines.append(f"table: {{{', '.join(told)}}}")
         return lines

@@ -40,6 +40,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     readings_table,
     with_numbers,
 )
+from thermoforce_mpc.scenario.settings import suggestion
 
 Stamps: TypeAlias = str | tuple[str, ...] | None
 Lines: TypeAlias = int | NDArray[np.int64]
@@ -445,15 +446,23 @@ def _parquet(path: Path) -> _Part:
     return _Part(path, list(schema.names), frames)
 
 
-def workbook_lines(path: Path, most: int) -> list[str]:
-    """The first rows of a workbook as lines of text, cells parted by tabs."""
-    cells = _cells_of_workbook(path, CsvFormat()).iloc[:most]
+def rows_of_sheets(path: Path) -> dict[str, int]:
+    """The number of rows of each sheet of a workbook, in its order; raises `DataError` for one that cannot be read."""
+    with _workbook_of(path) as book:
+        return {str(name): book.book.get_sheet_by_name(name).height for name in book.sheet_names}
+
+
+def workbook_lines(path: Path, form: CsvFormat, most: int) -> list[str]:
+    """The first rows of a workbook's sheet as lines of text, cells parted by tabs."""
+    cells = _cells_of_workbook(path, form).iloc[:most]
     return [
         "\t".join("" if pd.isna(cell) else str(cell).replace("\n", " ") for cell in row) for row in cells.to_numpy()
     ]
 
 
-def _cells_of_workbook(path: Path, form: CsvFormat) -> pd.DataFrame:
+@contextmanager
+def _workbook_of(path: Path) -> Iterator[pd.ExcelFile]:
+    """An open workbook; raises `DataError` for one that cannot be read."""
     if importlib.util.find_spec("python_calamine") is None:
         raise DataError(
             f"{path}: workbooks are read with python-calamine: pip install 'thermoforce-mpc[workbook]', or save the "
@@ -461,15 +470,30 @@ def _cells_of_workbook(path: Path, form: CsvFormat) -> pd.DataFrame:
         )
     check_regular(path, DataError)
     try:
-        return pd.read_excel(path, sheet_name=form.sheet or 0, header=None, engine="calamine", dtype=object)
+        with pd.ExcelFile(path, engine="calamine") as book:
+            yield book
+    except DataError:
+        raise
     except Exception as error:  # calamine raises its own errors, and those of damaged archives
         raise DataError(f"{path}: no workbook that can be read ({_short(error)})") from error
 
 
+def _cells_of_workbook(path: Path, form: CsvFormat) -> pd.DataFrame:
+    with _workbook_of(path) as book:
+        names = [str(name) for name in book.sheet_names]
+        if form.sheet is not None and form.sheet not in names:
+            raise DataError(
+                f"{path}: no sheet '{form.sheet}'{suggestion(form.sheet, names)}; there are {', '.join(names)}"
+            )
+        cells = pd.read_excel(book, sheet_name=form.sheet or 0, header=None, dtype=object)
+    if len(cells) <= form.skip_lines:
+        told = f" (there are {', '.join(names)})" if len(names) > 1 else ""
+        raise DataError(f"{path}: the sheet is empty; name another as csv.sheet{told}")
+    return cells
+
+
 def _workbook(path: Path, form: CsvFormat) -> _Part:
     cells = _cells_of_workbook(path, form)
-    if len(cells) <= form.skip_lines:
-        raise DataError(f"{path}: the sheet is empty; name another as csv.sheet")
     groups = [str(cell).strip() for cell in cells.iloc[form.skip_lines - 1].fillna("")] if form.skip_lines else []
     names = _told_apart([str(name).strip() for name in cells.iloc[form.skip_lines].fillna("")], groups)
     first = form.skip_lines + 1 + form.skip_after

@@ -24,6 +24,7 @@ from thermoforce_mpc.measurements.tables.files import (
     is_text,
     named_after,
     reading,
+    rows_of_sheets,
     sample,
     workbook_lines,
 )
@@ -105,11 +106,14 @@ _CALLED = (
     ("E[SD]T", "America/New_York"),
     ("C[SD]T", "America/Chicago"), ("M[SD]T", "America/Denver"), ("P[SD]T", "America/Los_Angeles"),
 )  # fmt: skip
+_TIME_ZONE = re.compile(r"(?i)time.?zone(?!.?abbr)|zeitzone|tijdzone|fuseau( horaire)?|zona horaria|fuso orario")
 _BETWEEN = (" ", ", ", "T", " - ", ":")
 # Days since 30 December 1899, as spreadsheets count them, of the years 2000 to 2050.
 _SERIALS = (36526.0, 54789.0)
 # A reading of day and month under which a record is so many times as long as under another one is wrong.
 _SURELY_LONGER = 5.0
+# A sheet of so many rows is more than a summary.
+_LEAST_ROWS = 48
 
 
 @dataclass(frozen=True)
@@ -190,7 +194,7 @@ def _alike(first: Recognised, path: Path, form: CsvFormat, head: pd.DataFrame) -
         others = [name for name in columns if name not in stamps and not _dated(head[name])]
         if not stamps or _of_readings(head, others, set(stamps)) is not None:
             return False
-    return _same_clock(first.clock, head, stamps)
+    return _same_clock(first.clock, head, stamps, path, form)
 
 
 def _same_cells(path: Path, form: CsvFormat, other: CsvFormat, head: pd.DataFrame) -> bool:
@@ -207,11 +211,11 @@ def _same_cells(path: Path, form: CsvFormat, other: CsvFormat, head: pd.DataFram
     )
 
 
-def _same_clock(clock: TimeStampRules, head: pd.DataFrame, stamps: Sequence[str]) -> bool:
+def _same_clock(clock: TimeStampRules, head: pd.DataFrame, stamps: Sequence[str], path: Path, form: CsvFormat) -> bool:
     """Whether the columns `stamps` of a table are read by `clock`."""
     at = head[stamps[0]]
     if pd.api.types.is_numeric_dtype(at):
-        theirs, _ = _counted_clock(at)
+        theirs, _ = counted_clock(at)
         return len(stamps) == 1 and clock.unit is not None and (theirs.unit, theirs.since) == (clock.unit, clock.since)
     if clock.unit is not None or pd.api.types.is_datetime64_any_dtype(at):
         return clock.unit is None and clock.format is None and clock.year is None
@@ -223,8 +227,7 @@ def _same_clock(clock: TimeStampRules, head: pd.DataFrame, stamps: Sequence[str]
     if clock.year is not None:
         return bool(as_written.str.fullmatch(_NO_YEAR).all())
     text = plain(as_written)
-    told = _zone(text if with_offset(text).any() else as_written.iloc[:1], as_written.iloc[0])
-    if (told or _zone_of_header(" ".join(stamps))) != clock.zone:
+    if _told_zone(text, as_written, stamps, path, form) != clock.zone:
         return False
     if clock.format is None:
         return bool(text.str.match(ISO).all())
@@ -241,11 +244,12 @@ def recognised(paths: Sequence[Path]) -> Recognised:
     form, others = forms[0], [f"{path}" for path, one in zip(paths, forms, strict=True) if one != forms[0]]
     notes = {"csv": f"? {', '.join(others[:3])} seem to be written otherwise" if others else ""}
     notes["names"] = _numbered(paths[0], form)
+    notes["sheets"] = _not_read(paths[0], form)
     head = heads[0]
     for path, one in zip(paths, heads, strict=True):
         _check_layout(path, one)
         _check_one_clock(path, one)
-    column, clock, notes["time"] = _clock(head, paths[0])
+    column, clock, notes["time"] = _clock(head, paths[0], form)
     same = all(not column or set(column) <= set(map(str, one.columns)) for one in heads)
     first = len(column) == 1 and all(str(one.columns[0]) == column[0] for one in heads)
     if not same or (first and len(paths) > 1):
@@ -297,17 +301,30 @@ def _numbered(path: Path, form: CsvFormat) -> str:
     return f"columns of the same name are numbered from left to right: {', '.join(ours[:6])}" if ours else ""
 
 
+def _not_read(path: Path, form: CsvFormat) -> str:
+    """Which other sheets of a workbook hold a table, in words; it is read one sheet at a time."""
+    if is_text(path) or path.suffix.lower() in PARQUET:
+        return ""
+    sheets = rows_of_sheets(path)
+    read = form.sheet or next(iter(sheets))
+    others = [name for name, rows in sheets.items() if name != read and rows >= _LEAST_ROWS]
+    return f"sheet '{read}' is read; save these as files of their own: {', '.join(others)}" if others else ""
+
+
 def guessed_form(path: Path) -> CsvFormat:
     """How a file seems to be written: encoding, lines above the header, separator, decimal comma, lines of units.
 
-    Of a workbook the lines above the header and of units alone.
+    Of a workbook the lines above the header and of units alone, and its longest sheet, where that is not the first.
     """
     if not is_text(path):
         if path.suffix.lower() in PARQUET:
             return CsvFormat()
-        lines = workbook_lines(path, _LINES)
+        sheets = rows_of_sheets(path)
+        longest = max(sheets, key=lambda name: sheets[name])
+        sheet = None if longest == next(iter(sheets)) else longest
+        lines = workbook_lines(path, CsvFormat(sheet=sheet), _LINES)
         skip, _, _ = _header_at(lines)
-        return CsvFormat(skip_lines=skip, skip_after=_after_header(lines, skip, "\t", None))
+        return CsvFormat(sheet=sheet, skip_lines=skip, skip_after=_after_header(lines, skip, "\t", None))
     encoding, text = sample(path)
     lines = text[:_LINES]
     if next((line for line in lines if line.strip() and not line.startswith("#")), "") and all(
@@ -357,6 +374,8 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
     """Place of the line of column names, the separator, and the mark of comments (None where the header begins so)."""
     best = (0, -1.0, ",")
     for separator in SEPARATORS:
+        if separator == "," and _decimal_commas(lines):
+            continue
         n = [_separators(line, separator) for line in lines]
         counted = Counter(k for k, line in zip(n, lines, strict=True) if k and not line.startswith("#"))
         if not counted:
@@ -402,6 +421,13 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
     return first, separator, "#"
 
 
+def _decimal_commas(lines: Sequence[str]) -> bool:
+    """Whether all commas of rows stand within numbers, and another mark parts the rows."""
+    rows = [line for line in lines if re.match(r"\d", line)]
+    parted = any(all(mark in row for row in rows) for mark in SEPARATORS if mark != ",")
+    return bool(rows) and parted and not any(re.search(r"(?<!\d),|,(?!\d)", row) for row in rows)
+
+
 def _separators(line: str, separator: str) -> int:
     """How many times a line is parted; what stands in quotes parts nothing."""
     return len(cells_of(line, separator)) - 1 if '"' in line else line.count(separator)
@@ -424,7 +450,7 @@ def _stamp(cell: str) -> bool:
     )
 
 
-def _clock(head: pd.DataFrame, path: Path) -> tuple[tuple[str, ...], TimeStampRules, str]:
+def _clock(head: pd.DataFrame, path: Path, form: CsvFormat) -> tuple[tuple[str, ...], TimeStampRules, str]:
     """Columns of the stamps, how they are read, and a note."""
     columns = [str(column) for column in head.columns]
     dated = [c for c in columns if _dated(head[c])]
@@ -447,7 +473,7 @@ def _clock(head: pd.DataFrame, path: Path) -> tuple[tuple[str, ...], TimeStampRu
         key = (ends[0],) if ends else key
         stamps = head[key[0]]
     if pd.api.types.is_numeric_dtype(stamps):
-        return key, *_counted_clock(stamps)
+        return key, *counted_clock(stamps)
     if pd.api.types.is_datetime64_any_dtype(stamps):
         return key, TimeStampRules(zone=_zone(stamps.astype(str).iloc[:1])), ""
     text = plain(stamps.dropna().astype(str))
@@ -455,12 +481,9 @@ def _clock(head: pd.DataFrame, path: Path) -> tuple[tuple[str, ...], TimeStampRu
         raise DataError(f"{path}: no column holds time stamps")
     if _only(text, _NO_YEAR):
         return key, TimeStampRules(year=_YEAR), "the year, which the stamps do not have"
-    form, note = _stamp_format(text)
-    zone = _zone(
-        text if with_offset(text).any() else stamps.dropna().astype(str).iloc[:1], str(stamps.dropna().iloc[0])
-    )
-    zone = zone or _zone_of_header(" ".join(key))
-    return key, TimeStampRules(format=form, zone=zone) if form != "FILL IN" else TimeStampRules(zone=zone), note
+    pattern, note = _stamp_format(text)
+    zone = _told_zone(text, stamps.dropna().astype(str), key, path, form)
+    return key, TimeStampRules(format=pattern if pattern != "FILL IN" else None, zone=zone), note
 
 
 def _dated(column: pd.Series) -> bool:
@@ -489,7 +512,8 @@ def _only(column: pd.Series, pattern: str, *, absent: bool = False) -> bool:
     return len(told) > 0 and bool(told.str.fullmatch(pattern).all())
 
 
-def _counted_clock(stamps: pd.Series) -> tuple[TimeStampRules, str]:
+def counted_clock(stamps: pd.Series) -> tuple[TimeStampRules, str]:
+    """How stamps that are numbers are read, and a note; without a unit where that does not show."""
     first = float(stamps.dropna().iloc[0]) if stamps.notna().any() else 0.0
     for unit, scale in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
         if 1e9 * scale < first < 2.5e9 * scale:
@@ -566,11 +590,36 @@ def _span(text: pd.Series, form: str) -> pd.Timedelta:
     return pd.Timedelta(times.max() - times.min())
 
 
+def _told_zone(
+    text: pd.Series, as_written: pd.Series, columns: Sequence[str], path: Path, form: CsvFormat
+) -> str | None:
+    """The zone that stamps tell, or the names of their columns, or the lines above these; None where none does."""
+    told = _zone(text if with_offset(text).any() else as_written.iloc[:1], as_written.iloc[0])
+    return told or _zone_of_header(" ".join(columns)) or _zone_above(path, form)
+
+
+def _zone_above(path: Path, form: CsvFormat) -> str | None:
+    """The zone in a cell below the word "timezone", or behind it, of the lines above a table; None without that."""
+    if not is_text(path):
+        return None
+    separator, _, header, _ = header_of(path, form)
+    rows = [cells_of(line, separator) for line in sample(path)[1][:header]]
+    for row, below in zip(rows, [*rows[1:], []], strict=False):
+        for k, cell in enumerate(row):
+            if word := _TIME_ZONE.search(cell):
+                beside = row[k + 1] if k + 1 < len(row) else ""
+                under = below[k] if len(below) == len(row) else ""
+                for told in (cell[word.end() :], under, beside):
+                    name = told.strip(" :=\"'()")
+                    if zone := name if "/" in name and name in available_timezones() else _zone_of_header(name):
+                        return zone
+    return None
+
+
 def _zone(stamps: pd.Series, as_written: str = "") -> str | None:
     """The zone of stamps with offsets, or with the name of a clock `as_written`; None where they have none."""
-    for words, zone in _CALLED:
-        if re.search(rf"\b({words})\b", as_written):
-            return zone
+    if called := _zone_called(as_written):
+        return called
     ends = stamps.str.extract(r"([+-]\d{2}:?\d{0,2}|Z) *$", expand=False)
     if ends.isna().any() or not with_offset(stamps).all():
         return None
@@ -585,6 +634,11 @@ def _zone(stamps: pd.Series, as_written: str = "") -> str | None:
     return standard if standard and (len(offsets) > 1 or least in (0.0, 1.0)) else _all_year(least)
 
 
+def _zone_called(text: str) -> str | None:
+    """The zone of a clock that a text names, as CEST; None without one."""
+    return next((zone for words, zone in _CALLED if re.search(rf"\b({words})\b", text)), None)
+
+
 def _zone_of_header(name: str) -> str | None:
     """The zone that the header of the stamps tells, as "Time UTC", "GMT+01:00", "(Europe/Paris)"; None for others."""
     named = re.search(r"\b[A-Z][A-Za-z]+/[A-Z][A-Za-z_]+(/[A-Z][A-Za-z_]+)?", name)
@@ -593,7 +647,7 @@ def _zone_of_header(name: str) -> str | None:
     told = re.search(r"\b(?:GMT|UTC)\s?([+-]\d{1,2})(?::?00)?\b", name)
     if told:
         return _all_year(float(told[1]))
-    return "UTC" if re.search(r"(?<![A-Za-z])(UTC|GMT|utc)(?![A-Za-z])", name) else None
+    return "UTC" if re.search(r"(?<![A-Za-z])(UTC|GMT|utc)(?![A-Za-z])", name) else _zone_called(name)
 
 
 def _all_year(hours: float) -> str | None:
