@@ -140,7 +140,7 @@ CASES = (
         (
             "south_valve: gate: This model may not act",
             "own control",
-            "own control, set nothing: bounds of south and",
+            r"own control, set nothing: bounds of south(, meeting)? and",
             '"u\\[south_valve\\]": null',
         ),
         (r'"u\[south_valve\]": \d', _TRACES),

@@ -13,6 +13,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import Pair
+from thermoforce_mpc.identification.network import lag
 from thermoforce_mpc.identification.network.estimate import RoomRun, posterior
 from thermoforce_mpc.identification.network.lag import rooms_in_time
 from thermoforce_mpc.identification.network.room import RoomNetwork
@@ -23,6 +24,7 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
 from thermoforce_mpc.plants.random_houses.plant import house_testcase
+from thermoforce_mpc.plants.rooms import house_of_rooms
 
 LATE = LateSensor(720.0, 60.0, 0.99)
 
@@ -80,6 +82,20 @@ def test_a_model_keeps_what_it_found_and_reads_records_by_it(tmp_path):
     assert late.in_words() in model.only.card.notes
     assert error_K(model.in_rooms(record), truth) < 0.4 * error_K(record, truth)
     assert load_model(model.save(tmp_path / "model")).late_sensors == (late,)
+
+
+@pytest.mark.parametrize(("heat_input", "asked"), [("auto", 0), ("identity", 3)])
+def test_rooms_known_by_levels_only_are_not_asked_for_late_sensors(monkeypatch, heat_input, asked):
+    plant, rooms = house_of_rooms("house:3rooms:8813"), []
+    plant.reset(10 * DAY_S, DAY_S)
+    for u in (1.0, 0.0, 1.0, 1.0):
+        plant.advance((u, 0.0, u), 900.0)
+    record = plant.past(900.0).last(4)
+    monkeypatch.setattr(lag, "late_sensor", lambda room, runs: rooms.append(room))
+    config = IdentificationConfig(heat_input=heat_input)
+    (same,), _, late = rooms_in_time([record], [], plant.layout, [HeatInput()] * 3, config)
+    assert (len(rooms), late) == (asked, {})
+    assert same is record
 
 
 def test_slopes_of_the_posterior_with_a_late_sensor():

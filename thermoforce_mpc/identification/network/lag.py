@@ -15,6 +15,7 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.effects.level_laws import levels_only
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
 from thermoforce_mpc.identification.network.building import NetworkInputs, room_run
 from thermoforce_mpc.identification.network.estimate import RoomFit, RoomRun, estimate_room, searched
@@ -37,7 +38,8 @@ def rooms_in_time(
     """Runs and pairs with the temperatures of the rooms where their sensors are likely late, and these, by zone.
 
     Not looked for without runs, in zones without an actuator, and where a signed level heats and cools: such levels are
-    means of what the building's own loops made of the readings.
+    means of what the building's own loops made of the readings. Nor in rooms beside each other whose heat is known by
+    levels only: smooth disturbances that the network does not know pass for a late reading of them.
     """
     late: dict[int, LateSensor] = {}
     if not runs or not config.late_sensor:
@@ -48,6 +50,8 @@ def rooms_in_time(
     for zone in range(len(layout.floor_area_m2)):
         home = layout.actuators_of(zone)
         if not home or any(heat_inputs[a].u_min < 0.0 for a in home):
+            continue
+        if actuators.neighbours(zone) and any(levels_only(heat_inputs[a], layout, a, config) for a in home):
             continue
         grid_K = resolution_K([run.part(zone, [home[0]], [layout.machine_of[home[0]]]) for run in runs])
         found = late_sensor(actuators.room(zone), [room_run(run, zone, actuators, grid_K) for run in runs])
