@@ -45,7 +45,7 @@ class IdentificationConfig(StrictModel):
         True, description="look for sun on the zone sensor, and take it off the readings where there is any"
     )
     late_sensor: bool = Field(
-        True, description="look for a zone sensor that reads late, and plan for the temperature of the room"
+        True, description="look for a sensor of a single zone that reads late, and plan for the temperature of the room"
     )
     foreign_loads: bool = Field(True, description="look for other loads on meters of power and heat, and take them off")
     modulation: Literal["always", "auto", "linear"] = Field(

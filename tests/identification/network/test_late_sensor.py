@@ -84,18 +84,22 @@ def test_a_model_keeps_what_it_found_and_reads_records_by_it(tmp_path):
     assert load_model(model.save(tmp_path / "model")).late_sensors == (late,)
 
 
-@pytest.mark.parametrize(("heat_input", "asked"), [("auto", 0), ("identity", 3)])
-def test_rooms_known_by_levels_only_are_not_asked_for_late_sensors(monkeypatch, heat_input, asked):
-    plant, rooms = house_of_rooms("house:3rooms:8813"), []
-    plant.reset(10 * DAY_S, DAY_S)
+@pytest.mark.parametrize("heat_input", ["auto", "identity"])
+def test_rooms_beside_each_other_are_not_asked_for_late_sensors(monkeypatch, heat_input):
+    """Their ideal sensors passed for late ones."""
+    house, asked = house_of_rooms("house:3rooms:8813"), []
+    house.reset(10 * DAY_S, DAY_S)
     for u in (1.0, 0.0, 1.0, 1.0):
-        plant.advance((u, 0.0, u), 900.0)
-    record = plant.past(900.0).last(4)
-    monkeypatch.setattr(lag, "late_sensor", lambda room, runs: rooms.append(room))
+        house.advance((u, 0.0, u), 900.0)
+    record = house.past(900.0).last(4)
+    monkeypatch.setattr(lag, "late_sensor", lambda room, runs: asked.append(room))
     config = IdentificationConfig(heat_input=heat_input)
-    (same,), _, late = rooms_in_time([record], [], plant.layout, [HeatInput()] * 3, config)
-    assert (len(rooms), late) == (asked, {})
+    (same,), _, late = rooms_in_time([record], [], house.layout, [HeatInput()] * 3, config)
+    assert (asked, late) == ([], {})
     assert same is record
+    alone = record.part(0, [0], [0])
+    rooms_in_time([alone], [], house_testcase(HOUSE).layout, [HeatInput()], config)
+    assert len(asked) == 1, "one room is asked"
 
 
 def test_slopes_of_the_posterior_with_a_late_sensor():

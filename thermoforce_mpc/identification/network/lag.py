@@ -15,7 +15,6 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.effects.level_laws import levels_only
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
 from thermoforce_mpc.identification.network.building import NetworkInputs, room_run
 from thermoforce_mpc.identification.network.estimate import RoomFit, RoomRun, estimate_room, searched
@@ -38,8 +37,10 @@ def rooms_in_time(
     """Runs and pairs with the temperatures of the rooms where their sensors are likely late, and these, by zone.
 
     Not looked for without runs, in zones without an actuator, and where a signed level heats and cools: such levels are
-    means of what the building's own loops made of the readings. Nor in rooms beside each other whose heat is known by
-    levels only: smooth disturbances that the network does not know pass for a late reading of them.
+    means of what the building's own loops made of the readings. Nor in rooms beside each other: what is smooth there
+    and not known to the network passes for a late reading. In houses of rooms lived by their own thermostats 9 of 9
+    ideal sensors were late with log odds of 20 to 99, truly late ones with 44 to 372 (`house:3rooms:10407000`, 10407004
+    and 52711001, 2026-11-30); with heat meters 5 of 6 ideal ones.
     """
     late: dict[int, LateSensor] = {}
     if not runs or not config.late_sensor:
@@ -49,9 +50,7 @@ def rooms_in_time(
     T = [np.array(record.T_zone_C) for record in records]
     for zone in range(len(layout.floor_area_m2)):
         home = layout.actuators_of(zone)
-        if not home or any(heat_inputs[a].u_min < 0.0 for a in home):
-            continue
-        if actuators.neighbours(zone) and any(levels_only(heat_inputs[a], layout, a, config) for a in home):
+        if not home or actuators.neighbours(zone) or any(heat_inputs[a].u_min < 0.0 for a in home):
             continue
         grid_K = resolution_K([run.part(zone, [home[0]], [layout.machine_of[home[0]]]) for run in runs])
         found = late_sensor(actuators.room(zone), [room_run(run, zone, actuators, grid_K) for run in runs])
