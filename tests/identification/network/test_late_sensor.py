@@ -84,8 +84,8 @@ def test_a_model_keeps_what_it_found_and_reads_records_by_it(tmp_path):
     assert load_model(model.save(tmp_path / "model")).late_sensors == (late,)
 
 
-@pytest.mark.parametrize("heat_input", ["auto", "identity"])
-def test_rooms_beside_each_other_are_not_asked_for_late_sensors(monkeypatch, heat_input):
+@pytest.mark.parametrize("options", [{}, {"heat_input": "identity"}, {"cross_effects": False}])
+def test_rooms_beside_each_other_are_not_asked_for_late_sensors(monkeypatch, options):
     """Their ideal sensors passed for late ones."""
     house, asked = house_of_rooms("house:3rooms:8813"), []
     house.reset(10 * DAY_S, DAY_S)
@@ -93,7 +93,7 @@ def test_rooms_beside_each_other_are_not_asked_for_late_sensors(monkeypatch, hea
         house.advance((u, 0.0, u), 900.0)
     record = house.past(900.0).last(4)
     monkeypatch.setattr(lag, "late_sensor", lambda room, runs: asked.append(room))
-    config = IdentificationConfig(heat_input=heat_input)
+    config = IdentificationConfig(**options)
     (same,), _, late = rooms_in_time([record], [], house.layout, [HeatInput()] * 3, config)
     assert (asked, late) == ([], {})
     assert same is record

@@ -34,37 +34,32 @@ def rooms_in_time(
     heat_inputs: Sequence[HeatInput],
     config: IdentificationConfig,
 ) -> tuple[list[Record], list[Pair], dict[int, LateSensor]]:
-    """Runs and pairs with the temperatures of the rooms where their sensors are likely late, and these, by zone.
+    """Runs and pairs with the temperatures of the room where its sensor is likely late, and that sensor, by zone.
 
-    Not looked for without runs, in zones without an actuator, and where a signed level heats and cools: such levels are
-    means of what the building's own loops made of the readings. Nor in rooms beside each other: what is smooth there
-    and not known to the network passes for a late reading. In houses of rooms lived by their own thermostats 9 of 9
-    ideal sensors were late with log odds of 20 to 99, truly late ones with 44 to 372 (`house:3rooms:10407000`, 10407004
-    and 52711001, 2026-11-30); with heat meters 5 of 6 ideal ones.
+    Not looked for without runs, in a zone without an actuator, and where a signed level heats and cools: such levels
+    are means of what the building's own loops made of the readings. Nor in rooms beside each other: what is smooth
+    there and not known to the network passes for a late reading. In houses of rooms lived by their own thermostats 9 of
+    9 ideal sensors were late with log odds of 20 to 99, truly late ones with 44 to 372 (`house:3rooms:10407000`,
+    10407004 and 52711001, 2026-11-30); with heat meters 5 of 6 ideal ones.
     """
-    late: dict[int, LateSensor] = {}
-    if not runs or not config.late_sensor:
-        return list(runs), list(pairs), late
-    actuators = NetworkInputs(layout, heat_inputs, [()] * len(heat_inputs), config.cross_effects)
-    records = [*runs, *(record for pair in pairs for record in (pair.a, pair.b))]
-    T = [np.array(record.T_zone_C) for record in records]
-    for zone in range(len(layout.floor_area_m2)):
-        home = layout.actuators_of(zone)
-        if not home or actuators.neighbours(zone) or any(heat_inputs[a].u_min < 0.0 for a in home):
-            continue
-        grid_K = resolution_K([run.part(zone, [home[0]], [layout.machine_of[home[0]]]) for run in runs])
-        found = late_sensor(actuators.room(zone), [room_run(run, zone, actuators, grid_K) for run in runs])
-        if found is None:
-            continue
-        fit, late[zone] = found
-        for of_record, record in zip(T, records, strict=True):
-            of_record[zone] += _not_read_K(fit, room_run(record, zone, actuators, grid_K))
-    if not late:
-        return list(runs), list(pairs), late
-    corrected = [replace(record, T_zone_C=of_record) for record, of_record in zip(records, T, strict=True)]
-    of_pairs = corrected[len(runs) :]
-    both = zip(pairs, of_pairs[::2], of_pairs[1::2], strict=True)
-    return corrected[: len(runs)], [replace(pair, a=a, b=b) for pair, a, b in both], late
+    untouched: tuple[list[Record], list[Pair], dict[int, LateSensor]] = list(runs), list(pairs), {}
+    home = layout.actuators_of(0)
+    if not runs or not config.late_sensor or len(layout.floor_area_m2) > 1:
+        return untouched
+    if not home or any(heat_inputs[a].u_min < 0.0 for a in home):
+        return untouched
+    inputs = NetworkInputs(layout, heat_inputs, [()] * len(heat_inputs))
+    grid_K = resolution_K([run.part(0, [home[0]], [layout.machine_of[home[0]]]) for run in runs])
+    found = late_sensor(inputs.room(0), [room_run(run, 0, inputs, grid_K) for run in runs])
+    if found is None:
+        return untouched
+    fit, late = found
+
+    def read_in_time(record: Record) -> Record:
+        return replace(record, T_zone_C=record.T_zone_C + _not_read_K(fit, room_run(record, 0, inputs, grid_K)))
+
+    both = [replace(pair, a=read_in_time(pair.a), b=read_in_time(pair.b)) for pair in pairs]
+    return [read_in_time(run) for run in runs], both, {0: late}
 
 
 def late_sensor(room: RoomNetwork, runs: Sequence[RoomRun]) -> tuple[RoomFit, LateSensor] | None:
