@@ -79,7 +79,7 @@ class CommandedLoop:
         for commands in (self.low, self.high):
             x, last = np.empty(commands.size), before
             for k, value in enumerate(commands):
-                last = x[k] = float(loop.behind(value, T_mean_C[k], self.T_out_C[k], last, 0.0, taken[k]))
+                last = x[k] = float(loop.behind(value, T_mean_C[k], self.T_out_C[k], last, taken=taken[k]))
             out.append(loop.opened(T_mean_C) * x)
         return out[0], np.maximum(out[0], out[1])
 

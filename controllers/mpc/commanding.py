@@ -852,7 +852,7 @@ def _settle(
     S, A = level.shape
     Z, n, last = T_C.shape[1], asked.shape[2], heat.shape[0] - 1
     T_end, moved, x_mean, opened = np.empty(Z), np.empty(acts.size), np.empty(acts.size), np.empty(acts.size)
-    s_of = np.empty((acts.size, n))
+    room, s_of = np.empty(acts.size), np.empty((acts.size, n))
     for s in range(S):
         for i in range(acts.size):
             level[s, acts[i]] = before[s, acts[i]]
@@ -870,12 +870,11 @@ def _settle(
                 x_mean[i] = moved[i] = 0.0
             for part in range(n):
                 for i in range(acts.size):
-                    room = T_C[s, rooms[i]] + (part + 0.5) / n * (T_end[rooms[i]] - T_C[s, rooms[i]])
-                    opened[i] = _between(room, shut_count[i], shuts_C[i], opens[i])
+                    room[i] = T_C[s, rooms[i]] + (part + 0.5) / n * (T_end[rooms[i]] - T_C[s, rooms[i]])
+                    opened[i] = _between(room[i], shut_count[i], shuts_C[i], opens[i])
                 for i in range(acts.size):
-                    a, own = acts[i], rooms[i]
-                    room = T_C[s, own] + (part + 0.5) / n * (T_end[own] - T_C[s, own])
-                    x = asked[i, s, part] - zone[i] * room + holds_K[i] * (before[s, a] - 0.5)
+                    a = acts[i]
+                    x = asked[i, s, part] - zone[i] * room[i] + holds_K[i] * (before[s, a] - 0.5)
                     for b in range(acts.size):
                         if takes[i, b] != 0.0:
                             x -= takes[i, b] * (opened[b] - open_mean[i, b])

@@ -119,10 +119,8 @@ class ReadingsFilter:
         sensors = list(state.sensors)
         try:
             for z, i in since.items():
-                begin, measured = (
-                    whole.slice(0, i),
-                    Boundary.measured(whole.slice(i, whole.n_steps)).head(self._n_steps),
-                )
+                begin, since_then = whole.slice(0, i), Boundary.measured(whole.slice(i, whole.n_steps))
+                measured = since_then.head(self._n_steps)
                 context = yield from self._predictor.contexting(Observation(begin, measured))
                 sensors[z] = self.sensors.anchored(state.sensors, begin, context)[z]
             return replace(state, sensors=tuple(sensors)), self._predictor.followed(history)

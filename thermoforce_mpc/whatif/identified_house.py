@@ -322,7 +322,7 @@ class IdentifiedHouse(Releasing):
             if a not in self._loops or isinstance(told, tuple):
                 raise InputError(f"command of '{self._was.names.actuators[a]}': it has none")
             loop, T_C = self._loops[a].loop, rooms_C[a]
-            behind[a] = loop.behind(told, T_C, T_out_C, self._behind[a], 0.0, loop.taken(opened))
+            behind[a] = loop.behind(told, T_C, T_out_C, self._behind[a], taken=loop.taken(opened))
             level[a] = loop.opened(T_C) * behind[a] * float(share_on(np.full((1, 1), told), self._off.get(a, ()))[0])
         return np.clip(level, np.array(self.model.layout.u_min), 1.0), behind
 
