@@ -50,6 +50,7 @@ from thermoforce_mpc.data import (
     Plan,
     Record,
 )
+from thermoforce_mpc.data.series import step_means
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification import IdentificationConfig, identify
@@ -319,7 +320,7 @@ class Home:
     def water_over_rooms_K(self, step_s: float) -> Array:
         """What the water of each circuit, behind its mixer, is above its room (Z, n), K."""
         record = self.plant.past(step_s)
-        T_C = 0.5 * (record.T_zone_C[:, 1:] + record.T_zone_C[:, :-1])
+        T_C = step_means(record.T_zone_C)
         return np.maximum(self.plant.flow_C(record.time_s) - T_C, 0.0)
 
     def _tuned_curve_K(self) -> float:

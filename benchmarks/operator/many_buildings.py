@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array, Record
+from thermoforce_mpc.data.series import step_means
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.zones.two_stage import (
     MIN_OFF_STEPS,
@@ -119,7 +120,7 @@ def _stacked(runs: Sequence[Record], actuators: Sequence[HeatInput]) -> tuple[Ar
         u[i, :m] = run.u[0]
     T, weather = sampled[0], sampled[1:]
     kept = np.isfinite(T[:, :-1]) & np.isfinite(T[:, 1:])
-    T_out, solar = 0.5 * (weather[..., :-1] + weather[..., 1:])
+    T_out, solar = step_means(weather)
     drive = u.copy()
     for i, heat_input in enumerate(actuators):
         if heat_input != IDENTITY:

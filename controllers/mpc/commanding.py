@@ -50,6 +50,7 @@ from thermoforce_mpc.data import (
 )
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.dataframes import clock_s
+from thermoforce_mpc.data.series import step_means
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.card import JUDGED_H, ModelCard
 from thermoforce_mpc.model.drawn import errors_K, expected_saving, free_errors_K, lasting, more_and_less, standard
@@ -148,7 +149,7 @@ class BuildingCommands:
         """
         if not self._learned:
             return None
-        loops, T_out_C = {}, 0.5 * (boundary.T_out_C[:-1] + boundary.T_out_C[1:])
+        loops, T_out_C = {}, step_means(boundary.T_out_C)
         for a, learned in self._learned.items():
             time_s = learned.from_origin_s(boundary.time_s[:-1], origin)
             z = learned.room_of(self._layout.names.zones, self._layout.home[a])
@@ -194,7 +195,7 @@ def meters_of(model: ThermalModel, learned: Iterable[LearnedCommand]) -> dict[st
         record, m = one.record, model.names.machines.index(one.machine)
         law_W = model.power_by_law_of(m, record)
         begins_s = record.time_s[:-1]
-        T_out_C = 0.5 * (record.T_out_C[1:] + record.T_out_C[:-1])
+        T_out_C = step_means(record.T_out_C)
         usual = one.usual_at(one.from_origin_s(begins_s, record.origin), T_out_C)
         at_s = clock_s(begins_s, record.origin)
         seen = MeterRecord(one.set_to, usual, law_W, record.power_W[m], T_out_C, at_s, record.step_s)
@@ -301,7 +302,7 @@ class CommandedPlan:
 
     def _reach(self, T_C: Array) -> dict[int, tuple[Array, Array]]:
         """Least and largest levels that commands bring at temperatures of the zones (Z, N + 1), by actuator."""
-        mean_C = 0.5 * (T_C[:, :-1] + T_C[:, 1:])
+        mean_C = step_means(T_C)
         names = self.operator.actuators
         opened = {names[a]: loop.learned.loop.opened(mean_C[loop.room]) for a, loop in self.loops.items()}
         return {
@@ -453,7 +454,7 @@ class CommandedPlan:
         cost, cost_alone = (np.array([one.energy_cost.sum() for one in of]) for of in found)
         energy, energy_alone = (np.array([one.power_W.sum() for one in of]) / 1000.0 * step_h for of in found)
         # The energy of the rooms' demand: what is lost to outdoors follows their temperature, whatever the levels.
-        T_out_C = 0.5 * (self.boundary.T_out_C[:-1] + self.boundary.T_out_C[1:])
+        T_out_C = step_means(self.boundary.T_out_C)
         lost_K = [float(np.maximum(one.T_bounds_C[:, 1:] - T_out_C, 1.0).mean()) for one in (with_plan, alone)]
         by_demand = energy_alone * lost_K[0] / lost_K[1] / np.maximum(energy, 1e-9)
         demand = np.where(np.arange(len(z)) > 0, uniform, 0.5) * weight_of_demand(power_spread)

@@ -28,6 +28,7 @@ from thermoforce_mpc.commands.tank import LearnedTank, TankCourse, TankTarget, f
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, HotWaterPlan, Layout
 from thermoforce_mpc.data.clock import whole_hour
 from thermoforce_mpc.data.dataframes import clock_s, stamps
+from thermoforce_mpc.data.series import step_means
 
 # Charges a day, ways that are kept from one number of them to the next, and targets that are tried. The gap to all sets
 # of charges is then 0 to 1.4 % of the rooms' cost (`bench hot-water`, three draws, 2026-11-28).
@@ -84,7 +85,7 @@ class HotWater:
         upper_C = bounds_C[1][0]
         lower_C = np.minimum(bounds_C[0][0] + self._warmer_K, upper_C)
         at_s = clock_s(begins, origin)
-        T_out_C = 0.5 * (boundary.T_out_C[:-1] + boundary.T_out_C[1:])
+        T_out_C = step_means(boundary.T_out_C)
         draws_K = tank.draws_from(float(at_s[0]), N, self._step_s)
         price = boundary.price_per_kWh[self.machine, :-1]
         known = _Known(tank, T_C, is_charged, draws_K, T_out_C, self._step_s, price, lower_C[:-1], boundary)

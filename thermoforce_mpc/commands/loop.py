@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.commands.command import SAME, Command, StepwiseCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Plan, PlannedSaving, Record
+from thermoforce_mpc.data.series import step_means
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables are read
@@ -304,7 +305,7 @@ def learn_command(
         DataError: the record is too short, or does not tell what the command does; says what to do.
     """
     step_s = float(time_s[1] - time_s[0])
-    signals = _Signals(was.mean, _means(T_zone_C), _means(T_out_C), u, was.over_K, was.others)
+    signals = _Signals(was.mean, step_means(T_zone_C), step_means(T_out_C), u, was.over_K, was.others)
     loop, untold = _learn_loop(command, signals, step_s, time_s, where)
     if untold and not may_be_untold:
         raise DataError(untold)
@@ -361,10 +362,6 @@ def left_alone(learned: Mapping[int, LearnedCommand]) -> dict[int, str]:
         if all(each.untold for each in members):
             out[a] = one.untold
     return out
-
-
-def _means(values: Array) -> Array:
-    return np.asarray(0.5 * (values[:-1] + values[1:]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,6 +65,12 @@ def _powers(poles: bytes, width: int) -> tuple[Array, Array, Array]:
     return within, a[:, None, None] ** np.arange(1, width + 1), a**width
 
 
+def step_means(values: Array) -> Array:
+    """Means (..., n) over n steps of what is sampled at their ends (..., n + 1) and goes straight between."""
+    values = np.asarray(values)
+    return np.asarray(0.5 * (values[..., :-1] + values[..., 1:]))
+
+
 def means_of(values: Array, n: int) -> Array:
     """Means (m // n,) of `n` values (m,) each, a rest left out; NaN where one is."""
     return np.asarray(values[: values.size // n * n].reshape(-1, n).mean(axis=1))

@@ -16,6 +16,7 @@ from thermoforce_mpc.commands.tank import CHARGED, LearnedTank, TankRecord, lear
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.dataframes import clock_s, new_year, seconds_at, seconds_since, stamps
 from thermoforce_mpc.data.limits import SignalRule
+from thermoforce_mpc.data.series import step_means
 from thermoforce_mpc.errors import ConfigError, DataError, counted
 from thermoforce_mpc.measurements import readings
 from thermoforce_mpc.measurements.map.guesses import rooms_beside
@@ -152,7 +153,7 @@ def _over_K(actuator: MappedActuator, name: str, reader: SignalReader, rules: Me
     zone = rules.zones[actuator.zone or next(iter(rules.zones))]
     T_zone_C = reader.sampled(f"zones.{name}.temperature", zone.temperature, readings.ZONE)
     flow_C = reader.mean(f"actuators.{name}.flow", actuator.flow, readings.WATER)
-    return np.asarray(np.maximum(flow_C - 0.5 * (T_zone_C[:-1] + T_zone_C[1:]), 0.0))
+    return np.asarray(np.maximum(flow_C - step_means(T_zone_C), 0.0))
 
 
 def _emission(

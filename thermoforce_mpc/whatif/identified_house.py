@@ -32,7 +32,7 @@ from thermoforce_mpc.data import (
     PlantInfo,
     Record,
 )
-from thermoforce_mpc.data.series import bridged, interpolated
+from thermoforce_mpc.data.series import bridged, interpolated, step_means
 from thermoforce_mpc.errors import DataError, InputError, NoForecast
 from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.operator.parameters import feature_matrix
@@ -119,7 +119,7 @@ class IdentifiedHouse(Releasing):
         zones, home = model.names.zones, list(model.operator.home)
         self._rooms = [self._loops[a].room_of(zones, z) if a in self._loops else z for a, z in enumerate(home)]
         whole, _ = bridged(model.in_rooms(record))
-        begins_s, T_out_C = record.time_s[:-1], 0.5 * (whole.T_out_C[:-1] + whole.T_out_C[1:])
+        begins_s, T_out_C = record.time_s[:-1], step_means(whole.T_out_C)
         self._usual = {
             a: one.usual_at(one.from_origin_s(begins_s, record.origin), T_out_C) for a, one in self._loops.items()
         }

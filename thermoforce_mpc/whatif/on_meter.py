@@ -11,6 +11,7 @@ from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.meter import CourseState, MeterCourse, MeterEffect
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.data.dataframes import clock_s
+from thermoforce_mpc.data.series import step_means
 
 
 class CommandOnMeter:
@@ -29,7 +30,7 @@ class CommandOnMeter:
         begins_s = record.time_s[:-1]
         own_s = learned.from_origin_s(begins_s, record.origin)
         self.first, self.m, self.meter = first, m, meter
-        T_out_C = 0.5 * (record.T_out_C[:-1] + record.T_out_C[1:])
+        T_out_C = step_means(record.T_out_C)
         self.was, self._usual = learned.set_at(own_s, T_out_C), learned.usual_at(own_s, T_out_C)
         self._law_W, self._step_s = law_W, record.step_s
         self._clock_s = clock_s(begins_s, record.origin)

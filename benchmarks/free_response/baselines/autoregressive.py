@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.data.series import step_means
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
 
@@ -88,7 +89,7 @@ class Autoregressive:
         """Means over each step, shape (steps, 2) with weather, (steps, 0) without."""
         if not self.weather:
             return np.empty((T_out_C.size - 1, 0))
-        columns = [0.5 * (x[:-1] + x[1:]) for x in (T_out_C, solar_W_m2 / 100.0)]
+        columns = [step_means(x) for x in (T_out_C, solar_W_m2 / 100.0)]
         return np.stack(columns, axis=1)
 
     def _past_errors(self, free: Array, past: Array, n: int, roll: Callable[[Array, Array, int], Array]) -> Array:

@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 from benchmarks.interventions.dataset import Window
 from benchmarks.interventions.methods.base import Training, best
 from thermoforce_mpc.data import Array, Record
+from thermoforce_mpc.data.series import step_means
 
 # Candidate lags (of T, of u); the first pair is the paper's model.
 _ORDERS = ((1, 1), (2, 2), (4, 4), (6, 6))
@@ -75,7 +76,7 @@ def candidates_of(
 
 def weather_columns(T_out_C: Array, solar_W_m2: Array) -> Array:
     """Mean outdoor temperature, mean irradiance and 1 of each step, shape (n, 3)."""
-    outdoor, sun = (0.5 * (x[:-1] + x[1:]) for x in (T_out_C, solar_W_m2 / _SUN_UNIT_W_M2))
+    outdoor, sun = (step_means(x) for x in (T_out_C, solar_W_m2 / _SUN_UNIT_W_M2))
     return np.stack([outdoor, sun, np.ones(outdoor.size)], axis=1)
 
 

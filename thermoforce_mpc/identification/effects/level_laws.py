@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
-from thermoforce_mpc.data.series import lagged
+from thermoforce_mpc.data.series import lagged, step_means
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import EFFECT_H
 from thermoforce_mpc.model.machine.heat_capacity import kinds_for
@@ -191,7 +191,7 @@ def _held(step_s: float, u: Array, T_out_C: Array) -> Array:
     pole = float(np.exp(-step_s / HOUR_S / _HELD_H))
     begin = float(u[: round(DAY_S / step_s)].mean())
     before = begin + lagged(u - begin, pole)
-    return np.asarray(u * (usual - 0.5 * (before[:-1] + before[1:])))
+    return np.asarray(u * (usual - step_means(before)))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
-from thermoforce_mpc.data.series import interpolated
+from thermoforce_mpc.data.series import interpolated, step_means
 from thermoforce_mpc.identification.effects.level_laws import LevelLaw
 from thermoforce_mpc.identification.network.circuits import Circuit
 from thermoforce_mpc.identification.network.estimate import DIFFERENCE, RoomFit, RoomRun, estimate_room
@@ -73,8 +73,7 @@ class NetworkInputs:
                 drive = np.where(np.isfinite(heat_W), heat_input.of_meter(heat_W, T_out_C), drive)
             drives.append(drive)
             phi += [law.phi(record.u[a], T_out_C) for law in self.laws[a]]
-        others = [interpolated(record.T_zone_C[j]) for j in self.neighbours(zone)]
-        of_steps = [0.5 * (T[:-1] + T[1:]) for T in others]
+        of_steps = [step_means(interpolated(record.T_zone_C[j])) for j in self.neighbours(zone)]
         weather = weather_inputs(record.time_s, record.T_out_C, record.solar_W_m2)
         return np.column_stack([weather, *of_steps, *drives, *phi])
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
-from thermoforce_mpc.data.series import interpolated, lagged
+from thermoforce_mpc.data.series import interpolated, lagged, step_means
 from thermoforce_mpc.identification.effects.couplings import largest_W
 from thermoforce_mpc.identification.network.estimate import RoomFit, RoomRun
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE, RESIDUAL_SCALE, TRUST_K, MachineLoad, error_of_a_step
@@ -99,12 +99,12 @@ def _emitter_C(fit: RoomFit, k: int, run: RoomRun) -> Array:
     room, theta = fit.room, fit.theta
     C, H, heat = (room.value(theta, f"{name}_{k}") for name in ("C_emitter", "H_emitter", "heat"))
     T = interpolated(run.readings)
-    steady_C = 0.5 * (T[:-1] + T[1:]) + room.signs[k] * heat / H * run.inputs[:-1, room.drive(k)]
+    steady_C = step_means(T) + room.signs[k] * heat / H * run.inputs[:-1, room.drive(k)]
     day = round(DAY_S / HOUR_S / run.step_h)
     first_C = float(steady_C[:day].mean())
     pole = float(np.exp(-H / C * run.step_h))
     at_ends = first_C + lagged(steady_C - first_C, pole)
-    return np.asarray(0.5 * (at_ends[:-1] + at_ends[1:]))
+    return step_means(at_ends)
 
 
 def _at_limit(runs: Sequence[Record], fed: Sequence[int]) -> NDArray[np.bool_]:

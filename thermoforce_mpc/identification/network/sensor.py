@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Array, Layout, Record
+from thermoforce_mpc.data.series import step_means
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import resolution_K
 from thermoforce_mpc.identification.network.building import NetworkInputs, room_run
@@ -148,7 +149,7 @@ def _found(explanations: Sequence[_Explanation], without: float, noon_s: float) 
 def _with_windows(run: RoomRun, record: Record, noon_s: float) -> RoomRun:
     """The run with the sun on the windows' facades in each step as inputs, W/m²."""
     at_boundaries = facade_W_m2(record.time_s, record.solar_W_m2, _LATITUDE_DEG, noon_s, _WINDOWS_DEG)
-    of_steps = np.concatenate([0.5 * (at_boundaries[:-1] + at_boundaries[1:]), at_boundaries[-1:]])
+    of_steps = np.concatenate([step_means(at_boundaries.T).T, at_boundaries[-1:]])
     return replace(run, inputs=np.ascontiguousarray(np.column_stack([run.inputs, of_steps])))
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data.series import step_means
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H, Effect, RegressionData
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
@@ -183,7 +184,7 @@ def _columns(runs: Sequence[Record]) -> tuple[Array, Array, Array, Array, Array]
     for run in runs:
         T = run.T_zone_C[0]
         kept = np.isfinite(T[:-1]) & np.isfinite(T[1:])
-        T_out, solar = (0.5 * (x[:-1] + x[1:]) for x in (run.T_out_C, run.solar_W_m2))
+        T_out, solar = step_means(run.T_out_C), step_means(run.solar_W_m2)
         parts.append((T[:-1][kept], np.diff(T)[kept], T_out[kept], solar[kept], run.u[0, kept]))
     T, rise, T_out, solar, u = (np.concatenate(part) for part in zip(*parts, strict=True))
     return T, rise, T_out, solar, u

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, Array, Layout, Record
 from thermoforce_mpc.data.clock import whole_hour
+from thermoforce_mpc.data.series import step_means
 from thermoforce_mpc.measurements.checks.common import Remark, explained, fitted
 
 # Share of the variance of its power that a machine's levels explain at least, with the outdoor temperature. Part load,
@@ -205,7 +206,7 @@ def _kept(record: Record, layout: Layout, a: int) -> Remark | None:
         return None
     alike = 1.0 - float(np.square(u - u.mean(axis=0)).sum() / np.square(u - u.mean()).sum())
     # What the zone has of the weather of two days comes after it.
-    outdoors, zone = 0.5 * (T_out[1:] + T_out[:-1]), T.mean(axis=1)[1:]
+    outdoors, zone = step_means(T_out), T.mean(axis=1)[1:]
     rows = np.isfinite(outdoors) & np.isfinite(zone)
     if alike < _ALIKE or rows.sum() < _LEAST_DAYS - 1 or np.std(outdoors[rows]) < _LEAST_WEATHER_K:
         return None

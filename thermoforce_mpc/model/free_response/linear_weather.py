@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.data.series import first_order
+from thermoforce_mpc.data.series import first_order, step_means
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
 
@@ -70,11 +70,11 @@ def simulated(drives: Array, waves: Array, poles: Array, start: Array) -> Array:
     input, the waves, and the decay of each mode.
     """
     (n, d), w, q = drives.shape, waves.shape[1], poles.size
-    mean = 0.5 * (drives[:-1] + drives[1:])
+    mean = step_means(drives.T)
     begin = np.broadcast_to(start[:, None], (d, q))
     columns = np.empty((n, d * q + w + q))
     columns[0, : d * q] = begin.ravel()
-    modes = first_order(poles, mean.T[..., None] * (1.0 - poles), begin)  # (d, n − 1, q)
+    modes = first_order(poles, mean[..., None] * (1.0 - poles), begin)  # (d, n − 1, q)
     columns[1:, : d * q] = modes.transpose(1, 0, 2).reshape(n - 1, d * q)
     columns[:, d * q : -q], columns[:, -q:] = waves, _decay(poles.tobytes(), n)
     return columns

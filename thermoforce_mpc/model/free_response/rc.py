@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.data.series import first_order
+from thermoforce_mpc.data.series import first_order, step_means
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
@@ -128,10 +128,9 @@ def _covariance(matrix: Array) -> Array:
 
 def weather_inputs(time_s: Array, T_out_C: Array, solar_W_m2: Array) -> Array:
     """Return `INPUTS` over n steps, shape (n, 8): means of the samples at both ends of a step; arguments (n + 1,)."""
-    T_out, solar = (0.5 * (np.asarray(x)[:-1] + np.asarray(x)[1:]) for x in (T_out_C, solar_W_m2))
-    time_s = np.asarray(time_s)
+    T_out, solar = step_means(T_out_C), step_means(solar_W_m2)
     # Daily phase at mid-step, zero at noon.
-    angle = 2.0 * np.pi * (0.5 * (time_s[:-1] + time_s[1:]) / DAY_S - 0.5)
+    angle = 2.0 * np.pi * (step_means(time_s) / DAY_S - 0.5)
     cosine, sine = np.cos(angle), np.sin(angle)
     square = solar**2 / _SQUARE_W_M2
     return np.stack([T_out, solar, np.ones_like(T_out), solar * cosine, solar * sine, cosine, sine, square], axis=1)

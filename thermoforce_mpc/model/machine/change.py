@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
-from thermoforce_mpc.data.series import means_of
+from thermoforce_mpc.data.series import means_of, step_means
 
 # Means over so many hours are compared; of a day there must be as many, and so many days at least. By judgement: loops
 # answer within three hours, and a week has each day.
@@ -50,8 +50,8 @@ def share_of_change(expected_W: Array, measured_W: Array, record: Record) -> Sha
     n = expected_W.size // together * together
     if not n:
         return Share(1.0, UNKNOWN)
-    T_out = means_of(0.5 * (record.T_out_C[:-1] + record.T_out_C[1:]), together)
-    sun = means_of(0.5 * (record.solar_W_m2[:-1] + record.solar_W_m2[1:]), together)
+    T_out = means_of(step_means(record.T_out_C), together)
+    sun = means_of(step_means(record.solar_W_m2), together)
     x, y, begin_s = means_of(expected_W, together), means_of(measured_W, together), record.time_s[:n:together]
     known = np.isfinite(x) & np.isfinite(y) & np.isfinite(T_out) & np.isfinite(sun)
     day = np.floor(begin_s / DAY_S).astype(np.intp)

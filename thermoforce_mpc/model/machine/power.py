@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
-from thermoforce_mpc.data.series import lagged
+from thermoforce_mpc.data.series import lagged, step_means
 from thermoforce_mpc.model.machine.load import (
     LEAST_RUNNING,
     LEAST_W,
@@ -71,7 +71,7 @@ def warmth(u: Array, step_s: float, water_s: float) -> Array:
     """Mean over each step of the level that the water follows over `water_s`, (n,); it begins at the mean of `u`."""
     levels = np.nan_to_num(u)
     ends = lagged(levels, float(np.exp(-step_s / water_s)), float(levels.mean()))
-    return np.asarray(0.5 * (ends[:-1] + ends[1:]))
+    return step_means(ends)
 
 
 def squares_of(histories: Sequence[Record], water_s: float) -> Array:
