@@ -202,6 +202,7 @@ def test_comfort_by_weekday_hour_and_holiday_is_in_the_map():
         ("MTU (UTC),Day-ahead Price [EUR/MWh]\n{4}\n", [0.1, 0.11, 0.12]),
         ("Start (EET/EEST),EUR/MWh price\n{5}\n", [0.1, 0.11, 0.12]),
         ("start_timestamp,price EUR/MWh\n{6}\n", [0.1, 0.11, 0.12]),
+        ("time,price\n{7}\n", [0.1, 0.11, 0.12]),
     ],
     ids=[
         "zone of the map",
@@ -211,6 +212,7 @@ def test_comfort_by_weekday_hour_and_holiday_is_in_the_map():
         "UTC by its header",
         "another clock by its header",
         "ms since 1970",
+        "an offset that no zone has all year",
     ],
 )
 def test_a_file_of_prices_takes_the_place_of_the_map(measured, tmp_path, text, first):
@@ -224,12 +226,15 @@ def test_a_file_of_prices_takes_the_place_of_the_map(measured, tmp_path, text, f
         [f"{t.tz_convert('UTC'):%d.%m.%Y %H:%M},{1000 * p:.2f}" for t, p in zip(at, price, strict=True)],
         [f"{t.tz_convert('Europe/Athens'):%d.%m.%Y %H:%M},{1000 * p:.2f}" for t, p in zip(at, price, strict=True)],
         [f"{t.timestamp() * 1000:.0f},{1000 * p:.2f}" for t, p in zip(at, price, strict=True)],
+        [f"{t.tz_convert('Asia/Kolkata').isoformat()},{p:.2f}" for t, p in zip(at, price, strict=True)],
     )
     (tmp_path / "prices.csv").write_text(text.format(*("\n".join(lines) for lines in kinds)), encoding="utf-8")
     notes = []
     ahead = read_forecast(hourly(49), measured, prices=tmp_path / "prices.csv", left_out=notes)
     np.testing.assert_allclose(ahead.price_per_kWh[0, :12:4], first)
     assert "prices.csv" in notes[0]
+    no_zone = text.startswith(("time,price\n{0}", "Beginn"))
+    assert ("its stamps name no zone: taken in Europe/Brussels" in notes[0]) is no_zone
     assert ahead.guessed["price_per_kWh"][0, -1], "beyond the file as on the days before"
     np.testing.assert_allclose(ahead.price_per_kWh[0, 40 * 4], 0.1 + 16 / 100)
 

@@ -748,6 +748,21 @@ def test_rooms_whose_names_share_their_words_have_their_own_valves_and_setpoints
     assert set(columns.values()) == set(rooms)
 
 
+@pytest.mark.parametrize(("apart_K", "zones"), [(0.05, 1), (0.2, 2)])
+def test_a_sensor_that_a_thermostat_shows_again_is_no_second_room(tmp_path, apart_K, zones):
+    """ecobee: 'Current Temp' is that of the thermostat where it has no other sensor, stored a little later here."""
+    table = pd.DataFrame({"time": HOUSE.index.strftime("%Y-%m-%d %H:%M:%S"), "Outdoor Temp": HOUSE["out"].array})
+    table["Current Temp"] = HOUSE["living"].array + apart_K
+    table["Thermostat Temperature"] = HOUSE["living"].array
+    later = table.copy()
+    later["time"] = (HOUSE.index + pd.Timedelta("20s")).strftime("%Y-%m-%d %H:%M:%S")
+    table["Thermostat Temperature"], later[["Current Temp", "Outdoor Temp"]] = np.nan, np.nan
+    pd.concat([table, later]).sort_values("time").to_csv(tmp_path / "report.csv", index=False)
+    text = starting_map(tmp_path / "report.csv")
+    assert len(yaml.safe_load(text)["zones"]) == zones
+    assert ("Current Temp (the same readings as Thermostat Temperature)" in text) is (zones == 1)
+
+
 def test_the_line_protocol_of_influx_is_no_table(tmp_path):
     path = tmp_path / "dump.lp"
     path.write_text("temperature,room=living value=21.3 1736726400000000000\n" * 3)

@@ -48,7 +48,7 @@ from thermoforce_mpc.measurements.tables.appended import frame_appended, read_ap
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import found_files, head_of, read_tables
 from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules, Written
-from thermoforce_mpc.measurements.tables.raw_table import NoColumn, as_numbers, tables_of
+from thermoforce_mpc.measurements.tables.raw_table import NoColumn, as_numbers, tables_of, with_offset
 from thermoforce_mpc.measurements.tables.recognition import Recognised, counted_clock, guessed_form, recognised
 from thermoforce_mpc.scenario.bill import SUFFIXES, Bill, file_beside, read_bill
 from thermoforce_mpc.scenario.building import PRICES
@@ -71,9 +71,9 @@ def prices_over_steps(
     """Prices per kWh (n,) over the steps that begin at `grid_s` (n,), s from `origin`, and what was read, in words.
 
     `currency`: of the prices, by default the one that their column names.
-    Stamps without an offset are of the zone that the file tells, as in "Time (UTC)", else of `clock`; NaN where the
-    file has no price. The name of a tariff of the simulated buildings, where no file has it, is that tariff by the
-    building's clock. Raises `DataError` for a file whose column of prices or unit is not clear.
+    Stamps without an offset are of the zone that the file tells, as in "Time (UTC)", else of `clock`, which the words
+    then say; NaN where the file has no price. The name of a tariff of the simulated buildings, where no file has it,
+    is that tariff by the building's clock. Raises `DataError` for a file whose column of prices or unit is not clear.
     """
     if path.name in PRICES and not path.exists():
         words = "of the simulated buildings, per kWh" + (", synthetic" if path.name == "highly_dynamic" else "")
@@ -93,10 +93,15 @@ def prices_over_steps(
             f"{path}: which column is the price? there are {', '.join(names[1:])}; keep one, or call one 'price'"
         )
     stamped = recognised([path]).clock
-    own = {"zone": stamped.zone or clock.zone, "order": "sort", "duplicates": "last"}
+    told = stamped.zone
+    own = {"zone": told or clock.zone, "order": "sort", "duplicates": "last"}
     stamped = stamped.model_copy(update=own)
     tables = read_tables([path], named, lambda _: Written(time=stamped, csv=form), [])
     rows = timed(tables, stamped)
+    taken = ""
+    if told is None and clock.zone is not None and not with_offset(tables[0].stamps.astype(str).iloc[:1]).any():
+        # Exchanges write the clock of their market, often without a word.
+        taken = f"; its stamps name no zone: taken in {clock.zone}, as the map says; call them 'time (CET)' for another"
     unit = price_unit_of(named[0]) or "per kWh"
     values = converted(rows.columns[named[0]], unit)
     known = np.isfinite(values)
@@ -111,7 +116,7 @@ def prices_over_steps(
         price = held_means(readings, durations_s(readings, "start"), grid_s, step_s, _SHARE)
     else:
         price = held(readings, grid_s)
-    return price, f"{path}: column {named[0]}, {unit}"
+    return price, f"{path}: column {named[0]}, {unit}{taken}"
 
 
 # Fees of a bill change at quarters of an hour.

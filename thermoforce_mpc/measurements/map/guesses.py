@@ -391,6 +391,9 @@ _ROOM_C, _WEATHER_C = (12.0, 31.0), (-40.0, 48.0)
 _SETPOINTS_C = (4.0, 32.0)
 # Correlation of what moves together, hour by hour.
 _TOGETHER = 0.9
+# Two names have one sensor where their readings are so near for this share of a day or more, K: one may be rounded to
+# tenths, and be stored some seconds later. Thermometers of two rooms at one set-point are further apart more often.
+_ROUNDED_K, _SAME_SHARE, _DAY_S = 0.051, 0.99, 86_400.0
 # Tags of what is not the temperature of a room, and temperatures in the short of point lists.
 _NO_ROOM = frozenset(
     ("outdoor", "supply", "return", "water", "hot water", "humidity", "power", "energy", "valve", "other", "sun")
@@ -423,7 +426,7 @@ _OUTDOORS = frozenset(("outdoor", "outdoors", "outside", "aussen", "exterieur", 
 
 @dataclass(frozen=True)
 class Guess:
-    """What a signal probably is (`role`, '' for nothing that is used), its unit, and why that is doubtful ('' if not).
+    """What a signal probably is (`role`, '' for nothing that is used), its unit, and why that is so or doubtful ('').
 
     `factor`: what its readings are multiplied by to be in that unit.
     """
@@ -463,8 +466,8 @@ def guesses(columns: Sequence[Column]) -> list[Guess]:
     looks = {column.name: _Look(column) for column in columns}
     fahrenheit = _fahrenheit(looks)
     found = [_guess(look, fahrenheit) for look in looks.values()]
-    found = _outdoor_apart(found, looks)
-    return [_with_place(guess) for guess in found]
+    found = [_with_place(guess) for guess in _outdoor_apart(found, looks)]
+    return _rooms_once(found, looks)
 
 
 class _Look:
@@ -863,6 +866,34 @@ def _correlated(time_s: Array, values: Array, other_s: Array, others: Array) -> 
     if min(np.std(a), np.std(b), np.std(np.diff(a)), np.std(np.diff(b))) <= 0.0:
         return 0.0
     return float(min(np.corrcoef(a, b)[0, 1], np.corrcoef(np.diff(a), np.diff(b))[0, 1]))
+
+
+def _rooms_once(found: Sequence[Guess], looks: Mapping[str, _Look]) -> list[Guess]:
+    """Of rooms that have the same readings one alone is a zone: one that is sure and says where, else the first."""
+    zones = [guess for guess in found if guess.role == "zone"]
+    kept: list[Guess] = []
+    again: dict[str, Guess] = {}
+    for guess in sorted(zones, key=lambda g: (not g.sure, not g.place)):
+        same = (one for one in kept if _the_same(looks[one.name], one.unit, looks[guess.name], guess.unit))
+        if (first := next(same, None)) is None:
+            kept.append(guess)
+        else:
+            again[guess.name] = replace(guess, role="", doubt=f"the same readings as {first.name}")
+    return [again.get(guess.name, guess) for guess in found]
+
+
+def _the_same(one: _Look, unit: str, other: _Look, others_unit: str) -> bool:
+    """Whether two temperatures differ by their rounding alone, each reading held until the next one."""
+    begin, end = (f(one.time_s[k], other.time_s[k]) for f, k in ((max, 0), (min, -1)))
+    if one.constant or other.constant or end - begin < _DAY_S:
+        return False
+    at = np.union1d(one.time_s, other.time_s)
+    at = at[(at >= begin) & (at <= end)]
+    first, second = (
+        converted(look.values, told or "°C")[np.searchsorted(look.time_s, at, side="right") - 1]
+        for look, told in ((one, unit), (other, others_unit))
+    )
+    return bool(np.average(np.abs(first - second)[:-1] <= _ROUNDED_K, weights=np.diff(at)) >= _SAME_SHARE)
 
 
 def _with_place(guess: Guess) -> Guess:

@@ -188,7 +188,11 @@ class _Text:
             *self._zones(),
             *self._acting(),
         ]
-        spare = [guess.name for guess in self.found if guess.name not in self.used]
+        spare = [
+            guess.name + (f" ({guess.doubt})" if guess.doubt and not guess.role else "")
+            for guess in self.found
+            if guess.name not in self.used
+        ]
         if spare:
             lines.append(f"# not used: {', '.join(spare)}")
         return "\n".join(lines) + "\n"

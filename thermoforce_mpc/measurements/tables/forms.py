@@ -132,7 +132,11 @@ class CsvFormat(StrictModel):
     comment: str | None = Field(
         "#", min_length=1, description="lines that begin with this are left out; null: none are"
     )
-    sheet: str | None = Field(None, description="sheet of a workbook; default: the first")
+    sheet: str | None = Field(
+        None,
+        description="sheet of a workbook; default: the first. A file of prices is read from its longest, as is a "
+        "forecast whose stamps stand in another column",
+    )
 
 
 class TableForm(StrictModel):
