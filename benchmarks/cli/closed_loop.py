@@ -237,11 +237,19 @@ def detectors_command(
         ["set-points", "curve offset", "SG-Ready", "flow temperature", "enable", "set-point of the house"]
     ),
 )  # fmt: skip
+@click.option("--keep", type=click.Path(path_type=Path, file_okay=False), help="Folder of finished cases, to go on.")
 @execution_options()
 @QUICK
 @JSON
 def commands_command(
-    seed: int, houses: int, days: int, kinds: tuple[str, ...], engine: Opening, quick: bool, json_file: Path | None
+    seed: int,
+    houses: int,
+    days: int,
+    kinds: tuple[str, ...],
+    keep: Path | None,
+    engine: Opening,
+    quick: bool,
+    json_file: Path | None,
 ) -> None:
     """Control houses that only take commands, such as set-points or SG-Ready, and compare with left alone.
 
@@ -256,7 +264,14 @@ def commands_command(
 
     with engine(say) as where:
         found = run_commands_bench(
-            engine=where, houses=houses, seed=seed, days=days, kinds=kinds or USUAL_KINDS, quick=quick, progress=say
+            engine=where,
+            houses=houses,
+            seed=seed,
+            days=days,
+            kinds=kinds or USUAL_KINDS,
+            quick=quick,
+            keep=keep,
+            progress=say,
         )
     show(found, json_file)
 

@@ -25,6 +25,7 @@ import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -130,15 +131,19 @@ def run_commands_bench(
     days: int = 7,
     kinds: Sequence[str] = USUAL_KINDS,
     quick: bool = False,
+    keep: Path | None = None,
     progress: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
-    """`days` of `houses` drawn from `seed` on, set in each way of `kinds`; `quick`: one house for two days."""
+    """`days` of `houses` drawn from `seed` on, set in each way of `kinds`; `quick`: one house for two days.
+
+    Finished cases are kept in the folder `keep`, so that a run that was cut off goes on.
+    """
     cases = [(seed + k, kind, 2 if quick else days) for k in range(1 if quick else houses) for kind in kinds]
 
     def told(done: int, row: Row) -> None:
         progress(f"{done} of {len(cases)}: {row['house']} by {row['by']} {row['note'] or ''}")
 
-    rows = with_direct(run_all(run_house, cases, engine, told))
+    rows = with_direct(run_all(run_house, cases, engine, told, keep))
     return results_json("commands", rows, targets(rows))
 
 

@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+from uuid import uuid4
+
 import numpy as np
 import pytest
 
-from benchmarks.commands.bench import KINDS, ROOMS, Home, Lived, came_true, priced, targets, with_direct
+from benchmarks.commands import bench
+from benchmarks.commands.bench import (
+    KINDS,
+    ROOMS,
+    Home,
+    Lived,
+    came_true,
+    priced,
+    run_commands_bench,
+    targets,
+    with_direct,
+)
 from thermoforce_mpc.data import DAY_S, HOUR_S, HeldCommand, Plan, PlanStatus
+from thermoforce_mpc.execution import LocalEngine
 
 
 def test_heat_that_is_missing_or_left_counts_as_what_it_costs_later():
@@ -116,3 +130,15 @@ def test_a_tank_that_is_moved_is_charged_at_other_times_and_then_left_alone():
         tank_C.append([one.advance((None,) * ROOMS, 6 * HOUR_S).points["T_tank_C"] for one in (home, again)])
     assert tank_C[0][1] > tank_C[0][0] + 1.0
     assert tank_C[1][1] < tank_C[0][1]
+
+
+def no_house(case: tuple[int, str, int]) -> bench.Row:
+    return {"house": f"house:{case[0]}", "by": case[1], "note": f"refused: {uuid4()}"}
+
+
+def test_a_run_that_was_cut_off_goes_on(monkeypatch, tmp_path):
+    monkeypatch.setattr(bench, "run_house", no_house)
+    first = run_commands_bench(engine=LocalEngine(1), houses=1, seed=4, days=2, keep=tmp_path)
+    more = run_commands_bench(engine=LocalEngine(1), houses=2, seed=4, days=2, keep=tmp_path)
+    assert more["rows"][:3] == first["rows"]
+    assert len({row["note"] for row in more["rows"]}) == 6
