@@ -1,4 +1,7 @@
-"""What dependencies do by themselves is off: no name is asked for, and nothing is left outside our folders."""
+"""What dependencies do by themselves is off: no name is asked for, and nothing is left outside our folders.
+
+Of those that are large, torch and the libraries of other models are not loaded with the shipped forecaster.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,17 @@ from simulated_building import files_of_now
 from thermoforce_mpc.cli.inside import installation as doctor
 from thermoforce_mpc.dependencies import SWITCHES
 
-TF_MPC = [sys.executable, "-c", "from thermoforce_mpc.cli import main; main()"]
+_LOADED = """
+import sys
+from thermoforce_mpc.cli import main
+try:
+    main()
+finally:
+    loaded = {"torch", "transformers", "chronos"} & set(sys.modules)
+    assert not loaded, f"loaded: {loaded}"
+    assert sys.argv[1] == "serve" or "onnxruntime" in sys.modules, "no forecaster ran"
+"""
+TF_MPC = [sys.executable, "-c", _LOADED]
 _SERVED = """
 import re, signal, subprocess, sys
 from boptest_client import BoptestClient
@@ -50,7 +63,7 @@ def outside(files: tuple[str, ...]) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", _ALL)
-def test_a_command_asks_for_no_name_and_leaves_nothing_elsewhere(command, tmp_path):
+def test_a_command_asks_for_no_name_loads_no_torch_and_leaves_nothing_elsewhere(command, tmp_path):
     (tmp_path / "work").mkdir()
     files_of_now(tmp_path / "work")
     # One compiles anew, in the folder that a user would have for it; compiling takes most of the others' time.
