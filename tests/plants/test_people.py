@@ -10,7 +10,8 @@ import pytest
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants import random_houses, rooms
+from thermoforce_mpc.plants.embedded import EmbeddedPlant, kernel
 from thermoforce_mpc.plants.people import live
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
 from thermoforce_mpc.plants.registry import build_plant
@@ -29,6 +30,7 @@ PLANTS = {
     "rooms": partial(house_of_rooms, "house:3rooms"),
     "office": partial(house_of_rooms, "office:2rooms"),
 }
+STEPPED_BY = {"embedded": kernel, "generated": random_houses.physics, "rooms": rooms.physics, "office": rooms.physics}
 
 
 def test_a_seed_is_one_life_and_another_seed_another():
@@ -91,6 +93,7 @@ def test_people_change_the_building_and_nobody_announces_them(name):
     for field in ("T_out_C", "solar_W_m2", "occupancy", "lower_C", "upper_C"):
         np.testing.assert_array_equal(*(getattr(boundary, field) for boundary in told))
     assert np.abs(usual.past(HOUR_S).T_zone_C - lively.past(HOUR_S).T_zone_C).max() > 0.1
+    assert len(STEPPED_BY[name].advance.signatures) == 1, "compiled anew, for seconds: for arrays that may be written?"
 
 
 @pytest.mark.slow

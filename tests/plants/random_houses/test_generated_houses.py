@@ -39,11 +39,21 @@ def house_with(index: int = 0, **wanted):
     raise AssertionError(f"no house with {wanted}")
 
 
-def still_grid(T_out: float = 0.0, gains: float = 0.0, ventilation: float = 50.0) -> np.ndarray:
-    """A year without sun and schedules: the only forcing is the outdoor temperature."""
+def unwritten(values: np.ndarray) -> np.ndarray:
+    """Not to be written, as a plant's own years: numba compiles anew, for seconds, for an array that may be written."""
+    values.setflags(write=False)
+    return values
+
+
+SILENT = unwritten(np.zeros(10))  # noise of the sensor
+
+
+def still_grid(T_out: float = 0.0, gains: float = 0.0, ventilation: float = 50.0, sun_W: float = 0.0) -> np.ndarray:
+    """A year without schedules at one outdoor temperature, and with one sun through the windows."""
     grid = np.zeros((35041, physics.N_COLUMNS))
     grid[:, physics.T_OUT], grid[:, physics.GAINS], grid[:, physics.VENTILATION] = T_out, gains, ventilation
-    return grid
+    grid[:, physics.SUN_IN] = sun_W
+    return unwritten(grid)
 
 
 def run(house, u: float, hours: float, grid: np.ndarray, state: np.ndarray | None = None) -> np.ndarray:
@@ -53,7 +63,7 @@ def run(house, u: float, hours: float, grid: np.ndarray, state: np.ndarray | Non
         state[physics.INTEGRAL :] = 0.0
     rows = np.empty((round(hours * 120), len(physics.RECORD)))
     p = physics.parameters(house)
-    physics.advance(state, 0.0, rows.shape[0], drawn_houses.STEP_S, u, grid, np.zeros(10), p, rows)
+    physics.advance(state, 0.0, rows.shape[0], drawn_houses.STEP_S, u, grid, SILENT, p, rows)
     return rows
 
 
@@ -146,9 +156,7 @@ def test_the_energy_balance_closes(emitter):
 
 @pytest.mark.parametrize("kind", ["floor", "double skin"])
 def test_the_energy_balance_closes_where_the_sun_heats_a_part_first(kind):
-    grid = still_grid(2.0)
-    grid[:, physics.SUN_IN] = 2000.0
-    rows = run(sunlit_house(kind), 0.3, 6.0, grid)
+    rows = run(sunlit_house(kind), 0.3, 6.0, still_grid(2.0, sun_W=2000.0))
     flows = column(rows, "Q_machine") + column(rows, "gain_W") - column(rows, "loss_W")
     stored = np.diff(column(rows, "stored_J"))
     np.testing.assert_allclose(stored, drawn_houses.STEP_S * flows[1:], atol=1e-9 * stored.size * 1e5)
@@ -157,14 +165,13 @@ def test_the_energy_balance_closes_where_the_sun_heats_a_part_first(kind):
 @pytest.mark.parametrize("kind", ["floor", "double skin"])
 def test_a_part_in_the_sun_takes_its_share_and_gives_it_to_what_it_touches(kind):
     lit = sunlit_house(kind)
-    part, p, grid = lit.sunlit, physics.parameters(lit), still_grid(20.0)
-    grid[:, physics.SUN_IN] = 3000.0
+    part, p, grid = lit.sunlit, physics.parameters(lit), still_grid(20.0, sun_W=3000.0)
     rise_K = []
     for part_C, sun in ((20.0, grid), (30.0, still_grid(20.0))):
         state = np.full(physics.N_STATES, 20.0)
         state[physics.INTEGRAL :], state[physics.SUNLIT] = 0.0, part_C
         rows = np.empty((1, len(physics.RECORD)))
-        physics.advance(state, 0.0, 1, 1.0, 0.0, sun, np.zeros(10), p, rows)
+        physics.advance(state, 0.0, 1, 1.0, 0.0, sun, SILENT, p, rows)
         rise_K.append(state - 20.0)
     assert rise_K[0][physics.SUNLIT] == pytest.approx(3000.0 * part.share / part.capacity_J_K, rel=0.02)
     radiant_W = 3000.0 * (1.0 - part.share)
@@ -209,7 +216,7 @@ def test_radiator_output_follows_en_442():
     state[physics.INTEGRAL :], state[physics.WATER] = 0.0, 60.0
     # Within a step the water cools by its output: W ΔT^1.3 with ΔT of 40 K at the start, less what the surfaces warm.
     rows = np.empty((1, len(physics.RECORD)))
-    physics.advance(state, 0.0, 1, 0.1, 0.0, still_grid(20.0), np.zeros(10), p, rows)
+    physics.advance(state, 0.0, 1, 0.1, 0.0, still_grid(20.0), SILENT, p, rows)
     given = house.emitter_J_K * (60.0 - state[physics.WATER]) / 0.1
     assert given == pytest.approx(house.emitter_W_Kn * 40.0**1.3, rel=0.01)
 
@@ -232,7 +239,7 @@ def test_the_surfaces_take_time_to_follow_the_air():
     state = np.full(physics.N_STATES, 20.0)
     state[physics.INTEGRAL :], state[physics.AIR] = 0.0, 25.0
     rows = np.empty((1, len(physics.RECORD)))
-    physics.advance(state, 0.0, 1, 1.0, 0.0, still_grid(20.0), np.zeros(10), p, rows)
+    physics.advance(state, 0.0, 1, 1.0, 0.0, still_grid(20.0), SILENT, p, rows)
     assert state[physics.SURFACE] - 20.0 == pytest.approx(3.45 * 5.0 / 10e3, rel=0.01)
 
 

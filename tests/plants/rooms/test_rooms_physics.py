@@ -45,6 +45,7 @@ class Still:
         self.h, self.n = physics.network(house), n
         self.weather = np.zeros((ROWS, physics.SUN + 2 * n))
         self.weather[:, physics.T_OUT], self.weather[:, physics.SUN + n :] = T_out, 1.0
+        self.weather.setflags(write=False)  # as a plant's own: numba compiles anew for an array that may be written
         self.gains = np.full((ROWS, n), gains)
         self.T, self.on, self.now = np.full(physics.N_BLOCKS * n, 20.0), np.zeros(n), 0.0
 

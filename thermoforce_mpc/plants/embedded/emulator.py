@@ -361,6 +361,7 @@ def _with_people(grid: Array, schedule: OccupancySchedule, seed: int) -> tuple[A
     )
     shaded = grid.copy()
     shaded[:, [exposure.BEAM_IN, exposure.DIFFUSE_IN]] *= life.sun[0][:, None]
+    shaded.setflags(write=False)  # as `grid`: numba compiles anew for an array that may be written
     differs = np.zeros((len(grid) - 1, AS_SCHEDULED.shape[1]))
     differs[:, PEOPLE] = (life.present - schedule.people * usual)[:-1]
     differs[:, COOKING], differs[:, WINDOWS] = life.cooking_W[:-1], life.windows_1_h[0, :-1]

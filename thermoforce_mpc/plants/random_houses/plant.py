@@ -214,7 +214,7 @@ def build_grid(house: House, weather: Weather) -> Array:
 
 
 def _with_people(grid: Array, house: House, seed: int) -> Array:
-    """Return the grid of a house whose people do not keep to the"""
+    """Return the grid of a house whose people do not keep to the schedule."""
     usual = at_home(house.pattern, year())
     life = live(
         [seed, house.seed, house.index],

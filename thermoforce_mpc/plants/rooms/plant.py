@@ -405,4 +405,5 @@ def _with_people(weather: Array, gains: Array, house: DrawnHouse, seed: int) -> 
     shaded = weather.copy()
     shaded[:, physics.SUN : physics.SUN + n] *= life.sun.T
     shaded[:, physics.SUN + n :] += life.windows_1_h.T / house.air_changes_1_h
+    shaded.setflags(write=False)  # as `weather`: numba compiles anew for an array that may be written
     return shaded, np.ascontiguousarray(gains + heat_W.T)
