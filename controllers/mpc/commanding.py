@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -755,28 +755,10 @@ class _LoopTables:
     """`loops` by number of the actuator, one at least, and heat by level as arrays, for `_settle`."""
 
     def __init__(self, operator: BuildingOperator, problem: MPCProblem, loops: Mapping[int, CommandedLoop]) -> None:
-        maps = [loop.learned.loop for loop in loops.values()]
         self.loops = loops
         table = np.repeat(np.linspace(0.0, 1.0, _TABLE)[:, None], len(operator.home), axis=1)
         self._heat = [np.ascontiguousarray(_heat(operator, problem, table, k)) for k in range(problem.n_steps)]
-
-        def filled(of: Sequence[Array]) -> Array:
-            m = max(one.size for one in of)
-            return np.array([np.append(one, np.full(m - one.size, one[-1])) for one in of])
-
-        names = [operator.actuators[a] for a in loops]
-        self._of_loop = (
-            np.array(list(loops), dtype=np.int64),
-            np.array([loop.room for loop in loops.values()], dtype=np.int64),
-            np.array([one.zone for one in maps]),
-            np.array([one.carry for one in maps]),
-            np.array([one.holds_K for one in maps]),
-            np.array([one.knots.size for one in maps], dtype=np.int64),
-            *(filled([getattr(one, of) for one in maps]) for of in ("knots", "levels", "uncertain", "spread")),
-            np.array([one.shuts_C.size for one in maps], dtype=np.int64),
-            *(filled([getattr(one, of) for one in maps]) for of in ("shuts_C", "opens")),
-            *(np.array([[one.others.get(b, (0.0, 0.0))[i] for b in names] for one in maps]) for i in (0, 1)),
-        )
+        self._maps = _Maps.of(loops, operator.actuators)
         self._per_u, self._per_drive = _per_u(problem), np.ascontiguousarray(operator.gains.sum(axis=2))
         self.before = behind_levels(
             np.zeros(len(operator.home)) if problem.last_u is None else problem.last_u,
@@ -813,10 +795,61 @@ class _LoopTables:
         )
         arrays = (z, T_C, at_rest_C, np.broadcast_to(factor, level.shape))
         numbers = [np.ascontiguousarray(one, dtype=np.float64) for one in (asked, *arrays)]
-        _settle(level, scatter, before, *numbers, self._heat[k], self._per_drive, self._per_u, *self._of_loop)
+        _settle(level, scatter, before, *numbers, self._heat[k], self._per_drive, self._per_u, self._maps)
         for a, loop in self.loops.items():
             if loop.off:
                 level[:, a] *= loop.is_on(values[a])
+
+
+class _Maps(NamedTuple):
+    """The maps of L loops as arrays: actuator and room of each (L,), and what `LoopMap` has; shorter rows end level.
+
+    `takes`, `open_mean` (L, L): w_b and ō_b of each loop.
+    """
+
+    actuator: Array
+    room: Array
+    zone: Array
+    carry: Array
+    holds_K: Array
+    n_knots: Array
+    knots: Array
+    levels: Array
+    uncertain: Array
+    spread: Array
+    n_shuts: Array
+    shuts_C: Array
+    opens: Array
+    takes: Array
+    open_mean: Array
+
+    @classmethod
+    def of(cls, loops: Mapping[int, CommandedLoop], actuators: Sequence[str]) -> _Maps:
+        """The maps of `loops`, one at least, by number of the actuator in `actuators`."""
+        maps = [loop.learned.loop for loop in loops.values()]
+
+        def each(name: str) -> Array:
+            return np.array([getattr(one, name) for one in maps], dtype=np.float64)
+
+        def rows(name: str) -> Array:
+            of = [getattr(one, name) for one in maps]
+            m = max(row.size for row in of)
+            return np.array([np.append(row, np.full(m - row.size, row[-1])) for row in of])
+
+        def counts(name: str) -> Array:
+            return np.array([getattr(one, name).size for one in maps], dtype=np.int64)
+
+        others = np.array([[one.others.get(actuators[b], (0.0, 0.0)) for b in loops] for one in maps])
+        return cls(
+            actuator=np.array(list(loops), dtype=np.int64),
+            room=np.array([loop.room for loop in loops.values()], dtype=np.int64),
+            **{name: each(name) for name in ("zone", "carry", "holds_K")},
+            **{name: rows(name) for name in ("knots", "levels", "uncertain", "spread", "shuts_C", "opens")},
+            n_knots=counts("knots"),
+            n_shuts=counts("shuts_C"),
+            takes=np.ascontiguousarray(others[..., 0]),
+            open_mean=np.ascontiguousarray(others[..., 1]),
+        )
 
 
 @njit(cache=True)
@@ -839,19 +872,16 @@ def _between(x: float, count: int, knots: np.ndarray, values: np.ndarray) -> flo
 @njit(cache=True)
 def _settle(
     level: np.ndarray, scatter: np.ndarray, before: np.ndarray, asked: np.ndarray, z: np.ndarray, T_C: np.ndarray,
-    at_rest_C: np.ndarray, factor: np.ndarray, heat: np.ndarray, per_drive: np.ndarray, per_u: np.ndarray,
-    acts: np.ndarray, rooms: np.ndarray, zone: np.ndarray, carry: np.ndarray, holds_K: np.ndarray, count: np.ndarray,
-    knots: np.ndarray, levels: np.ndarray, uncertain: np.ndarray, spread: np.ndarray, shut_count: np.ndarray,
-    shuts_C: np.ndarray, opens: np.ndarray, takes: np.ndarray, open_mean: np.ndarray,
+    at_rest_C: np.ndarray, factor: np.ndarray, heat: np.ndarray, per_drive: np.ndarray, per_u: np.ndarray, maps: _Maps,
 ) -> None:  # fmt: skip
     """Levels and temperatures of a step that agree, house by house: half way to what the loops answer, again and again.
 
-    `asked` (L, S, n): s of the commands but for the room; `heat` (V, A): of levels from 0 to 1; `takes`, `open_mean`
-    (L, L): w_b and ō_b of each loop; the others as in `_LoopTables`. Writes `level` and `before` (S, A) and adds to
-    `scatter` (S,).
+    `asked` (L, S, n): s of the commands but for the room; `heat` (V, A): of levels from 0 to 1; the others as in
+    `_LoopTables`. Writes `level` and `before` (S, A) and adds to `scatter` (S,).
     """
     S, A = level.shape
     Z, n, last = T_C.shape[1], asked.shape[2], heat.shape[0] - 1
+    acts, rooms, n_knots, knots = maps.actuator, maps.room, maps.n_knots, maps.knots
     T_end, moved, x_mean, opened = np.empty(Z), np.empty(acts.size), np.empty(acts.size), np.empty(acts.size)
     room, s_of = np.empty(acts.size), np.empty((acts.size, n))
     for s in range(S):
@@ -872,18 +902,18 @@ def _settle(
             for part in range(n):
                 for i in range(acts.size):
                     room[i] = T_C[s, rooms[i]] + (part + 0.5) / n * (T_end[rooms[i]] - T_C[s, rooms[i]])
-                    opened[i] = _between(room[i], shut_count[i], shuts_C[i], opens[i])
+                    opened[i] = _between(room[i], maps.n_shuts[i], maps.shuts_C[i], maps.opens[i])
                 for i in range(acts.size):
                     a = acts[i]
-                    x = asked[i, s, part] - zone[i] * room[i] + holds_K[i] * (before[s, a] - 0.5)
+                    x = asked[i, s, part] - maps.zone[i] * room[i] + maps.holds_K[i] * (before[s, a] - 0.5)
                     for b in range(acts.size):
-                        if takes[i, b] != 0.0:
-                            x -= takes[i, b] * (opened[b] - open_mean[i, b])
+                        if maps.takes[i, b] != 0.0:
+                            x -= maps.takes[i, b] * (opened[b] - maps.open_mean[i, b])
                     s_of[i, part] = x
-                    up = _between(x, count[i], knots[i], levels[i])
+                    up = _between(x, n_knots[i], knots[i], maps.levels[i])
                     if z[s] != 0.0:
-                        up += z[s] * _between(x, count[i], knots[i], uncertain[i])
-                    behind = min(max(carry[i] * before[s, a] + up, 0.0), 1.0)
+                        up += z[s] * _between(x, n_knots[i], knots[i], maps.uncertain[i])
+                    behind = min(max(maps.carry[i] * before[s, a] + up, 0.0), 1.0)
                     x_mean[i] += behind / n
                     moved[i] += opened[i] * behind / n
             for i in range(acts.size):
@@ -896,7 +926,7 @@ def _settle(
         for i in range(acts.size):
             before[s, acts[i]] = x_mean[i]
             for part in range(n):
-                scatter[s] += per_u[acts[i]] * _between(s_of[i, part], count[i], knots[i], spread[i]) / n
+                scatter[s] += per_u[acts[i]] * _between(s_of[i, part], n_knots[i], knots[i], maps.spread[i]) / n
 
 
 def _heat(operator: BuildingOperator, problem: MPCProblem, level: Array, k: int) -> Array:
