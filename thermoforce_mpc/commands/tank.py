@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,6 +214,14 @@ def _trimmed(T_C: Array, first: int, stop: int) -> tuple[int, int]:
     return first + int(fast[0]), first + int(fast[-1]) + 1
 
 
+def _Wh_per_K(energy: np.ndarray, T_C: Any, outdoors_K: Any) -> Any:
+    """Of a tank at `T_C`, `outdoors_K` warmer outdoors than the mean; a tenth of the usual at least."""
+    return np.maximum(energy[0] + energy[1] * (T_C - _MIDDLE_C) + energy[2] * outdoors_K, 0.1 * energy[0])
+
+
+_Wh_per_K_compiled = njit(cache=True)(_Wh_per_K)  # for `_follow`; arrays need none
+
+
 @dataclass(frozen=True, eq=False)
 class LearnedTank:
     """What a record tells of a tank; `..._sd` are standard errors.
@@ -245,14 +253,16 @@ class LearnedTank:
 
     def Wh_per_K(self, T_C: Array | float, T_out_C: Array | float) -> Array:
         """Electric energy that a kelvin of the tank takes, Wh/K; a tenth of the usual at least."""
-        e = self.energy
-        found = e[0] + e[1] * (np.asarray(T_C) - _MIDDLE_C) + e[2] * (np.asarray(T_out_C) - self.T_out_mean_C)
-        return np.asarray(np.maximum(found, 0.1 * e[0]))
+        return np.asarray(_Wh_per_K(self.energy, np.asarray(T_C), np.asarray(T_out_C) - self.T_out_mean_C))
 
     @property
     def rise_K_h(self) -> float:
         """By how much it rises while it is charged, K/h, at the mean outdoor temperature of the record."""
         return float(self.rise[0])
+
+    def rise_at(self, T_out_C: Array) -> Array:
+        """By how much it rises while it is charged, K/h, of the shape of `T_out_C`; a tenth of the usual at least."""
+        return np.asarray(np.maximum(self.rise[0] + self.rise[1] * (T_out_C - self.T_out_mean_C), 0.1 * self.rise[0]))
 
     def draws_from(self, clock_s: float, n_steps: int, step_s: float) -> Array:
         """What is drawn in each of `n_steps` from `clock_s` on, as in each day of the record, (S, n), K."""
@@ -314,8 +324,7 @@ def tank_in_words(told: HotWaterPlan) -> str:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class TankCourse:
+class TankCourse(NamedTuple):
     """K courses of a tank on S days over N steps, (K, S, N): °C at their end, lowest °C, Wh, share of charging.
 
     `is_charged` (K, S): at the end of all.
@@ -345,46 +354,60 @@ def follow_tank(
     shape = (len(target_C), len(draws_K), target_C.shape[1])
     empty = [np.empty(shape) for _ in range(4)]
     course = TankCourse(empty[0], empty[1], empty[2], empty[3], np.empty(shape[:2], dtype=np.bool_))
-    _follow(
-        *(course.T_C, course.lowest_C, course.Wh, course.share, course.is_charged),
-        *(float(T_C), bool(is_charged), np.ascontiguousarray(target_C, dtype=np.float64), at_once),
-        *(np.ascontiguousarray(draws_K), np.ascontiguousarray(T_out_C), step_s / HOUR_S),
-        *(tank.energy, tank.T_out_mean_C, tank.rise, tank.loss_1_h, tank.band_K),
+    T_out_C = np.ascontiguousarray(T_out_C)
+    device = _Device(
+        tank.rise_at(T_out_C), tank.energy, T_out_C - tank.T_out_mean_C, float(tank.loss_1_h), float(tank.band_K)
     )
+    target_C = np.ascontiguousarray(target_C, dtype=np.float64)
+    draws_K = np.ascontiguousarray(draws_K)
+    _follow(course, float(T_C), bool(is_charged), target_C, at_once, draws_K, device, step_s / HOUR_S)
     return course
+
+
+class _Device(NamedTuple):
+    """A tank and what heats it over N steps: `rise_K_h`, and `outdoors_K` above the mean of the record (N,)."""
+
+    rise_K_h: Array
+    energy: Array
+    outdoors_K: Array
+    loss_1_h: float
+    band_K: float
 
 
 @njit(cache=True)
 def _follow(
-    T_C: np.ndarray, lowest_C: np.ndarray, Wh: np.ndarray, share: np.ndarray, at_end: np.ndarray,
-    now_C: float, is_charged: bool, target_C: np.ndarray, at_once: np.ndarray,
-    draws_K: np.ndarray, T_out_C: np.ndarray, step_h: float,
-    energy: np.ndarray, T_out_mean_C: float, rise: np.ndarray, loss_1_h: float, band_K: float,
-) -> None:  # fmt: skip
+    course: TankCourse,
+    now_C: float,
+    is_charged: bool,
+    target_C: np.ndarray,
+    at_once: np.ndarray,
+    draws_K: np.ndarray,
+    device: _Device,
+    step_h: float,
+) -> None:
     """Fill the course of `follow_tank`."""
-    K, S, N = T_C.shape
+    K, S, N = course.T_C.shape
     dt_h = step_h / _PARTS
     for i in range(K):
         for s in range(S):
             T, on = now_C, is_charged
             for k in range(N):
                 target = target_C[i, k]
-                begins = target if at_once[i, k] else target - band_K
+                begins = target if at_once[i, k] else target - device.band_K
                 lowest, used, charged = T, 0.0, 0.0
-                rise_K_h = max(rise[0] + rise[1] * (T_out_C[k] - T_out_mean_C), 0.1 * rise[0])
+                rise_K_h = device.rise_K_h[k]
                 for _ in range(_PARTS):
                     on = (on and target > T) or begins > T
-                    T -= draws_K[s, k] / _PARTS + loss_1_h * (T - CELLAR_C) * dt_h
+                    T -= draws_K[s, k] / _PARTS + device.loss_1_h * (T - CELLAR_C) * dt_h
                     if on and target > T:
                         gained = min(target - T, rise_K_h * dt_h)
-                        per_K = energy[0] + energy[1] * (T + 0.5 * gained - _MIDDLE_C)
-                        per_K += energy[2] * (T_out_C[k] - T_out_mean_C)
-                        used += gained * max(per_K, 0.1 * energy[0])
+                        used += gained * _Wh_per_K_compiled(device.energy, T + 0.5 * gained, device.outdoors_K[k])
                         charged += gained / (rise_K_h * step_h)
                         T += gained
                     lowest = min(lowest, T)
-                T_C[i, s, k], lowest_C[i, s, k], Wh[i, s, k], share[i, s, k] = T, lowest, used, charged
-            at_end[i, s] = on and target_C[i, N - 1] > T
+                course.T_C[i, s, k], course.lowest_C[i, s, k] = T, lowest
+                course.Wh[i, s, k], course.share[i, s, k] = used, charged
+            course.is_charged[i, s] = on and target_C[i, N - 1] > T
 
 
 def learn_tank(record: TankRecord, command: Command | None, machine: str, where: str) -> LearnedTank:

@@ -65,8 +65,7 @@ class LivedTank:
         self.share = charged.reshape(n, parts).mean(axis=1)
         self.power_W = _means(logged.time_s, logged.power_W, record.time_s)
         hours = self._part_s / HOUR_S
-        rise = np.maximum(tank.rise[0] + tank.rise[1] * (self._T_out_C[:-1] - tank.T_out_mean_C), 0.1 * tank.rise[0])
-        gained_K = charged * rise * hours
+        gained_K = charged * tank.rise_at(self._T_out_C[:-1]) * hours
         self._charge_W = (gained_K * tank.Wh_per_K(self._T_C[:-1], self._T_out_C[:-1])).reshape(n, parts).sum(axis=1)
         self._charge_W *= HOUR_S / record.step_s
         lost_K = tank.loss_1_h * (self._T_C[:-1] - CELLAR_C) * hours
