@@ -666,14 +666,36 @@ def test_stamps_without_a_year_are_of_the_year_that_the_map_says(tmp_path):
         "living": "ZONE ONE:Zone Mean Air Temperature [C](TimeStep)",
         "out": "Environment:Site Outdoor Air Drybulb Temperature [C](TimeStep)",
     }
+    names |= {"bath": "BATH:Zone Mean Air Temperature [C](TimeStep)"}
+    names |= {"v_bath": "BATH BASEBOARD:Baseboard Total Heating Rate [W](TimeStep)"}
+    names |= {"power": "Electricity:Facility [J](TimeStep)"}
     df = HOUSE[list(names)].rename(columns=names).set_axis(pd.Index(stamps, name="Date/Time"))
     df.to_csv(tmp_path / "eplusout.csv")
     text = starting_map(tmp_path / "eplusout.csv")
     assert "year: 2017  # CHECK" in text
+    assert "marks: end  # CHECK: days end at 24:00" in text
+    read = yaml.safe_load(text)
+    assert list(read["zones"]) == ["zone_one", "bath"]
+    assert {one["zone"]: one["heat"]["column"] for one in read["actuators"].values()} == {"bath": names["v_bath"]}
+    assert [one["power"]["column"] for one in read["machines"].values()] == [names["power"]]
     (tmp_path / "map.yaml").write_text(text.replace("year: 2017", "year: 2025"), encoding="utf-8")
     found = tf.read_measurements(tmp_path / "eplusout.csv", tmp_path / "map.yaml")
     assert str(found.record.stamps()[-1])[:16] == "2026-01-02 00:00"
     np.testing.assert_allclose(found.record.T_out_C[-1], HOUSE["out"].iloc[-1])
+
+
+@pytest.mark.parametrize("day", ["%d.%m.%Y", "%m/%d/%Y", "%Y-%m-%d", "%d-%b-%Y"])
+def test_a_day_that_ends_at_24_is_midnight_of_the_next(day, tmp_path):
+    ends = pd.date_range("2025-01-30 00:15", periods=N, freq="15min")
+    hours = [f"{t:%H:%M}" if t.hour or t.minute else "24:00" for t in ends]
+    days = (ends - pd.Timedelta("1min")).strftime(day)
+    df = HOUSE[["living", "out"]].set_axis(pd.Index([f"{d} {h}" for d, h in zip(days, hours, strict=True)], name="t"))
+    df.to_csv(tmp_path / "load.csv")
+    (tmp_path / "map.yaml").write_text(starting_map(tmp_path / "load.csv"), encoding="utf-8")
+    found = tf.read_measurements(tmp_path / "load.csv", tmp_path / "map.yaml")
+    assert found.map.time.marks == "end"
+    assert found.record.stamps()[-1].tz_localize(None) == ends[-1]
+    assert found.record.n_steps == N - 1
 
 
 @pytest.mark.parametrize(

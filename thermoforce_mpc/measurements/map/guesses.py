@@ -250,6 +250,7 @@ _PAIRS = {
     "outsideair": "outdoor", "outdoorair": "outdoor", "supplyair": "supply", "returnair": "return",
     "bt1": "outdoor", "bt50": "room", "bt2": "supply", "bt3": "return", "bt6": "hot water", "bt7": "hot water",
     "lamminvesi": "hot water", "linkquality": "other", "dewpoint": "other",
+    "heatingrate": "heat", "heatingenergy": "heat",  # of EnergyPlus, whatever gives it
     "spacetemp": "room", "feedin": "pv", "warmtepomp": "heating machine",
 }  # fmt: skip
 # The heat in the name of a machine is no heat that is measured.
@@ -263,7 +264,7 @@ _GENERAL = frozenset(
         *("reading", "ist", "istwert", "actual", "current", "av", "ai", "ao", "bi", "bo", "bv", "pv", "act", "avg"),
         *("mean", "average", "trend", "log", "point", "data", "present", "analog", "device", "temp", "celsius"),
         *("fahrenheit", "the", "of", "de", "la", "le", "les", "des", "du", "d", "l", "het", "een", "der", "die", "das"),
-        *("deg", "c", "f", "k", "w", "kw", "pct", "in", "o"),
+        *("deg", "c", "f", "k", "w", "kw", "pct", "in", "o", "air", "rate"),
     )
 )
 _UNITS = {
@@ -289,8 +290,14 @@ _AT_END = (
 )  # fmt: skip
 
 
+# How often EnergyPlus reports a variable, in brackets behind it.
+_OFTEN = frozenset(("timestep", "each call", "detailed", "hourly", "daily", "monthly", "runperiod", "annual"))
+
+
 def _of_brackets(match: re.Match[str]) -> str:
     told = match[1].strip()
+    if told.lower() in _OFTEN:
+        return " "
     says = re.search(r"[^\W\d_]{4}", told) and told.lower() not in _UNITS and "S/N" not in told
     return f" {told} " if says else " "
 
@@ -407,7 +414,7 @@ _TURNS = ("Hz", "rps", "rpm")
 # Heat rather than what a machine takes for it.
 _HEAT = re.compile(
     r"(?i)^q[_ .-]|qdot|therm|w[aä]e?rme(menge|leist)|heat.?(meter|flow|output)|wmz|qh|^phi|^ph\b|heizleist|chaleur|"
-    r"warmte"
+    r"warmte|heating (rate|energy)\b"
 )
 # Temperatures that no thermometer shows: dew point, wet bulb, and what wind and damp make of it.
 _MADE_OF_OTHERS = re.compile(

@@ -222,7 +222,11 @@ class _Text:
             lines.append(f"  format: FILL IN  # of {note[2:]}")
         elif clock.format is not None:
             lines.append(f"  format: '{clock.format}'" + (f"  # {_CHECK}{note}" if note else ""))
-        lines.append("  marks: start  # a row's powers, energies and levels hold from its stamp on (end: until it)")
+        if clock.marks == "end":
+            note = f"{_CHECK}days end at 24:00: a row's powers, energies and levels hold until its stamp"
+            lines.append(f"  marks: end  # {note} (start: from it on)")
+        else:
+            lines.append("  marks: start  # a row's powers, energies and levels hold from its stamp on (end: until it)")
         return lines
 
     def _zone(self) -> tuple[str, str]:
@@ -257,8 +261,8 @@ class _Text:
             told = [f"column: {_value(clock.column)}"] if clock.column is not None else []
             told += [
                 f"{key}: {_value(getattr(clock, key))}"
-                for key in ("unit", "since", "year", "zone")
-                if getattr(clock, key)
+                for key in ("unit", "since", "year", "zone", "marks")
+                if getattr(clock, key) not in (None, "start")
             ]
             note = kind.notes["time"]
             if clock.zone is None and self.taken.clock.zone is not None:
@@ -346,7 +350,7 @@ class _Text:
             low = np.floor(2.0 * usual) / 2.0 - 0.5
             high, note = max(high, low + 3.0), f"  # {_CHECK}from what is usually set"
             if high_set - low_set >= _SETBACK_K:
-                by_hour = f", {low_set:g} to {high_set:g} °C: bounds by the hour are the key comfort"
+                by_hour = f", {low_set:.3g} to {high_set:.3g} °C: bounds by the hour are the key comfort"
         lines = []
         for key, number in (("lower", low), ("upper", high)):
             sure = [g for g in self.of(key) if g.sure]
@@ -571,6 +575,8 @@ def _value(value: object) -> str:
 def _name(column: str) -> str:
     plain = re.sub(r"^(sensor|binary_sensor|climate|number|switch|input_number|valve)\.", "", column)
     labelled = re.search(r"LBL: ?([^\])]*)", plain)
+    of_object = re.match(r"([^:]+):[^:]*\[.*?\]\(\w+\)$", plain)  # as EnergyPlus writes it
+    plain = of_object[1] if of_object else plain
     plain = labelled[1] if labelled else re.sub(r"[\[(].*?[\])]", "", plain).strip()
     shorter = re.sub(r"[_ ]?(deg_?c|°c|temp[a-z]*|ist|ist-?wert)$", "", plain, flags=re.I)
     name = re.sub(r"\W+", "_", shorter or plain).strip("_").lower()

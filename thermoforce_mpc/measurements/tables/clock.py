@@ -52,6 +52,8 @@ _AN_HOUR = pd.Timedelta("1h")
 # Rows that go on from one another are no farther apart than so many of their usual distances.
 _GOES_ON = 1.5
 _MOST_YEARS = 20
+# Midnight at the end of a day.
+_LATE = r"(?<=[ T])24:00(?=\D|$)"
 # The clock of a table that is being written may be ahead of ours by so much.
 _AHEAD = pd.Timedelta("5min")
 # Share of the stamps of two files from which they stand beside one another rather than overlap at their ends.
@@ -138,7 +140,7 @@ def _parsed(table: RawTable, text: pd.Series, clock: TimeStampRules) -> pd.Serie
     # With daylight saving, offsets differ: those with a zone to come to are read as instants at once.
     as_instants = clock.zone is not None and bool(with_offset(text.iloc[:1])[0]) and bool(with_offset(text).all())
     try:
-        return pd.to_datetime(text, format=form, utc=as_instants)
+        return times_of(text, form, utc=as_instants)
     except (ValueError, OverflowError) as error:
         with_one = with_offset(text)
         if with_one.any() and not with_one.all():
@@ -148,7 +150,7 @@ def _parsed(table: RawTable, text: pd.Series, clock: TimeStampRules) -> pd.Serie
                 f"{table.where(other)}: the time stamp {text.iloc[other]!r} {words[0]}, {text.iloc[0]!r} before it "
                 f"{words[1]}: two clocks in one table; write all stamps with an offset, or none"
             ) from error
-        times = pd.to_datetime(text, format=form, utc=bool(with_one.all()), errors="coerce")
+        times = times_of(text, form, utc=bool(with_one.all()), errors="coerce")
         wrong = np.flatnonzero(times.isna().to_numpy())
         if wrong.size:
             raise DataError(
@@ -184,16 +186,23 @@ def parsed_or_nat(text: pd.Series, clock: TimeStampRules) -> tuple[pd.Series, ND
     text = plain(text, clock.format) if len(text) else text
     if clock.format is None:
         text = text.where(text.str.match(ISO), "")
-    at = pd.to_datetime(text, format=clock.format or "ISO8601", utc=True, errors="coerce")
-    return at, with_offset(text)
+    return times_of(text, clock.format or "ISO8601", utc=True, errors="coerce"), with_offset(text)
+
+
+def times_of(text: pd.Series, form: str, *, utc: bool, errors: Literal["raise", "coerce"] = "raise") -> pd.Series:
+    """Stamps (n,) by a `strptime` format or "ISO8601", as by `pandas.to_datetime`; 24:00 is the end of its day."""
+    late = text.str.contains(_LATE, regex=True) if "24:00" in "\n".join(text.tolist()) else None
+    if late is None or not late.any():
+        return pd.to_datetime(text, format=form, utc=utc, errors=errors)
+    at = pd.to_datetime(text.str.replace(_LATE, "00:00", regex=True), format=form, utc=utc, errors=errors)
+    return at + pd.Timedelta("1D") * late.astype(int)
 
 
 def plain(text: pd.Series, form: str | None = None) -> pd.Series:
     """Stamps (n,) of text as `strptime` knows them: of intervals the beginning, months in English, offsets in digits.
 
-    Midnight at the end of a day, 24:00, becomes 00:00 of the next one where the day is written as in 2025-01-31. Months
-    have three letters, or with %B in `form` all of them. Names of weekdays before a date are left out, unless %a or %A
-    in `form` reads them; a.m. becomes am.
+    Months have three letters, or with %B in `form` all of them. Names of weekdays before a date are left out, unless %a
+    or %A in `form` reads them; a.m. becomes am.
     """
     first = str(text.iloc[0])
     if re.search(r":\d\d\D*(?:-|–|—|/| to | bis | tot | à | t/m )\D*\d", first):
@@ -215,12 +224,6 @@ def plain(text: pd.Series, form: str | None = None) -> pd.Series:
         for word in words:
             if (other := _in_digits(word, form)) is not None:
                 text = text.str.replace(rf"\b{word}\b\.?" if other.isalpha() else rf" ?\b{word}\b", other, regex=True)
-    late = text.str.contains(r"[ T]24:00(?::00)?", regex=True) if "24:00" in whole else np.zeros(len(text), dtype=bool)
-    if late.any():
-        days = pd.to_datetime(text[late].str.extract(r"(\d{4}-\d{2}-\d{2})", expand=False), errors="coerce")
-        known = days[days.notna()]
-        text = text.copy()
-        text[known.index] = (known + pd.Timedelta("1D")).dt.strftime("%Y-%m-%d 00:00:00")
     return full_offsets(text)
 
 

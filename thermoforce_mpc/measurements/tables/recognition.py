@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Literal
 from zoneinfo import available_timezones
 
 import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.tables.clock import newest_first, plain
+from thermoforce_mpc.measurements.tables.clock import newest_first, plain, times_of
 from thermoforce_mpc.measurements.tables.files import (
     PARQUET,
     SEPARATORS,
@@ -479,11 +480,13 @@ def _clock(head: pd.DataFrame, path: Path, form: CsvFormat) -> tuple[tuple[str, 
     text = plain(stamps.dropna().astype(str))
     if not len(text):
         raise DataError(f"{path}: no column holds time stamps")
+    # What ends at 24:00 is an interval, not a reading of then.
+    marks: Literal["start", "end"] = "end" if stamps.astype(str).str.contains("[ T]24:00").any() else "start"
     if _only(text, _NO_YEAR):
-        return key, TimeStampRules(year=_YEAR), "the year, which the stamps do not have"
+        return key, TimeStampRules(year=_YEAR, marks=marks), "the year, which the stamps do not have"
     pattern, note = _stamp_format(text)
     zone = _told_zone(text, stamps.dropna().astype(str), key, path, form)
-    return key, TimeStampRules(format=pattern if pattern != "FILL IN" else None, zone=zone), note
+    return key, TimeStampRules(format=pattern if pattern != "FILL IN" else None, zone=zone, marks=marks), note
 
 
 def _dated(column: pd.Series) -> bool:
@@ -530,10 +533,10 @@ def _stamp_format(text: pd.Series) -> tuple[str | None, str]:
     as_iso = bool(ISO.match(str(text.iloc[0])))
     if as_iso:  # tables joined end to end have lines of their headers between
         sample_of = sample_of[sample_of.str.contains(r"\d{2}:?\d{2}", regex=True)]
-    if as_iso and pd.to_datetime(sample_of, format="ISO8601", utc=True, errors="coerce").notna().all():
+    if as_iso and times_of(sample_of, "ISO8601", utc=True, errors="coerce").notna().all():
         return None, ""
     fitting = []
-    first = str(text.iloc[0]).strip()
+    first = next((one for one in map(str.strip, text.astype(str)) if "24:00" not in one), "")
     ends = (" %z", "%z") if with_offset(text.iloc[:1])[0] else ("",)
     for day in _DAYS:
         for between in _BETWEEN:
@@ -576,7 +579,7 @@ def _fits(text: str, form: str) -> bool:
 
 
 def _fits_all(text: pd.Series, form: str) -> bool:
-    times = pd.to_datetime(text, format=form, errors="coerce", utc="%z" in form)
+    times = times_of(text, form, utc="%z" in form, errors="coerce")
     if not times.notna().all():
         return False
     if newest_first(times):
@@ -586,7 +589,7 @@ def _fits_all(text: pd.Series, form: str) -> bool:
 
 
 def _span(text: pd.Series, form: str) -> pd.Timedelta:
-    times = pd.to_datetime(text, format=form, errors="coerce", utc="%z" in form)
+    times = times_of(text, form, utc="%z" in form, errors="coerce")
     return pd.Timedelta(times.max() - times.min())
 
 
@@ -661,9 +664,9 @@ def _form_of(
     columns = [str(column) for column in head.columns if str(column) not in of_stamps and not _dated(head[str(column)])]
     of_readings = _of_readings(head, columns, of_stamps)
     if of_readings is not None:
-        otherwise = "InfluxDB's annotated CSV" if of_readings.value == "_value" else "a table"
         programs = {"entity_id": "Home Assistant's history", "statistic_id": "Home Assistant's statistics"}
-        what = programs.get(str(of_readings.point), otherwise)
+        of_influx = of_readings.value == "_value"
+        what = "InfluxDB's annotated CSV" if of_influx else programs.get(str(of_readings.point), "a table")
         return of_readings, f"{what} with one row per reading"
     status = next(
         (c for c in columns if c.lower() in ("status", "quality", "reliability") and not _numbers(head[c])), None
@@ -735,7 +738,7 @@ def _at_the_same_time(*heads: pd.DataFrame) -> bool:
         form, _ = _stamp_format(text) if len(text) else (None, "")
         if form == "FILL IN":
             return False
-        times = pd.to_datetime(text, format=form or "ISO8601", errors="coerce", utc=True).dropna()
+        times = times_of(text, form or "ISO8601", utc=True, errors="coerce").dropna()
         if not len(times):
             return False
         ranges.append((times.min(), times.max()))
