@@ -684,6 +684,28 @@ def test_stamps_without_a_year_are_of_the_year_that_the_map_says(tmp_path):
     np.testing.assert_allclose(found.record.T_out_C[-1], HOUSE["out"].iloc[-1])
 
 
+@pytest.mark.parametrize("begins", ["2026-03-28", "2026-10-24"])
+@pytest.mark.parametrize("first", ["rooms", "valves"])
+def test_loggers_with_and_without_summer_time_have_a_zone_each(begins, first, tmp_path):
+    """Written alike, by two clocks: with one zone for both an hour would lie between them from the change on."""
+    at = pd.date_range(begins, periods=N // 2, freq="15min", tz="Etc/GMT-1")
+    df = HOUSE.iloc[: N // 2].set_axis(at)
+    tables = {
+        "rooms": df[["living", "out"]].set_axis(at.strftime("%d.%m.%Y %H:%M")),
+        "valves": df[["v_living"]].set_axis(at.tz_convert(ZONE).strftime("%d.%m.%Y %H:%M")),
+    }
+    files = [tmp_path / f"{name}.csv" for name in sorted(tables, reverse=first == "valves")]
+    for name, table in tables.items():
+        table.rename(columns={"living": "Zimmer", "out": "Außen", "v_living": "Ventil"}).to_csv(
+            tmp_path / f"{name}.csv", sep=";", index_label="Zeit"
+        )
+    text = starting_map(files)
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    record = tf.read_measurements(files, tmp_path / "map.yaml").record
+    np.testing.assert_allclose(record.T_zone_C[0], df["living"])
+    np.testing.assert_allclose(record.u[0], df["v_living"].iloc[:-1] / 100.0)
+
+
 @pytest.mark.parametrize("day", ["%d.%m.%Y", "%m/%d/%Y", "%Y-%m-%d", "%d-%b-%Y"])
 def test_a_day_that_ends_at_24_is_midnight_of_the_next(day, tmp_path):
     ends = pd.date_range("2025-01-30 00:15", periods=N, freq="15min")

@@ -245,7 +245,8 @@ def show_measurements(measured: Measurements, console: Console) -> None:
     )
     table = Table(title="Signals", title_justify="left")
     for heading in ("signal", "column", "every", "known", "longest gap", "least", "median", "most", ""):
-        table.add_column(heading, justify="left" if heading in ("signal", "column", "") else "right")
+        words = heading in ("signal", "column", "")
+        table.add_column(heading, justify="left" if words else "right", overflow="fold")
     for signal in understood.signals:
         numbers = (f"{value:.4g}" for value in (signal.least, signal.median, signal.most))
         gap = f"{signal.longest_gap_h:.3g} h" if signal.longest_gap_h else "none"

@@ -41,6 +41,8 @@ _CHECK = "CHECK: "
 _COMFORT_C = (20.0, 24.0)
 # A set-point that is lowered by this, K, tells of hours in which less is asked for.
 _SETBACK_K = 1.0
+# An hour that a clock shows twice has so many times the rows of the one before and after, at least.
+_HOUR, _REPEATED = pd.Timedelta("1h"), 1.5
 _HEAT_PAID = "heat, as no electric power is metered: so district heat is billed; of a boiler or heat pump set factor"
 # Words amid numbers that a map says to be empty cells, at most; and what may be a number that is written otherwise.
 _MOST_MISSING, _NUMBER = 6, re.compile(r"\d[.,' ]?\d|^\W*\d\W*$")
@@ -155,6 +157,34 @@ def _seconds(table: RawTable, clock: TimeStampRules) -> np.ndarray:
     return seconds if seconds.size == len(table.stamps) else np.arange(len(table.stamps)) * 900.0
 
 
+def _follows_summer_time(path: Path, clock: TimeStampRules, form: CsvFormat, zone: str) -> bool | None:
+    """Whether stamps leave out and repeat the hours that a clock of `zone` does; None where they do not tell."""
+    try:
+        times = instants(stamps_of(path, clock.column, form), clock, [])
+    except DataError:
+        return None
+    if times.dt.tz is not None:
+        return None
+    at = pd.DatetimeIndex(times)
+    hours = pd.date_range(at.min().floor("D"), at.max(), freq="1h")
+    known = hours.tz_localize(zone, ambiguous="NaT", nonexistent="shift_forward")
+    exists = hours.tz_localize(zone, ambiguous=np.ones(len(hours), dtype=bool), nonexistent="NaT")
+    skipped = hours[exists.isna()]
+    for hour in skipped.union(hours[known.isna()]):
+        before, within, after = (
+            int(((at >= start) & (at < start + _HOUR)).sum()) for start in (hour - _HOUR, hour, hour + _HOUR)
+        )
+        if not before or not after:
+            continue
+        if hour in skipped:
+            return within == 0
+        if within == before == after:
+            return False
+        if within > _REPEATED * max(before, after):
+            return True
+    return None
+
+
 class _Text:
     """The lines of a map."""
 
@@ -164,6 +194,7 @@ class _Text:
         self.paths, self.taken, self.others, self.found = paths, kinds[0], kinds[1:], list(found)
         self.column = {column.name: column for column in columns}
         self.used: set[str] = set()
+        self.clocks = {path: self._told_by(kind, path) for kind in kinds for path in kind.paths}
         modes = self.of("mode")
         self.mode = modes[0] if len(modes) == 1 else None
 
@@ -230,20 +261,25 @@ class _Text:
         return lines
 
     def _zone(self) -> tuple[str, str]:
-        """The zone of stamps without one, by the language, and how certain it is by the changes of summer time."""
-        zone, clock = self._of_language(), self.taken.clock
-        certain = "the building's; Etc/GMT-1 for a clock without summer time"
-        if clock.unit is not None or self.taken.notes["time"].startswith("?"):
-            return zone, certain
-        try:
-            for path in self.taken.paths:
-                table = stamps_of(path, clock.column, self.taken.csv)
-                instants(table, clock.model_copy(update={"zone": zone, "ambiguous": "first"}), [])
-        except DataError as error:
-            if "does not exist" in str(error):
-                first = pd.Timestamp("2025-01-01")
-                return all_year(zone, first), f"the stamps know no summer time; {zone} where a row is wrong"
-        return zone, certain
+        """The zone of stamps without one, and how certain it is: of the first file that tells, else by the language."""
+        told = (self.clocks[path] for path in self.taken.paths)
+        usual = self._of_language(), "the building's; Etc/GMT-1 for a clock without summer time"
+        return next((one for one in told if one is not None), usual)
+
+    def _told_by(self, kind: Recognised, path: Path) -> tuple[str, str] | None:
+        """The zone of a file whose stamps show how its clock went through a change of summer time, and a note."""
+        zone, clock = self._of_language(), kind.clock
+        if clock.zone is not None or clock.unit is not None or kind.notes["time"].startswith("?"):
+            return None
+        follows = _follows_summer_time(path, clock, kind.csv, zone)
+        if follows is None:
+            return None
+        if follows:
+            return zone, "the building's, whose summer time the stamps follow"
+        return (
+            all_year(zone, pd.Timestamp("2025-01-01")),
+            f"the stamps know no summer time; {zone} where a row is wrong",
+        )
 
     def _of_language(self) -> str:
         words = [word for guess in self.found for word in words_of(guess.name)]
@@ -254,29 +290,41 @@ class _Text:
         return _ZONES["°F" if any(guess.unit == "°F" for guess in self.found) else "en"]
 
     def _written_otherwise(self) -> list[str]:
-        """Lines of the files that are not written as the first one is."""
-        lines = ["files:  # those that are written otherwise than the lines above say"] if self.others else []
-        for kind in self.others:
-            clock = kind.clock
-            told = [f"column: {_value(clock.column)}"] if clock.column is not None else []
-            told += [
-                f"{key}: {_value(getattr(clock, key))}"
-                for key in ("unit", "since", "year", "zone", "marks")
-                if getattr(clock, key) not in (None, "start")
-            ]
-            note = kind.notes["time"]
-            if clock.zone is None and self.taken.clock.zone is not None:
-                told.append(f"zone: {self._of_language()}")
-                note = "; ".join(part for part in ("the zone", note) if part)
-            if kind.notes["time"].startswith("?"):
-                told.append("format: FILL IN" if "stamps such" in note else "since: FILL IN")
-            elif clock.format is not None:
-                told.append(f"format: '{clock.format}'")
-            form = f"csv: {{{', '.join(_told(kind.csv))}}}, " if kind.csv != self.taken.csv else ""
-            table = f", table: {{{', '.join(_told(kind.table))}}}" if kind.table != self.taken.table else ""
-            how = f"{{{form}time: {{{', '.join(told)}}}{table}}}"
-            lines += [f"  {_quoted(path.name)}: {how}{_comment(note.removeprefix('? '))}" for path in kind.paths]
-        return lines
+        """Lines of the files that are not written as the first one is, or by another clock."""
+        zone = self.taken.clock.zone or self._zone()[0]
+        lines = []
+        for kind in (self.taken, *self.others):
+            for path in kind.paths:
+                own = self.clocks[path]
+                other_zone = own is not None and own[0] != zone
+                if kind is not self.taken or other_zone:
+                    lines.append(self._otherwise(kind, path, own if other_zone else None))
+        return ["files:  # those that are written otherwise than the lines above say", *lines] if lines else []
+
+    def _otherwise(self, kind: Recognised, path: Path, other_zone: tuple[str, str] | None) -> str:
+        """The line of one such file; `other_zone`: its own, and why, where its stamps tell it."""
+        clock, note = kind.clock, kind.notes["time"]
+        told = [f"column: {_value(clock.column)}"] if clock.column is not None else []
+        told += [
+            f"{key}: {_value(getattr(clock, key))}"
+            for key in ("unit", "since", "year", "zone", "marks")
+            if getattr(clock, key) not in (None, "start")
+        ]
+        why = ""
+        if other_zone is not None:
+            told.append(f"zone: {other_zone[0]}")
+            why = other_zone[1]
+        elif clock.zone is None and self.taken.clock.zone is not None:
+            told.append(f"zone: {self._of_language()}")
+            why = "the zone"
+        if note.startswith("?"):
+            told.append("format: FILL IN" if "stamps such" in note else "since: FILL IN")
+        elif clock.format is not None:
+            told.append(f"format: '{clock.format}'")
+        form = f"csv: {{{', '.join(_told(kind.csv))}}}, " if kind.csv != self.taken.csv else ""
+        table = f", table: {{{', '.join(_told(kind.table))}}}" if kind.table != self.taken.table else ""
+        doubt = "; ".join(part for part in (why, note.removeprefix("? ")) if part)
+        return f"  {_quoted(path.name)}: {{{form}time: {{{', '.join(told)}}}{table}}}{_comment(doubt)}"
 
     def _files(self) -> list[str]:
         form, table, lines = self.taken.csv, self.taken.table, []
