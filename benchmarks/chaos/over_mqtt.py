@@ -31,7 +31,7 @@ from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.connections import mqtt
 from thermoforce_mpc.connections.registry import build_connection
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH
+from thermoforce_mpc.data import DAY_S, HOUR_S, energy_kWh
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.live import Decision, KeptState, LiveBuilding, control
@@ -232,7 +232,7 @@ class EmulatedHouse:
         since_h = (begin_h + 1e-6, begin_h + hours + 1e-6)
         rows = pd.DataFrame([row for row in self.rows if since_h[0] < self.hour_of(row["time"]) <= since_h[1]])
         at_s = np.asarray((rows["time"] - _ORIGIN).dt.total_seconds(), dtype=np.float64) - _ROW_S
-        cost = float((rows["P"].to_numpy() * price_per_kWh(at_s // HOUR_S * HOUR_S)).sum()) * _ROW_S / J_PER_KWH
+        cost = float((energy_kWh(rows["P"].to_numpy(), _ROW_S) * price_per_kWh(at_s // HOUR_S * HOUR_S)).sum())
         outside = sum(
             float(np.maximum(rows[f"low_{zone}"] - rows[f"T_{zone}"], 0.0).sum())
             + float(np.maximum(rows[f"T_{zone}"] - rows[f"high_{zone}"], 0.0).sum())

@@ -42,7 +42,6 @@ from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import (
     DAY_S,
     HOUR_S,
-    J_PER_KWH,
     Array,
     Block,
     Boundary,
@@ -50,6 +49,7 @@ from thermoforce_mpc.data import (
     Observation,
     Plan,
     Record,
+    energy_kWh,
 )
 from thermoforce_mpc.data.series import step_means
 from thermoforce_mpc.errors import DataError
@@ -438,7 +438,7 @@ def _days(
                 told = now.command if home.kind == "set-points" else now.command[:1]
                 said["changes"] += sum(a != b for a, b in zip(told, before, strict=True)) if before else 0.0
                 before = told
-            used = float(done.power_W[0]) * seconds / J_PER_KWH
+            used = energy_kWh(float(done.power_W[0]), seconds)
             energy, cost = energy + used, cost + used * float(ahead.price_per_kWh[0, 0])
             # The bounds of the hour; of its end, a room that others set back may already be let cool.
             below += float(np.maximum(ahead.lower_C[:, :2].min(axis=1) - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S
@@ -451,7 +451,7 @@ def left_alone_cost(home: Home) -> float:
     cost, begin_s = 0.0, float(home.plant.forecast(_STEP_S, _STEP_S).time_s[0])
     at_s = np.arange(begin_s, begin_s + _AFTER_S - 1.0, _STEP_S)
     for price in price_per_kWh(at_s).tolist():
-        cost += float(home.advance((None,) * ROOMS, _STEP_S).power_W[0]) * _STEP_S / J_PER_KWH * price
+        cost += energy_kWh(float(home.advance((None,) * ROOMS, _STEP_S).power_W[0]), _STEP_S) * price
     return cost
 
 
@@ -471,7 +471,7 @@ def came_true(home: Home, plan: Plan, ahead: Boundary) -> tuple[float, float]:
                 told = (_told(of, at_s) if planned else None for of in plan.settings)
                 done = lived.advance(tuple(told), _PART_S)
                 at = int(np.searchsorted(ahead.time_s, at_s, side="right")) - 1
-                cost[k, i] += float(done.power_W[0]) * _PART_S / J_PER_KWH * float(ahead.price_per_kWh[0, at])
+                cost[k, i] += energy_kWh(float(done.power_W[0]), _PART_S) * float(ahead.price_per_kWh[0, at])
             after[k, i] = left_alone_cost(lived)
     planned_cost, alone = cost.mean(axis=0)
     return float(alone - planned_cost + after[:, 1].mean() - after[:, 0].mean()), float(alone)

@@ -22,7 +22,7 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.commands.tank import TankRecord, TankTarget, learn_tank
 from thermoforce_mpc.comparison.outcome import Target, results_json
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Block, Observation, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Block, Observation, Record, energy_kWh
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification import IdentificationConfig, identify
@@ -167,7 +167,7 @@ def _days(
         last = target
         for one in turns:
             done, seconds = home.advance(one.command, one.duration_s), one.duration_s
-            used = float(done.power_W[0]) * seconds / J_PER_KWH
+            used = energy_kWh(float(done.power_W[0]), seconds)
             energy, cost = energy + used, cost + used * float(ahead.price_per_kWh[0, 0])
             lower_C = ahead.lower_C[:, :2].min(axis=1)
             below += float(np.maximum(lower_C - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S

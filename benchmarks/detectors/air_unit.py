@@ -22,6 +22,7 @@ from thermoforce_mpc.data import (
     Period,
     PlantInfo,
     Record,
+    energy_kWh,
 )
 from thermoforce_mpc.plants.shell import check_levels
 
@@ -96,8 +97,8 @@ class LightOffice:
             self.T = drifting + q * DT_S / AIR_J_K
             self.now_s += DT_S
             heat, gas, chiller = heat + q / n, gas + max(q, 0) / 0.9 / n, chiller + max(-q, 0) / 3 / n
-            self.kept["gas"] += max(q, 0) / 0.9 * DT_S / 3.6e6
-            self.kept["chiller"] += max(-q, 0) / 3 * DT_S / 3.6e6
+            self.kept["gas"] += energy_kWh(max(q, 0) / 0.9, DT_S)
+            self.kept["chiller"] += energy_kWh(max(-q, 0) / 3, DT_S)
             lower, upper = (float(b) for b in self.bounds_C(np.array(self.now_s)))
             self.kept["discomfort"] += max(lower - self.T, self.T - upper, 0.0) * DT_S / HOUR_S
         found = self._measurement(heat / HEATING_W, gas + chiller, heat)

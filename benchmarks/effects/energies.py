@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.effects.windows import STEP_S
 from thermoforce_mpc.comparison.outcome import Target
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record, energy_kWh
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.rooms import HouseOfRooms
 from thermoforce_mpc.whatif.counterfactual import TOLD, counterfactual
@@ -89,7 +89,7 @@ def energy_answers(
 
 
 def _kWh(record: Record) -> float:
-    return float(record.power_W.sum()) * STEP_S / J_PER_KWH
+    return energy_kWh(float(record.power_W.sum()), STEP_S)
 
 
 def energy_rows(answers: Sequence[EnergyAnswer]) -> list[dict[str, Any]]:

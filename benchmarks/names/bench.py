@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.names.styles import STYLES
 from thermoforce_mpc.comparison.outcome import Target, results_json
-from thermoforce_mpc.data import DAY_S, Array
+from thermoforce_mpc.data import DAY_S, Array, energy_kWh
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses
 
@@ -151,7 +151,7 @@ def drawn(seed: int, number: int) -> tuple[str, list[Signal]]:
     if rng.random() < 0.5 and names.get("heat"):
         signals.append(Signal(Column(name("heat"), time_s, np.round(3.0 * made["P"])), "heat", "W"))
     if rng.random() < 0.5:
-        counter = np.round(rng.uniform(100, 20000) + np.cumsum(made["P"]) * step_s / 3.6e6, 2)
+        counter = np.round(rng.uniform(100, 20000) + energy_kWh(np.cumsum(made["P"]), step_s), 2)
         add("counter", counter, "power", "kWh counter")
     for _ in range(int(rng.integers(0, 4))):
         add(

@@ -18,7 +18,7 @@ from benchmarks.effects.operated import as_homes_measure
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.comparison.outcome import Target, results_json
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Observation
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, energy_kWh
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.experiment.left_alone import saving_of_levels
@@ -124,7 +124,7 @@ def lived(plant: HouseOfRooms, u: Array | None, price: Array) -> tuple[float, fl
             plant.advance(tuple(levels.tolist()), HOUR_S)
     plant.advance(None, _AFTER_DAYS * DAY_S)
     power_W = plant.past(HOUR_S).last(price.size).power_W[0]
-    cost = power_W * price * HOUR_S / J_PER_KWH
+    cost = energy_kWh(power_W, HOUR_S) * price
     return float(cost.sum()), float(cost[:_HORIZON_H].sum())
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.cases import run_all
 from thermoforce_mpc.comparison.outcome import Target, results_json
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Record, energy_kWh
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
@@ -182,4 +182,4 @@ def _setpoint_C(case: Case, change: str, time_s: float) -> float:
 
 
 def _energy_kWh(record: Record) -> float:
-    return float(record.power_W.sum()) * record.step_s / J_PER_KWH
+    return energy_kWh(float(record.power_W.sum()), record.step_s)

@@ -12,7 +12,7 @@ from benchmarks.plant.scores import SCORED_S, STEP_S, WINDOW_WARMUP_S, Row, read
 from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.comparison.outcome import Target
-from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array
+from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, energy_kWh
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded import PointEmulator
 from thermoforce_mpc.plants.embedded.cases import CASES, EmulatedCase
@@ -138,7 +138,7 @@ def _replay(plant: PointEmulator, path: Path) -> tuple[Row, Array, Array]:
         row["T_rmse_steady_mode_K"] = rms(error[steady])
     for name in powers:
         truth, ours = real[name].to_numpy(), means[name]
-        if truth.sum() * STEP_S / 3.6e6 < _LEAST_KWH:
+        if energy_kWh(float(truth.sum()), STEP_S) < _LEAST_KWH:
             continue
         on = truth > 0.01 * truth.max()
         row[f"{name}_rmse"] = rms((ours - truth)[on & steady]) / float(truth[on & steady].mean())

@@ -17,7 +17,7 @@ from controllers.mpc.courses import Courses
 from controllers.mpc.margins import Margins
 from controllers.optimisation.plan_model import Evaluation
 from controllers.optimisation.problem import MPCProblem
-from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, FreeForecast, Observation, Plan
+from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Observation, Plan, energy_kWh
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.operator.parameters import feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext
@@ -199,7 +199,7 @@ class _Model:
             u,
             T_zone_C,
             parts=brought.parts,
-            energy_kWh=float(brought.power_W.sum()) * self._boundary.step_s / J_PER_KWH,
+            energy_kWh=energy_kWh(float(brought.power_W.sum()), self._boundary.step_s),
             discomfort_Kh=float(self._boundary.outside_K(T_zone_C).sum()) * hours,
             broken=brought.broken,
         )

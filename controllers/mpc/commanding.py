@@ -38,7 +38,6 @@ from thermoforce_mpc.commands.meter import (
 )
 from thermoforce_mpc.data import (
     HOUR_S,
-    J_PER_KWH,
     Array,
     Block,
     Boundary,
@@ -47,6 +46,7 @@ from thermoforce_mpc.data import (
     Plan,
     PlannedSaving,
     PlanStatus,
+    energy_kWh,
 )
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.dataframes import clock_s
@@ -452,7 +452,7 @@ class CommandedPlan:
         )
         found = [with_meter.law, alone_meter.law]
         cost, cost_alone = (np.array([one.energy_cost.sum() for one in of]) for of in found)
-        energy, energy_alone = (np.array([one.power_W.sum() for one in of]) / 1000.0 * step_h for of in found)
+        energy, energy_alone = (energy_kWh(np.array([one.power_W.sum() for one in of]), problem.step_s) for of in found)
         # The energy of the rooms' demand: what is lost to outdoors follows their temperature, whatever the levels.
         T_out_C = step_means(self.boundary.T_out_C)
         lost_K = [float(np.maximum(one.T_bounds_C[:, 1:] - T_out_C, 1.0).mean()) for one in (with_plan, alone)]
@@ -577,7 +577,7 @@ class CommandedPlan:
         usual = {one.first: self._usual_row(one.first)[None] for one in self.beside}
         at_meter = self._at_meter(evaluator, levels, usual, 0.0)
         (brought,), more = at_meter.law, at_meter.beside
-        kWh = brought.power_W.sum() * self.problem.step_s / J_PER_KWH + more.kWh
+        kWh = energy_kWh(brought.power_W.sum(), self.problem.step_s) + more.kWh
         cost = brought.energy_cost.sum()
         of_levels = np.array([cost - self._idle_cost(evaluator)])
         return _MeanCost(cost + more.cost, of_levels, self._used(levels), kWh)
@@ -628,13 +628,13 @@ class CommandedPlan:
             course = meter.course(values, usual, loop.step_s / loop.parts, loop.parts, law, self.clock_s, now, left)
             of = effects[i] if effects else meter.mean[None]
             beside_W = meter.power_W(course, of, law, self.clock_s)
-            each_kWh = beside_W * self.problem.step_s / J_PER_KWH
+            each_kWh = energy_kWh(beside_W, self.problem.step_s)
             power_W += beside_W
             price = self.problem.price_per_kWh[one.m]
             cost += each_kWh @ price
             kWh += each_kWh.sum(axis=1)
             after += np.einsum("ps,sp->s", course.after_h, np.broadcast_to(of, (S, of.shape[-1]))) / 1000.0 * per_kWh
-            moved = course.columns @ price * self.problem.step_s / J_PER_KWH + course.after_h * per_kWh / 1000.0
+            moved = energy_kWh(course.columns @ price, self.problem.step_s) + course.after_h * per_kWh / 1000.0
             variance += ((moved.T @ meter.root) ** 2).sum(axis=1)
         return _OnMeters(cost, kWh, after, np.sqrt(variance), power_W)
 

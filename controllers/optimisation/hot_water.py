@@ -25,7 +25,7 @@ from controllers.optimisation.plan_model import Evaluator
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.commands.command import SAME, StepwiseCommand
 from thermoforce_mpc.commands.tank import LearnedTank, TankCourse, TankTarget, follow_tank
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, HotWaterPlan, Layout
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, HotWaterPlan, Layout, energy_kWh
 from thermoforce_mpc.data.clock import whole_hour
 from thermoforce_mpc.data.dataframes import clock_s, stamps
 from thermoforce_mpc.data.series import step_means
@@ -283,7 +283,7 @@ class _Known:
         spare_W = np.maximum(-np.nan_to_num(b.others_W[:-1]), 0.0)
         earns = np.nan_to_num(b.export_per_kWh[:-1]) if b.export_per_kWh.size else np.zeros(spare_W.size)
         less = np.maximum(self.price - earns, 0.0)
-        used = np.minimum(power_W, spare_W) / 1000.0 * self.step_s / HOUR_S
+        used = energy_kWh(np.minimum(power_W, spare_W), self.step_s)
         return np.asarray((used * less).sum(axis=1))
 
     def told(self, way: _Judged, alone: _Judged) -> TankWay:

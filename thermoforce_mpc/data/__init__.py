@@ -12,7 +12,18 @@ there is one of them, constructors also take arrays without that axis.
 from __future__ import annotations
 
 from thermoforce_mpc.data.boundary import AT_THE_METER, CONDITIONS, Boundary, FreeForecast, Observation
-from thermoforce_mpc.data.clock import DAY_S, HOUR_S, J_PER_KWH, NORMAL_90, NORMAL_95, YEAR_S, ZERO_C_K, Array, month_of
+from thermoforce_mpc.data.clock import (
+    DAY_S,
+    HOUR_S,
+    J_PER_KWH,
+    NORMAL_90,
+    NORMAL_95,
+    YEAR_S,
+    ZERO_C_K,
+    Array,
+    energy_kWh,
+    month_of,
+)
 from thermoforce_mpc.data.layout import Layout, Period, PlantInfo
 from thermoforce_mpc.data.names import SINGLE, Names
 from thermoforce_mpc.data.plan import (
@@ -63,5 +74,6 @@ __all__ = [
     "PlantInfo",
     "Record",
     "commands_of_each",
+    "energy_kWh",
     "month_of",
 ]  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from datetime import datetime
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,15 @@ Array = NDArray[np.float64]
 CLOCK_ROUNDING_S = 0.01
 # Tolerance on instants and steps that should be the same, s: plants round their clocks.
 CLOCK_TOLERANCE_S = 1.0
+
+
+@overload
+def energy_kWh(power_W: Array, duration_s: Array | float) -> Array: ...
+@overload
+def energy_kWh(power_W: float, duration_s: float) -> float: ...
+def energy_kWh(power_W: Any, duration_s: Any) -> Any:
+    """Energy of mean powers, W, that last so long, s; of shapes that broadcast."""
+    return power_W * duration_s / J_PER_KWH
 
 
 def in_fahrenheit(T_C: Any) -> Any:

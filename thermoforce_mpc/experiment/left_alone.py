@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Plan, PlannedSaving, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Plan, PlannedSaving, Record, energy_kWh
 from thermoforce_mpc.data.dataframes import clock_s, stamps
 from thermoforce_mpc.data.series import bridged, interpolated
 from thermoforce_mpc.errors import DataError
@@ -135,7 +135,7 @@ def _cost(model: ThermalModel, m: int, record: Record, ahead: Boundary, both: _B
     """What machine `m` costs in both. Energy that the record does not tell lies between what the law of power says of
     levels and what the rooms ask for; what is used more and less errs each by itself.
     """
-    per_W, price, T_out_C = record.step_s / HOUR_S / 1000.0, ahead.price_per_kWh[m, :-1], ahead.T_out_C
+    per_W, price, T_out_C = energy_kWh(1.0, record.step_s), ahead.price_per_kWh[m, :-1], ahead.T_out_C
     fed, S = [model.layout.home[a] for a in model.layout.fed_by(m)], len(both.other)
     share = model.power_change(m, record)
     given = np.where(both.keeps[:, None], 0.0, both.u[0])

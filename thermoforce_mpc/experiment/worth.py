@@ -23,7 +23,6 @@ from thermoforce_mpc.commands.tank import LearnedTank, TankRecord
 from thermoforce_mpc.data import (
     DAY_S,
     HOUR_S,
-    J_PER_KWH,
     NORMAL_95,
     Array,
     Boundary,
@@ -31,6 +30,7 @@ from thermoforce_mpc.data import (
     Period,
     PlanStatus,
     Record,
+    energy_kWh,
 )
 from thermoforce_mpc.data.dataframes import clock_s, table
 from thermoforce_mpc.data.dataframes import stamps as stamps_at
@@ -279,7 +279,7 @@ def worth(
         progress(f"house {k} of {draws}: {others[-1].saved:+.2f}")
     low, high = band_of(likeliest.saved, [one.saved for one in others])
     price, was = conditions.price_per_kWh[:, first : first + n], likeliest.was
-    power_kWh = was.power_W * step_s / J_PER_KWH
+    power_kWh = energy_kWh(was.power_W, step_s)
     return Worth(
         saved=likeliest.saved,
         low=low,
@@ -434,7 +434,7 @@ class Houses:
         began_Kh, began_kWh = house.warmth_Kh, house.later_kWh
         result = run_closed_loop(house, controller, period, state=state)
         lived, price = house.lived(period.start_s), conditions.price_per_kWh[:, first : first + n]
-        beside_kWh = house.beside_W[:, first : first + n] * record.step_s / J_PER_KWH
+        beside_kWh = energy_kWh(house.beside_W[:, first : first + n], record.step_s)
         beside = _Beside(beside_kWh, house.later_kWh - began_kWh)
         counted = self._counted(k, lived, was, price, house.warmth_Kh - began_Kh, beside)
         return Lived(
@@ -462,7 +462,7 @@ class Houses:
         saved = cost = energy = 0.0
         for m, share in enumerate(self.shares):
             fed = [layout.home[a] for a in layout.fed_by(m)]
-            before, after = (one.power_W[m] * hours / 1000.0 for one in (was, record))
+            before, after = (energy_kWh(one.power_W[m], record.step_s) for one in (was, record))
             after = after - beside.kWh[m]
             cost_was, cost_law = float(before @ price[m]), float(after @ price[m])
             lost_K = [max(float(np.nanmean(one.T_zone_C[fed, 1:] - one.T_out_C[1:])), 0.0) for one in (was, record)]
@@ -495,10 +495,10 @@ class Houses:
 
     def _of_levels_kWh(self, m: int, was: Record) -> float:
         """What levels took of the energy of machine `m`, kWh, by the law; where there is none, all of it."""
-        metered_kWh = float(was.power_W[m].sum()) * was.step_s / J_PER_KWH
+        metered_kWh = energy_kWh(float(was.power_W[m].sum()), was.step_s)
         T_out_C = was.T_out_C[:-1]
         by_law_W, idle_W = (self._model.power_by_law(m, u, T_out_C) for u in (was.u, np.zeros_like(was.u)))
-        of_levels_kWh = float((by_law_W - idle_W).sum()) * was.step_s / J_PER_KWH
+        of_levels_kWh = energy_kWh(float((by_law_W - idle_W).sum()), was.step_s)
         return min(max(of_levels_kWh, 0.0), metered_kWh) if np.isfinite(of_levels_kWh) else metered_kWh
 
 

@@ -26,7 +26,7 @@ from controllers.state_classes import STATE_CLASSES, model_key
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.meter import CourseState
 from thermoforce_mpc.commands.tank import LearnedTank, TankRecord
-from thermoforce_mpc.data import AT_THE_METER, CONDITIONS, J_PER_KWH, Boundary, Period, Record
+from thermoforce_mpc.data import AT_THE_METER, CONDITIONS, Boundary, Period, Record, energy_kWh
 from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
 from thermoforce_mpc.experiment.worth import (
     Houses,
@@ -300,7 +300,7 @@ def _in_force(record: Record, forecasts: Sequence[Boundary]) -> Boundary:
 def _day(begin: pd.Timestamp, told: _ToldDay, lived: Sequence[Lived], *, goes_on: bool) -> ShadowDay:
     likeliest, first = lived[0], told.record.nearest(told.period.start_s)
     was = likeliest.was
-    energy_was = was.power_W * was.step_s / J_PER_KWH
+    energy_was = energy_kWh(was.power_W, was.step_s)
     price = told.conditions.price_per_kWh[:, first : first + was.n_steps]
     return ShadowDay(
         day=f"{begin:%Y-%m-%d}",

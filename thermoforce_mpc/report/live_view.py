@@ -13,7 +13,7 @@ import numpy as np
 
 from boptest_client import safe_text
 from thermoforce_mpc.commands.tank import tank_in_words
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Record, energy_kWh
 from thermoforce_mpc.data.clock import words_of
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import InputError
@@ -213,9 +213,10 @@ class LiveRun:
         start_s, levels = step.time_s, []
         for block, reported in zip(step.blocks, step.after, strict=True):
             reading = with_level(reported, block)
-            hours = (reading.time_s - start_s) / HOUR_S
+            seconds = reading.time_s - start_s
+            hours = seconds / HOUR_S
             self._metered |= bool(np.isfinite(reading.power_W).any())
-            kWh = np.nan_to_num(reading.power_W) * hours / 1000.0
+            kWh = energy_kWh(np.nan_to_num(reading.power_W), seconds)
             self._kWh += float(kWh.sum())
             if self._boundary is not None:
                 paid = kWh * self._price(self._boundary, start_s, reading.u)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, NORMAL_95, Array, Layout, PlanStatus, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Layout, PlanStatus, Record, energy_kWh
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
 from thermoforce_mpc.loop.closed_loop import RunResult, Sample, StepRecord, in_force
@@ -121,8 +121,8 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> R
     columns["u"] = np.array([sample.u_measured for sample in samples], dtype=np.float64).T
     price = price_paid(columns["u"], columns["price_per_kWh"], np.array(heating_price).T, layout)
     # A machine that is not metered counts for nothing, and does not hide the others.
-    paid = columns["power_W"] * price
-    spent = np.where(np.isfinite(paid), paid, 0.0).sum(axis=0) * columns["duration_s"] / J_PER_KWH / area_m2
+    paid = energy_kWh(columns["power_W"], columns["duration_s"]) * price
+    spent = np.where(np.isfinite(paid), paid, 0.0).sum(axis=0) / area_m2
     before_C = np.column_stack([result.start.T_zone_C, columns["T_zone_C"][:, :-1]])
     outside = [excess(T_C, columns["lower_C"], columns["upper_C"]) for T_C in (before_C, columns["T_zone_C"])]
     discomfort = 0.5 * (outside[0] + outside[1]) * columns["duration_s"] / HOUR_S
@@ -294,8 +294,8 @@ def _courses(step: StepRecord, layout: Layout, area_m2: float) -> Mapping[str, A
         return {}
     n = min(plan.power_W.shape[-1], boundary.n_steps)
     prices = boundary.price_per_kWh[:, :n], boundary.heating_price_per_kWh[:, :n]
-    spent = (plan.power_W[:, :n] * price_paid(plan.u[:, :n], *prices, layout)).sum(axis=0) * boundary.step_s
-    cost = np.cumsum(spent)[None] / J_PER_KWH / area_m2
+    taken_kWh = energy_kWh(plan.power_W[:, :n], boundary.step_s)
+    cost = np.cumsum((taken_kWh * price_paid(plan.u[:, :n], *prices, layout)).sum(axis=0))[None] / area_m2
     return {name: getattr(plan, name) for name in (*TEMPERATURES, "u")} | {"cost": cost}
 
 

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import (
     DAY_S,
     HOUR_S,
-    J_PER_KWH,
     NORMAL_95,
     Array,
     Boundary,
@@ -29,6 +28,7 @@ from thermoforce_mpc.data import (
     Names,
     Observation,
     Record,
+    energy_kWh,
 )
 from thermoforce_mpc.data.dataframes import seconds_at, table
 from thermoforce_mpc.data.names import check_same_building
@@ -231,7 +231,7 @@ def days_of(record: Record, meter: str, name: str, past: Record | None = None) -
         if measured[at].mean() < _LEAST_MEASURED or sunny[at].mean() < least_sun:
             left_out += 1
             continue
-        energy = float(np.nanmean(total[at])) * DAY_S / J_PER_KWH
+        energy = energy_kWh(float(np.nanmean(total[at])), DAY_S)
         zone = np.array([np.nanmean(row[at]) if np.isfinite(row[at]).any() else np.nan for row in record.T_zone_C])
         rows.append((day, energy, low_out[:, at].mean(axis=1), low_sun[:, at].mean(axis=1), zone))
     if not rows:
@@ -439,7 +439,7 @@ def _under(
     levels = levels if levels.ndim == 2 else levels[None]
     low, high = _certified_bounds(model, levels - applied, record.step_s)
     power_W, power_other_W = _power_W(model, applied, stretch), _power_W(model, levels, stretch)
-    was, other = (power.sum(axis=1) * record.step_s / J_PER_KWH for power in (power_W, power_other_W))
+    was, other = (energy_kWh(power.sum(axis=1), record.step_s) for power in (power_W, power_other_W))
     energies = [_energy(model, m, told, stretch, levels, effect, was[m], other[m]) for m in range(len(was))]
     was, other, energy_low, energy_high = np.array(energies).T
     unseen = [_never_held(model, m, record, levels) for m in range(len(model.machines))]
@@ -520,7 +520,7 @@ def _beside_law(model: ThermalModel, m: int, record: Record, stretch: Record) ->
     first = record.nearest(float(stretch.time_s[0]))
     part = metered_W[first : first + stretch.n_steps]
     read = np.isfinite(part).mean() >= _LEAST_MEASURED
-    metered = float(np.nanmean(part)) * stretch.n_steps * record.step_s / J_PER_KWH if read else float("nan")
+    metered = energy_kWh(float(np.nanmean(part)), stretch.n_steps * record.step_s) if read else float("nan")
     n = max(1, round(DAY_S / record.step_s))
     both = np.isfinite(law_W) & np.isfinite(metered_W)
     starts = [k for k in range(0, record.n_steps - n + 1, n) if both[k : k + n].mean() >= _LEAST_MEASURED]
@@ -535,7 +535,7 @@ def _beside_kWh(model: ThermalModel, stretch: Record) -> Array:
     """What other loads on the meters of machines (M,) took in a stretch, kWh."""
     loads = [None if power is None else power.foreign for power in model.power]
     each = [0.0 if one is None else float(one(stretch.time_s[:-1], stretch.T_out_C[:-1]).sum()) for one in loads]
-    return np.array(each) * stretch.step_s / J_PER_KWH
+    return energy_kWh(np.array(each), stretch.step_s)
 
 
 def _never_held(model: ThermalModel, m: int, record: Record, levels: Array) -> bool:

@@ -28,7 +28,7 @@ from thermoforce_mpc.cli.options import (
 )
 from thermoforce_mpc.commands.loop import USUAL_COMMANDS, command_rows, saving_in_words
 from thermoforce_mpc.commands.tank import tank_in_words, tank_rows
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan, PlannedSaving
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan, PlannedSaving, energy_kWh
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.map.mapping import MOST_STEP_S
@@ -217,20 +217,20 @@ def plan_table(plan: Plan, ahead: Boundary, layout: Layout | None = None) -> pd.
         for row in range(len(names_of)):
             if not told[row]:
                 table[[names.label(signal, row) for signal in signals]] = np.nan
-    hours = ahead.step_s / HOUR_S
     table["T_out_C"], table["solar_W_m2"] = ahead.T_out_C[:-1], ahead.solar_W_m2[:-1]
     bounds = names.columns(lower_C=ahead.lower_C[:, 1:], upper_C=ahead.upper_C[:, 1:])
     price = ahead.price_per_kWh[:, :-1]
     prices = names.columns(price_per_kWh=price)
     for name, values in (bounds | prices).items():
         table[name] = values
-    cost = plan.power_W / 1000.0 * hours * price
+    cost = energy_kWh(plan.power_W, ahead.step_s) * price
     if ahead.others_W.size:  # what others leave over costs what it would have earned
         power_W, spare_W = plan.power_W.sum(axis=0), np.maximum(-np.nan_to_num(ahead.others_W[:-1]), 0.0)
         earns = ahead.export_per_kWh[:-1] if ahead.export_per_kWh.size else np.zeros(power_W.size)
         dearer = np.maximum(price.max(axis=0) - earns, 0.0)
         table["others_W"] = ahead.others_W[:-1]
-        cost = cost - plan.power_W / np.maximum(power_W, 1e-9) * np.minimum(power_W, spare_W) / 1000.0 * hours * dearer
+        own_W = plan.power_W / np.maximum(power_W, 1e-9) * np.minimum(power_W, spare_W)
+        cost = cost - energy_kWh(own_W, ahead.step_s) * dearer
     table["cost"] = cost[machines].sum(axis=0) if machines.any() else np.nan
     if (tank := plan.hot_water) is not None:
         table["T_tank_C"], table["T_tank_low_C"] = tank.T_C, tank.low_C
@@ -334,11 +334,11 @@ def _show(plan: Plan, table: pd.DataFrame, layout: Layout, display: RunDisplay, 
         cells.append(", ".join(f"{price:.3f}" for price in dict.fromkeys(row[name] for name in machines)))
         shown.add_row(*cells, f"{row['cost']:.2f}" if machines_told.any() else "–")
     print_whole(shown, display.console)
-    step_h = (table.index[1] - table.index[0]).total_seconds() / HOUR_S if len(table) > 1 else float("nan")
-    slack = plan.slack_K[zones_told].sum() * step_h
+    step_s = (table.index[1] - table.index[0]).total_seconds() if len(table) > 1 else float("nan")
+    slack = plan.slack_K[zones_told].sum() * step_s / HOUR_S
     outside = f"expected outside the bounds {slack:.1f} K·h"
     if machines_told.any():
-        energy = power_W.sum() / 1000.0 * step_h
+        energy = energy_kWh(float(power_W.sum()), step_s)
         display.say(f"Energy {energy:.1f} kWh, cost {table['cost'].sum():.2f}, {outside}")
     else:
         display.say(outside[0].upper() + outside[1:])

@@ -24,7 +24,7 @@ from thermoforce_mpc.cli.options import (
     plot_option,
     said_tank,
 )
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record, energy_kWh
 from thermoforce_mpc.data.dataframes import seconds_at
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError
@@ -230,10 +230,9 @@ def _drawn(found: Worth) -> Figure:
     upper.set_ylabel("temperature, °C")
     upper.legend(frameon=False, fontsize="small", ncols=3)
     upper.set_title(found.sentence, loc="left", fontsize=9, wrap=True)
-    hours = found.as_was.step_s / HOUR_S
     for label, record, colour in (("as it was", found.as_was, "0.4"), ("with plans", found.planned, "C0")):
         middle.step(at, record.power_W.sum(axis=0) / 1000.0, where="post", color=colour, label=label, linewidth=0.9)
-        cost = (record.power_W / 1000.0 * hours * found.price_per_kWh).sum(axis=0)
+        cost = (energy_kWh(record.power_W, record.step_s) * found.price_per_kWh).sum(axis=0)
         lower.plot(at, np.cumsum(cost), color=colour, label=label)
     middle.set_ylabel("power, kW")
     middle.legend(frameon=False, fontsize="small")
