@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -135,6 +136,9 @@ def test_what_is_saved_has_a_band_and_what_it_is_compared_with(plan):
     assert saving.saved > 0.0
     assert saving.cost_alone > 0.0
     assert saving.outside_Kh <= saving.outside_alone_Kh + 0.5
+    # Costs and what is stored add up to what is saved.
+    stored = float(re.search(r"stored at the end \((-?[\d.]+)\)", saving_in_words(saving))[1])
+    assert saving.cost_alone - saving.cost + stored == pytest.approx(saving.saved, abs=0.006)
     # Of what costs more the band has the sign of the sentence.
     dearer = saving_in_words(replace(saving, saved=-0.06, low=-0.11, high=-0.02))
     assert dearer.startswith("Costs 0.06 more than leaving it alone (90 % band 0.02 to 0.11 more): ")

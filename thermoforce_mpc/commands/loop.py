@@ -742,8 +742,9 @@ def saving_in_words(saving: PlannedSaving, alone: str = "") -> str:
     else:
         what = f"Whether it saves against leaving it alone is not certain: {s.saved:.2f} {band}"
     peak = f" (of which a higher peak {s.peak:.2f}, {s.peak_alone:.2f})" if max(s.peak, s.peak_alone) >= 0.005 else ""
+    stored = s.saved - (s.cost_alone - s.cost)
     return (
         f"{what}: cost {s.cost:.2f} instead of {s.cost_alone:.2f}{peak}, energy {s.energy_kWh:.1f} instead of "
         f"{s.energy_alone_kWh:.1f} kWh, outside the bounds {s.outside_Kh:.1f} instead of {s.outside_alone_Kh:.1f} K·h, "
-        f"and what is stored at the end. By the same model {alone or USUAL_COMMANDS}."
+        f"and what is stored at the end ({stored:.2f}). By the same model {alone or USUAL_COMMANDS}."
     )
