@@ -32,6 +32,7 @@ from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.connections import mqtt
 from thermoforce_mpc.connections.registry import build_connection
 from thermoforce_mpc.data import DAY_S, HOUR_S, energy_kWh
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.live import Decision, KeptState, LiveBuilding, control
@@ -233,11 +234,10 @@ class EmulatedHouse:
         rows = pd.DataFrame([row for row in self.rows if since_h[0] < self.hour_of(row["time"]) <= since_h[1]])
         at_s = np.asarray((rows["time"] - _ORIGIN).dt.total_seconds(), dtype=np.float64) - _ROW_S
         cost = float((energy_kWh(rows["P"].to_numpy(), _ROW_S) * price_per_kWh(at_s // HOUR_S * HOUR_S)).sum())
-        outside = sum(
-            float(np.maximum(rows[f"low_{zone}"] - rows[f"T_{zone}"], 0.0).sum())
-            + float(np.maximum(rows[f"T_{zone}"] - rows[f"high_{zone}"], 0.0).sum())
-            for zone in self.zones
-        )
+        outside = 0.0
+        for zone in self.zones:
+            T_C, lower_C, upper_C = (rows[f"{of}_{zone}"].to_numpy(np.float64) for of in ("T", "low", "high"))
+            outside += float(np.nansum(excess(T_C, lower_C, upper_C)))
         return cost, outside * _ROW_S / HOUR_S
 
 

@@ -24,6 +24,7 @@ from thermoforce_mpc.data import (
     Record,
     energy_kWh,
 )
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.plants.shell import check_levels
 
 AIR_J_K, MASS_J_K = 8.0e5, 8.0e6
@@ -100,7 +101,7 @@ class LightOffice:
             self.kept["gas"] += energy_kWh(max(q, 0) / 0.9, DT_S)
             self.kept["chiller"] += energy_kWh(max(-q, 0) / 3, DT_S)
             lower, upper = (float(b) for b in self.bounds_C(np.array(self.now_s)))
-            self.kept["discomfort"] += max(lower - self.T, self.T - upper, 0.0) * DT_S / HOUR_S
+            self.kept["discomfort"] += float(excess(self.T, lower, upper)) * DT_S / HOUR_S
         found = self._measurement(heat / HEATING_W, gas + chiller, heat)
         self.rows.append((duration_s, found))
         return found

@@ -48,6 +48,7 @@ from thermoforce_mpc.data import (
     PlanStatus,
     energy_kWh,
 )
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.dataframes import clock_s
 from thermoforce_mpc.data.series import step_means
@@ -519,7 +520,7 @@ class CommandedPlan:
         """
         problem, alone_C = self.problem, self.left_alone_C
         both_C = np.concatenate([T_C[..., 1:], alone_C[None]])
-        out_K = np.maximum(np.maximum(problem.lower_C - both_C, both_C - problem.upper_C), 0.0)
+        out_K = excess(both_C, problem.lower_C, problem.upper_C)
         worse_K = np.maximum(out_K[:-1] - out_K[-1], 0.0)
         return np.asarray((_WORSE - 1.0) * np.einsum("z,szn->s", problem.comfort_price, np.nan_to_num(worse_K)))
 

@@ -9,13 +9,13 @@ from one_zone_kpis import compute_kpis
 
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
 from thermoforce_mpc.plants.kpis import (
     EnergySupply,
     Violation,
     building_kpis,
-    excess,
     peak_power,
     window_means,
     zone_kpis,

@@ -37,6 +37,11 @@ SET_BACK_K = 0.5
 AT_THE_METER = ("others_W", "export_per_kWh", "limit_W")
 
 
+def excess(value: Array | float, lower: Array | float, upper: Array | float) -> Array:
+    """How far `value` lies outside its bounds, 0 inside, in its unit; of shapes that broadcast."""
+    return np.asarray(np.maximum(np.maximum(lower - value, value - upper), 0.0))
+
+
 @dataclass(frozen=True)
 class Boundary:
     """Boundary conditions at `N + 1` equally spaced instants, the first being *now*.
@@ -234,7 +239,7 @@ class Boundary:
     def outside_K(self, T_C: Array, first: int = 0) -> Array:
         """How far temperatures (Z, n) at the ends of n steps from `first` on lie outside the bounds, K (Z, n)."""
         ends = slice(first + 1, first + 1 + T_C.shape[-1])
-        return np.maximum(np.maximum(self.lower_C[:, ends] - T_C, T_C - self.upper_C[:, ends]), 0.0)
+        return excess(T_C, self.lower_C[:, ends], self.upper_C[:, ends])
 
     def head(self, n_steps: int) -> Boundary:
         """The first `n_steps` steps; itself where there are no more."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from controllers.policy.trained import FORECAST, SIGNALS, PolicySpec
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Record
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.data.series import interpolated
 from thermoforce_mpc.data.superposition import compose, control_free
@@ -159,7 +160,7 @@ class ModelVectorEnv(VectorEnv[Any, Any, Any]):
         power_W = np.stack([of(u[:, a], T_out) for a, of in enumerate(self._power)], axis=-1)
         cost = (self._cost_per_W[k] * power_W).sum(axis=-1)
         T_C = self._T_zone_C()
-        beyond = np.maximum(self._lower[self._at] - T_C, 0.0) + np.maximum(T_C - self._upper[self._at], 0.0)
+        beyond = excess(T_C, self._lower[self._at], self._upper[self._at])
         reward = -(cost + self._weight * beyond.mean(axis=-1) * self._step_s / HOUR_S)
         if over.any():
             self._begin(over, None)

@@ -15,9 +15,10 @@ import numpy as np
 from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import DAY_S, YEAR_S, Array, Block, Boundary, Period, PlantInfo
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.kpis import EnergySupply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.kpis import EnergySupply, Violation, building_kpis
 from thermoforce_mpc.plants.shell import CLOCK_S, BranchingShell, check_start, day_period
 from thermoforce_mpc.version import VERSION
 

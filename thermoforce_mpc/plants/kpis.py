@@ -56,11 +56,6 @@ class Violation:
     excess: Array
 
 
-def excess(value: Array, lower: Array, upper: Array) -> Array:
-    """Return the distance of `value` outside its bounds (0 inside), shape (n,), in its unit."""
-    return np.asarray(np.maximum(np.maximum(lower - value, value - upper), 0.0))
-
-
 def building_kpis(
     time_s: Array,
     *,

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Boundary, Measurement
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.plants.kpis import excess
 from thermoforce_mpc.protocols import Plant, StandsFor
 from thermoforce_mpc.registry import Registry
 from thermoforce_mpc.scenario.comfort import Comfort

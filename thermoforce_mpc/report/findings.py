@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, PlanStatus
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL, UNDECIDED
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
@@ -100,7 +101,7 @@ def _beyond_K(step: StepRecord) -> float:
     n = min(plan.u.shape[1], max(1, round(_SOON_H * HOUR_S / boundary.step_s)))
     lower_C, upper_C = boundary.lower_C[:, 1 : n + 1], boundary.upper_C[:, 1 : n + 1]
     T_C = plan.T_zone_C[:, : lower_C.shape[1]]
-    return float(np.nanmax(np.maximum(lower_C - T_C, T_C - upper_C), initial=0.0))
+    return float(np.nanmax(excess(T_C, lower_C, upper_C), initial=0.0))
 
 
 def planning_of(result: RunResult, model: ThermalModel | None) -> Planning:

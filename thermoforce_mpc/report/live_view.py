@@ -14,6 +14,7 @@ import numpy as np
 from boptest_client import safe_text
 from thermoforce_mpc.commands.tank import tank_in_words
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Record, energy_kWh
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.data.clock import words_of
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import InputError
@@ -52,7 +53,7 @@ class ZoneNow:
     @property
     def outside_K(self) -> float:
         """Distance from the comfort bounds, K; 0 without a reading, NaN without bounds."""
-        return 0.0 if np.isnan(self.T_C) else float(np.max([self.lower_C - self.T_C, self.T_C - self.upper_C, 0.0]))
+        return 0.0 if np.isnan(self.T_C) else float(excess(self.T_C, self.lower_C, self.upper_C))
 
 
 @dataclass(frozen=True)

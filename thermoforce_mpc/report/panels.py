@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Layout, PlanStatus, Record, energy_kWh
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
 from thermoforce_mpc.loop.closed_loop import RunResult, Sample, StepRecord, in_force
 from thermoforce_mpc.loop.inputs import price_paid
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.plants.kpis import excess
 from thermoforce_mpc.report.page import Json, exactly, packed, rows_packed, smooth
 from thermoforce_mpc.whatif.counterfactual import (
     Counterfactual,

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.plants.kpis import EnergySupply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.kpis import EnergySupply, Violation, building_kpis
 
 
 def compute_kpis(

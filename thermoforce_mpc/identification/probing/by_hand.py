@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Record
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.data.clock import hour_of_day
 from thermoforce_mpc.data.series import bridged
 from thermoforce_mpc.errors import DataError
@@ -110,7 +111,7 @@ def probe_schedule(
         )
     rise = _rise_K(future, layout, u)
     T = usual[:, None] + rise
-    outside = np.maximum(lower[:, None] - T, 0.0) + np.maximum(T - upper[:, None], 0.0)
+    outside = excess(T, lower[:, None], upper[:, None])
     names = tuple(layout.names.actuators[a] for a in probed)
     time_s = np.asarray(begin + np.arange(n + 1) * HOUR_S)
     return ProbeSchedule(record, time_s, u, names, lower, upper, outside[:, 1:].sum(axis=1), np.abs(rise).max(axis=1))

@@ -28,6 +28,7 @@ from thermoforce_mpc.data import (
     PlantInfo,
     Record,
 )
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.data.compiled import sources_hash
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.embedded import exposure
@@ -36,7 +37,7 @@ from thermoforce_mpc.plants.embedded.envelope import AS_SCHEDULED, COOKING, PEOP
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
 from thermoforce_mpc.plants.embedded.kernel import STEP_S, integrals
 from thermoforce_mpc.plants.embedded.schedule import OccupancySchedule
-from thermoforce_mpc.plants.kpis import PEAKS, EnergySupply, Violation, building_kpis, excess, peak_power
+from thermoforce_mpc.plants.kpis import PEAKS, EnergySupply, Violation, building_kpis, peak_power
 from thermoforce_mpc.plants.people import live
 from thermoforce_mpc.plants.points import (
     acting_means,

@@ -15,6 +15,7 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
 from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.data import DAY_S, Array, Block, Boundary, Period, PlantInfo
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.energyplus.engine import (
     R,
@@ -25,7 +26,7 @@ from thermoforce_mpc.plants.energyplus.engine import (
     run_engine,
     weather_file,
 )
-from thermoforce_mpc.plants.kpis import PEAKS, EnergySupply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.kpis import PEAKS, EnergySupply, Violation, building_kpis
 from thermoforce_mpc.plants.shell import PlantShell, Samples, WithProcess, day_period
 from thermoforce_mpc.plants.worker_process import PATIENCE_S, PIECE_S, START_S, Failed, WorkerProcess, channel
 from thermoforce_mpc.scenario.testcase import TestCase

@@ -17,10 +17,11 @@ from boptest_client import Point
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.boundary.periods import centred_window
 from thermoforce_mpc.data import ZERO_C_K, Array, Block, Boundary, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.fmu.archive import FmuArchive, read_archive, unpack
 from thermoforce_mpc.plants.fmu.process import FmuRun
-from thermoforce_mpc.plants.kpis import PEAKS, EnergySupply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.kpis import PEAKS, EnergySupply, Violation, building_kpis
 from thermoforce_mpc.plants.points import (
     acting_means,
     boundary,
