@@ -124,7 +124,7 @@ class ReadingsFilter:
                 context = yield from self._predictor.contexting(Observation(begin, measured))
                 sensors[z] = self.sensors.anchored(state.sensors, begin, context)[z]
             return replace(state, sensors=tuple(sensors)), self._predictor.followed(history)
-        except Exception:  # prediction meets the same error and says it
+        except DataError:  # the record until then tells too little to predict from
             return state, None
 
     def _without_sun(self, history: Record, state: MPCState) -> Computation[tuple[Record, MPCState, str]]:
