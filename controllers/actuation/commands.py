@@ -59,6 +59,11 @@ class CommandedLoop:
     age_s: float = 0.0
     off: tuple[float, ...] = ()
 
+    @property
+    def usual_row(self) -> Array:
+        """What the command usually is, in all parts (P,)."""
+        return np.repeat(self.usual, self.parts)
+
     def is_on(self, values: Array) -> Array:
         """Share of a step in which the machine may run, with commands (S, n) in its parts, (S,)."""
         return share_on(values, self.off)

@@ -15,14 +15,14 @@ from controllers.actuation.runs import in_runs, limits_not_planned, needs_runs, 
 from controllers.checks import ControllerConfigError, check_names, message_of
 from controllers.monitoring.watch import Watch
 from controllers.mpc.acting import ActuatedController
-from controllers.mpc.commanding import (
+from controllers.mpc.commands.commanding import (
     MOST_SOLVES,
     NOT_BETTER,
     BuildingCommands,
-    meters_of,
     with_command_states,
     with_commands,
 )
+from controllers.mpc.commands.costs import meters_of
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.courses import Courses
 from controllers.mpc.formulation import Formulation, Instance

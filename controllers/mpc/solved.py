@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from controllers.actuation.actuators import Actuators, Demand, PowerLimit
 from controllers.actuation.room_setpoints import room_blocks, within_C
-from controllers.mpc.commanding import Commanded
+from controllers.mpc.commands.commanding import Commanded
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.formulation import Instance
 from controllers.mpc.readings import Forecast, Readings, joined

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from home_by_curve import ENABLE_RULES, FLOW_RULES, ROOMS, HomeByCurve, curve_C, curve_model
 
-from controllers.mpc.commanding import meters_of
+from controllers.mpc.commands.costs import meters_of
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.data import Observation

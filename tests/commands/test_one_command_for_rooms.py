@@ -151,7 +151,7 @@ def test_what_else_is_on_the_meter_is_no_cost_of_heat(home, measured, monkeypatc
             np.empty(0), 0.0, 3.0, np.full(1, np.nan), np.zeros(4), np.zeros((4, 4)), base_W, np.full(24, base_W),
             np.empty((0, 24)),
         )  # fmt: skip
-        monkeypatch.setattr("controllers.mpc.commanding.learn_meter", lambda command, seen, one=unmoved: one)
+        monkeypatch.setattr("controllers.mpc.commands.costs.learn_meter", lambda command, seen, one=unmoved: one)
         ahead = read_forecast(home.forecast(), measured)
         found.append(controller(home, measured).plan(Observation(measured.record, ahead)))
     assert found[1].saving.cost_alone > found[0].saving.cost_alone + 1.0

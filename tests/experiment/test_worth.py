@@ -16,7 +16,7 @@ from home_by_curve import SG_RULES, START, HomeByCurve, curve_model
 from simple_house import GAIN_K, POLE, OutdoorResponse, outdoor_C, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.mpc.commanding import meters_of
+from controllers.mpc.commands.costs import meters_of
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.commands.contacts import SGReady
 from thermoforce_mpc.commands.heating_curve import CurveOffset

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from controllers.mpc.commanding import meters_of
+from controllers.mpc.commands.costs import meters_of
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.commands.loop import LearnedCommand

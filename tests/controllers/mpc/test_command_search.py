@@ -9,7 +9,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from controllers.actuation.commands import CommandState
-from controllers.mpc.command_search import Knob, better_commands
+from controllers.mpc.commands.search import Knob, better_commands
 from thermoforce_mpc.commands.kinds import AnyCommand
 
 N, PARTS, PART_S = 24, 4, 900.0

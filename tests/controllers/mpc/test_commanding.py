@@ -10,7 +10,7 @@ import pytest
 from home_by_curve import ROOMS, RULES, HomeByCurve, curve_model
 
 from controllers.actuation.actuator import ActuationState
-from controllers.mpc.commanding import BuildingCommands
+from controllers.mpc.commands.commanding import BuildingCommands
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.optimisation.problem import Exchange, PowerCap
