@@ -354,22 +354,18 @@ def _cold_mornings(found: BuiltCase, case: PanelCase) -> BuiltCase:
     return replace(found, plant=plant, testcase=office.testcase, period=office.period("cold_week"))
 
 
-def _other_load(found: BuiltCase, case: PanelCase) -> BuiltCase:
-    def shows(measurement: Measurement) -> Measurement:
-        by_day = 6.0 <= measurement.time_s % DAY_S / HOUR_S <= 18.0
-        return replace(measurement, power_W=measurement.power_W + (_OTHER_W if by_day else 0.0))
+def _other_load(W: float, since: Callable[[float, Period], bool]) -> Callable[[BuiltCase, PanelCase], BuiltCase]:
+    """Another load of `W` by day on the meter, at times `since` says of the controlled week."""
 
-    return replace(found, plant=MeddledPlant(found.plant, shows))
+    def of(found: BuiltCase, case: PanelCase) -> BuiltCase:
+        def shows(measurement: Measurement) -> Measurement:
+            time_s = float(measurement.time_s)
+            on = 6.0 <= time_s % DAY_S / HOUR_S <= 18.0 and since(time_s, found.period)
+            return replace(measurement, power_W=measurement.power_W + (W if on else 0.0))
 
+        return replace(found, plant=MeddledPlant(found.plant, shows))
 
-def _other_load_ends(found: BuiltCase, case: PanelCase) -> BuiltCase:
-    """Another load by day on the meter, twice as large, that ends with the probing."""
-
-    def shows(measurement: Measurement) -> Measurement:
-        on = 6.0 <= measurement.time_s % DAY_S / HOUR_S <= 18.0 and measurement.time_s <= found.period.start_s
-        return replace(measurement, power_W=measurement.power_W + (2.0 * _OTHER_W if on else 0.0))
-
-    return replace(found, plant=MeddledPlant(found.plant, shows))
+    return of
 
 
 def _wh_per_step(found: BuiltCase, case: PanelCase) -> BuiltCase:
@@ -441,8 +437,15 @@ FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "hours of the day": ("generated house", _asleep),
     "hours of the day of a unit": ("air unit", _unit_asleep),
     "hours of the day, less effect": ("generated house", _cold_mornings),
-    "other load": ("generated house", _other_load),
-    "other load, ended": ("generated house", _other_load_ends),
+    "other load": ("generated house", _other_load(_OTHER_W, lambda time_s, week: True)),
+    "other load, ended": (
+        "generated house",
+        _other_load(2.0 * _OTHER_W, lambda time_s, week: time_s <= week.start_s),
+    ),
+    "other load, begun": (
+        "generated house",
+        _other_load(2.0 * _OTHER_W, lambda time_s, week: time_s > week.start_s + _AFTER_S),
+    ),
     "watch": ("embedded", _changed("weak")),
     "watch, stays weak": ("embedded", _changed("weak", days=math.inf)),
     "watch, sensor moved": ("generated house", _moved_sensor),

@@ -180,8 +180,8 @@ RULES: tuple[Detector, ...] = (
     ),
     Detector(
         "other load",
-        "power and heat that laws are fitted to",
-        lambda ran: ran.notes("the meter holds another load"),
+        "power and heat that laws are fitted to; what the watch takes for a fault of the machine",
+        lambda ran: ran.notes("the meter holds another load") + ran.news("another load, no fault"),
         identification={"foreign_loads": False},
     ),
     Detector(

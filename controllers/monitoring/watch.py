@@ -72,6 +72,7 @@ from thermoforce_mpc.model.machine.blocked_hours import (
     said,
 )
 from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.machine.other_load import GONE, left_while_off
 from thermoforce_mpc.model.operator.building import forced_rollout
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -229,9 +230,11 @@ class WatchState:
     `tracks`: the model in use; while standing back also its candidates for return. `blocked`: hours in which nothing
     comes whatever is asked for, by direction; `hours`: what acting does by hour of the day. `asked`: (start s, mean
     level) that the last plans requested. `ratios`: (time s, measured heat or power over modelled). `alarm`: why control
-    was handed back at `since_s`, empty while the model is in use; `of_levels`: for levels that were not followed.
+    was handed back at `since_s`, empty while the model is in use; `of_levels`: for levels that were not followed,
+    `of_machine`: for what its meter showed.
     `wait_h`: shortest time of standing back; `returned_s`: last return, and `news` what to say of it in this step's
-    plan. `tried`: (begin s, level) of the hour that was last tried though plans would do without it.
+    plan. `tried`: (begin s, level) of the hour that was last tried though plans would do without it. `other_W`: what
+    another load brought to the meter of power that would else be a fault of the machine; 0 where none does.
     """
 
     tracks: tuple[Track, ...] = (Track(),)
@@ -241,11 +244,13 @@ class WatchState:
     ratios: tuple[tuple[float, float], ...] = ()
     alarm: str = ""
     of_levels: bool = False
+    of_machine: bool = False
     since_s: float = -math.inf
     wait_h: float = 0.0
     returned_s: float = -math.inf
     news: str = ""
     tried: tuple[float, float] = (-math.inf, 0.0)
+    other_W: float = 0.0
 
     @property
     def without_hours(self) -> WatchState:
@@ -610,10 +615,16 @@ class Watch:
         state = self._with_hour_effects(state, now, history.origin)
         if state.news and state.of_levels and not _not_following(state, history):
             return self._returned(state, state.tracks[0], now, f"{state.news}; control returns")
+        if state.of_machine:
+            _, explained, seen = self._machine_fault(state, history)
+            if explained:
+                news = f"{seen.news or 'another load explains what the meter of power showed'}; control returns"
+                return replace(self._returned(seen, seen.tracks[0], now, news), ratios=seen.ratios)
         if state.alarm:
             return self._return_if_holding(self._update_candidate(state, history), history)
         unfollowed = _not_following(state, history)
-        fault, state = (unfollowed, state) if unfollowed else self._machine_fault(state, history)
+        of_machine, _, state = ("", False, state) if unfollowed else self._machine_fault(state, history)
+        fault = unfollowed or of_machine
         shifted = "" if fault else self._shifted(state, now)
         fault = fault or shifted or self._broken_promise(state.tracks[0]) or self._less_effect(state, now)
         if not fault:
@@ -630,7 +641,15 @@ class Watch:
         relapse = now - state.returned_s < _RELAPSE_H * HOUR_S
         shortest_h = _SHIFTED_H if shifted else self.config.return_h
         wait_h = min(max(2 * state.wait_h, shortest_h), _RELAPSE_H) if relapse else shortest_h
-        return replace(state, tracks=tuple(tracks), alarm=fault, of_levels=bool(unfollowed), since_s=now, wait_h=wait_h)
+        return replace(
+            state,
+            tracks=tuple(tracks),
+            alarm=fault,
+            of_levels=bool(unfollowed),
+            of_machine=bool(of_machine),
+            since_s=now,
+            wait_h=wait_h,
+        )
 
     def record_request(self, state: WatchState, time_s: float, level: float) -> WatchState:
         """The state with the mean `level` requested in the step from `time_s` (NaN: native control)."""
@@ -775,33 +794,58 @@ class Watch:
         ahead_s = self.leads[lead] * self.step_s
         return np.array([hours.over(end_s - ahead_s, ahead_s) for end_s in time_s.tolist()], dtype=bool)
 
-    def _machine_fault(self, state: WatchState, history: Record) -> tuple[str, WatchState]:
+    def _machine_fault(self, state: WatchState, history: Record) -> tuple[str, bool, WatchState]:
+        """What the machine's meters say against it, whether another load explains it, and the state with them."""
         now = float(history.time_s[-1])
         if not self.due(now):
-            return "", state
-        last_s = now - JUDGED_H[-1] * HOUR_S
+            return "", False, state
+        last_s = (state.since_s if state.alarm else now) - JUDGED_H[-1] * HOUR_S
         recent = [item for item in state.asked if item[0] >= last_s and not state.hours.over(item[0], self.step_s)]
         for way in state.blocked:
             recent = list(way.outside(recent))
-        comparison = machine_ratio(recent, history, self._model.operator.heat_input.law, self._power)
+        law = self._model.operator.heat_input.law
+        comparison = machine_ratio(recent, history, law, self._power)
         if comparison is None:
-            return "", state
+            return "", False, state
         meter, ratio = comparison
         before = [value for time_s, value in state.ratios if now - time_s > JUDGED_H[-1] * HOUR_S]
-        ratios = tuple(item for item in state.ratios if now - item[0] <= _USUAL_DAYS * DAY_S)
-        state = replace(state, ratios=(*ratios, (now, ratio)))
-        # A map that never fitted this machine is no change of the machine.
-        if len(before) < _LEAST_RATIOS:
-            return "", state
         last = history.last(min(history.n_steps, round(JUDGED_H[-1] * HOUR_S / self.step_s)))
         limit = self._machine_factor * (1.0 + self._beyond_identified(last))
-        change = ratio / max(float(np.median(before)), 1e-6)
+        usual = max(float(np.median(before)), 1e-6) if before else 1.0
         # A model that was adapted to the machine does not show how the machine was at first.
         adaptation = state.tracks[0].adaptation
         adapted = adaptation is not None and adaptation.adapted
-        if any(1.0 / limit <= value <= limit for value in ((change,) if adapted else (ratio, change))):
-            return "", state
-        return f"the machine's {meter} was {ratio:.0%} of the model's in the last hours ({change:.0%} of before)", state
+
+        def fits(ratio: float) -> bool:
+            values = (ratio / usual,) if adapted else (ratio, ratio / usual)
+            return any(1.0 / limit <= value <= limit for value in values)
+
+        # A map that never fitted this machine is no change of the machine.
+        differs = len(before) >= _LEAST_RATIOS and not fits(ratio)
+        fault = (
+            f"the machine's {meter} was {ratio:.0%} of the model's in the last hours ({ratio / usual:.0%} of before)"
+        )
+        other_W = self._left_while_off(history) if meter == "power" else None
+        explained = False
+        if differs and other_W is not None:
+            with_other = machine_ratio(recent, history, law, partial(self._with_other, least_most_W=other_W))
+            explained = with_other is not None and fits(with_other[1])
+            ratio = with_other[1] if with_other is not None and explained else ratio
+        ratios = tuple(item for item in state.ratios if now - item[0] <= _USUAL_DAYS * DAY_S)
+        state = replace(state, ratios=(*ratios, (now, ratio)))
+        if other_W is not None:
+            state = _said_of_other(state, max(other_W, key=abs), explains=explained)
+        return fault if differs and not explained else "", explained, state
+
+    def _left_while_off(self, history: Record) -> tuple[float, float] | None:
+        """Least and most that the meter of power shows beyond what is expected, W, see `left_while_off`."""
+        rest_W = history.power_W[0] - self._power(history, 0)
+        return left_while_off(history.u, history.time_s[:-1], history.T_out_C[:-1], rest_W)
+
+    def _with_other(self, history: Record, first: int, *, least_most_W: tuple[float, float]) -> Array:
+        """The power expected from step `first` on, W, and as much between least and most as the meter shows beyond."""
+        expected_W = self._power(history, first)
+        return expected_W + np.clip(history.power_W[0, first:] - expected_W, *least_most_W)
 
     def _update_candidate(self, state: WatchState, history: Record) -> WatchState:
         """The state with a candidate whose gain and heat are scaled to what was measured since; every 6 h.
@@ -879,7 +923,15 @@ class Watch:
         in_use = replace(best.cleared(), name=IN_USE, adaptation=best.adaptation, predictor=best.predictor)
         # The machine as it is now is the new reference of its meters.
         return replace(
-            state, tracks=(in_use,), ratios=(), asked=(), alarm="", of_levels=False, returned_s=now, news=news
+            state,
+            tracks=(in_use,),
+            ratios=(),
+            asked=(),
+            alarm="",
+            of_levels=False,
+            of_machine=False,
+            returned_s=now,
+            news=news,
         )
 
     def _with_blocked_hours(self, state: WatchState, history: Record) -> WatchState:
@@ -946,6 +998,18 @@ class Watch:
             if inside.size < _JUDGED * expected or np.mean(inside) < _INSIDE:
                 return False
         return True
+
+
+def _said_of_other(state: WatchState, other_W: float, *, explains: bool) -> WatchState:
+    """The state with what is new of another load, of which the last day shows `other_W` while the machine is off."""
+    if explains and not state.other_W:
+        differs = f"up to {abs(other_W):.0f} W {'more' if other_W > 0.0 else 'less'} than the model says"
+        news = f"the meter of power shows {differs}, also while the machine is off: another load, no fault of it"
+    elif not explains and abs(other_W) < GONE * abs(state.other_W):
+        other_W, news = 0.0, "the meter of power lacks the other load while the machine is off: it has ended"
+    else:
+        return state
+    return replace(state, other_W=other_W, news="; ".join(filter(None, [state.news, news])))
 
 
 def _not_following(state: WatchState, history: Record) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -36,7 +37,7 @@ from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import linear_operator
-from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.model.thermal_model import ThermalModel, ZoneModel
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.report.display import RunDisplay
 from thermoforce_mpc.report.findings import watch_spells
@@ -399,7 +400,59 @@ def watch_of(ranges: dict[str, tuple[float, float]], gain_sd: float = 0.0) -> Wa
     zone = simple_model().only
     known = {"step_response_1h_K": 1.0, "step_response_1h_sd_K": gain_sd} if gain_sd else {}
     sure = replace(zone, card=replace(zone.card, ranges=ranges, uncertainty=known))
-    return Watch(WatchConfig(), sure, 48, lambda record, first: zone.power(record.u[0], record.T_out_C[:-1])[first:])
+    return Watch(WatchConfig(), sure, 48, power_of(zone))
+
+
+def power_of(zone: ZoneModel) -> Callable[[Record, int], np.ndarray]:
+    return lambda record, first: zone.power(record.u[0], record.T_out_C[:-1])[first:]
+
+
+def watched_meter(step_h: float, more_W) -> tuple[list[tuple[float, str]], list[str]]:
+    """News (h since the begin) and alarms of the watch over a machine that runs 2 h of 5 for 70 h.
+
+    `more_W(hour, u)` (n,): what its meter shows beyond its power.
+    """
+    zone, per_h = simple_model().only, round(1.0 / step_h)
+    watch = Watch(WatchConfig(), replace(zone, operator=zone.operator.resampled(HOUR_S * step_h)), 48, power_of(zone))
+    state, hour = WatchState(), step_h * np.arange(70 * per_h)
+    u, T_out = np.where(hour % 5 < 2, 1.0, 0.0), np.full(hour.size + 1, OUT_C)
+    meter_W = zone.power(u, T_out[:-1]) + more_W(hour, u)
+    time_s, T_zone, nothing = (
+        HOUR_S * step_h * np.arange(T_out.size),
+        np.full(T_out.size, ZONE_C),
+        np.full(u.size, np.nan),
+    )
+    record = Record(time_s, T_zone, T_out, 0.0 * T_out, u, meter_W, nothing)
+    told, alarms = [], []
+    for k in range(per_h, hour.size):
+        state = watch.record_request(state, float(time_s[k]), float(u[k]))
+        state = watch.validate(state, record.slice(0, k + 1), None, None)
+        told += [(float(hour[k]) + step_h, state.news)] * bool(state.news)
+        alarms += [state.alarm] * bool(state.alarm)
+    return told, alarms
+
+
+@pytest.mark.parametrize("step_min", [5, 15, 60])
+@pytest.mark.parametrize("begins_h", [33, 30], ids=["while the machine is off", "while it runs"])
+def test_a_load_that_begins_on_the_meter_and_ends_is_no_fault_of_the_machine(begins_h, step_min):
+    """One that begins while the machine runs is taken for its fault until that is off."""
+    told, alarms = watched_meter(
+        step_min / 60.0, lambda hour, u: np.where((hour >= begins_h) & (hour < 42), 3000.0, 0.0)
+    )
+    assert len(alarms) * step_min <= 120.0 * (begins_h == 30)
+    assert bool(alarms) == (begins_h == 30)
+    (began_h, began), (ended_h, ended) = told
+    assert begins_h < began_h <= 36
+    assert began.startswith("the meter of power shows up to 3000 W more than the model says, also while the machine is")
+    assert ("control returns" in began) == (begins_h == 30)
+    assert 64 <= ended_h <= 68, "a day after the machine was last off with it"
+    assert "lacks the other load while the machine is off: it has ended" in ended
+
+
+def test_a_machine_that_takes_more_than_before_while_it_runs_is_at_fault():
+    told, alarms = watched_meter(1.0, lambda hour, u: np.where(hour >= 30, 3000.0 * u, 0.0))
+    assert "the machine's power was" in alarms[0]
+    assert not any("load" in news for _, news in told)
 
 
 def judged_after(ranges: dict[str, tuple[float, float]], error_K: float = 0.0) -> tuple[Judged, float]:

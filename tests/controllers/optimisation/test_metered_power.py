@@ -100,23 +100,19 @@ def test_another_load_that_has_ended_is_said_and_counted_with_no_more():
         return replace(house, history=replace(house.history, u=levels, power_W=held_W, heat_W=held_W.copy()))
 
     peaks = mpc(beside, peak_price_per_kW=1.0)
-    for ended_h, others, others_W in (
-        (8, [], 500.0),
-        (9, ["power of machine", "heat of actuator"], 0.0),
-        (10, [], 0.0),
-    ):
+    both = ["power of machine", "heat of actuator"]
+    for ended_h, others, others_W in ((4, [], 500.0), (5, both, 0.0), (6, [], 0.0)):
         seen = off(ended_h)
-        told = [
-            text.partition(": the meter lacks the other load of 500 W") for text in peaks.plan(seen).news.split("; ")
-        ]
+        news = peaks.plan(seen).news.split("; ")
+        told = [text.partition(": the meter lacks the other load of 500 W") for text in news]
         assert [where for where, found, _ in told if found] == others
         instance = peaks.instance(peaks.predictor.context(seen), seen.history, peak_W=2000.0)
         assert instance.peak_so_far_W == pytest.approx(2000.0 - others_W)
+        # The machine is on in the last step, which tells nothing.
         u, heat_W = seen.history.u.copy(), seen.history.heat_W.copy()
         u[0, -1], heat_W[0, -1] = 1.0, 3000.0
-        assert beside.own_heat(replace(seen.history, u=u, heat_W=heat_W)).heat_W[0, -1] == (
-            2500.0 if ended_h < 10 else 3000.0
-        )
+        own = beside.own_heat(replace(seen.history, u=u, heat_W=heat_W))
+        assert own.heat_W[0, -1] == (2500.0 if ended_h < 6 else 3000.0)
 
 
 def test_what_takes_the_place_of_a_plan_is_not_held_to_the_cap():

@@ -7,7 +7,7 @@ import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.other_load import OtherLoad, other_load, own_W
+from thermoforce_mpc.model.machine.other_load import OtherLoad, left_while_off, other_load, own_W
 from thermoforce_mpc.model.machine.power import PowerModel
 
 STEP_S, N = 900.0, 4 * 96
@@ -169,3 +169,19 @@ def test_a_load_that_lies_where_the_machine_was_never_seen_off_is_none():
 
     assert found((hour == 7) | (hour == 13)) is None
     assert found(hour % 2 == 1) is not None
+
+
+def test_what_a_meter_shows_while_the_machine_is_off_is_not_the_machines():
+    """900 W on the first day, none or 500 W on the second; 2 kW more while the machine runs."""
+    hour = np.arange(48.0)
+    on, T = hour % 4 < 2, np.full(48, 5.0)
+    rest_W = np.where(on, 2000.0, np.where(hour < 20, 900.0, np.where((hour >= 34) & (hour < 40), 500.0, 0.0)))
+
+    def found(u, steps=slice(None)):
+        return left_while_off(u[None, steps].astype(float), HOUR_S * hour[steps], T[steps], rest_W[steps])
+
+    assert found(on) == (0.0, 500.0)
+    assert found(on, slice(0, 20)) == (900.0, 900.0)
+    assert found(~on, slice(40, 48)) == (2000.0, 2000.0)
+    assert found(np.ones(48)) is None
+    assert found(on, slice(0, 0)) is None

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.data.clock import DAY_H, whole_hour
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE, MEASURED, error_of_a_step
@@ -50,7 +50,7 @@ _GUESSED = 0.75
 # Time with the machine off, s, by which a load is judged again in a run, and the share of it below which it is taken
 # back, where its own error is not as large. By judgement: a load that ended with the probing of generated house
 # 140930:0 (800 W by day) made the watch claim its heat pump three times in a week (2026-11-30).
-_JUDGED_S, _GONE = 6.0 * HOUR_S, 0.3
+_JUDGED_S, GONE = 6.0 * HOUR_S, 0.3
 
 
 @dataclass(frozen=True)
@@ -91,15 +91,14 @@ class OtherLoad:
         believed = np.ones(time_s.size, dtype=bool)
         if time_s.size < 2:
             return believed
-        off, law_W = np.asarray((np.abs(u) <= LEVEL_EDGE).all(axis=0)), self(time_s, T_out_C)
-        tells = off & np.isfinite(meter_W) & np.isfinite(law_W) & (_off_h(off, time_s) > _AFTER_H + 1.0 / HOUR_S)
-        at = np.flatnonzero(tells & (law_W >= 0.5 * self.mean_W) & ~np.isin(whole_hour(time_s), self.at_times))
-        n = max(_LEAST_STEPS, round(_JUDGED_S / float(time_s[1] - time_s[0])))
+        law_W = self.steady(time_s, T_out_C)
+        at = np.flatnonzero(_settled(u, time_s, T_out_C, meter_W) & (law_W >= 0.5 * self.mean_W))
+        n = max(round(_JUDGED_S / float(time_s[1] - time_s[0])), 1)
         if at.size < n:
             return believed
         sums_W = np.cumsum(np.vstack([np.zeros((1, 2)), np.column_stack([law_W, meter_W])[at]]), axis=0)
         law, meter = ((sums_W[n:] - sums_W[:-n]) / n).T
-        holds = law - meter <= np.maximum((1.0 - _GONE) * law, self.rmse_W)
+        holds = law - meter <= np.maximum((1.0 - GONE) * law, self.rmse_W)
         latest = np.searchsorted(at[n - 1 :], np.arange(time_s.size), side="right") - 1
         return np.asarray(np.where(latest < 0, True, holds[latest]))
 
@@ -140,8 +139,7 @@ def other_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> Other
     """
     off = np.asarray((np.abs(u) <= LEVEL_EDGE).all(axis=0))
     known = np.isfinite(meter_W) & np.isfinite(T_out_C) & np.isfinite(u).all(axis=0)
-    off_h = _off_h(off, time_s)
-    settled = off & known & (off_h > _AFTER_H + 1.0 / HOUR_S)
+    off_h, settled = _off_h(off, time_s), _settled(u, time_s, T_out_C, meter_W)
     if settled.sum() < _LEAST_STEPS or not (known & ~off).any():
         return None
     on = known & ~off
@@ -208,6 +206,24 @@ def own_W(
         else:
             rows.append(sign * np.maximum(sign * row - other.steady(time_s, T_out_C), 0.0))
     return np.stack(rows)
+
+
+def left_while_off(u: Array, time_s: Array, T_out_C: Array, rest_W: Array) -> tuple[float, float] | None:
+    """Least and most of `rest_W` (n,), what a meter shows beyond what is expected, in the last day with the machine
+    off, W: that is not the machine's; None where it was not off.
+
+    `u` (A, n), `time_s`, `T_out_C` (n,) as for `other_load`.
+    """
+    seen = _settled(u, time_s, T_out_C, rest_W)
+    seen &= time_s >= time_s[-1:] - DAY_S
+    return (float(rest_W[seen].min()), float(rest_W[seen].max())) if seen.any() else None
+
+
+def _settled(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> NDArray[np.bool_]:
+    """Whether a step (n,) shows what else is on a meter: all is known, and the machine has been off for a while."""
+    off = np.asarray((np.abs(u) <= LEVEL_EDGE).all(axis=0))
+    known = np.isfinite(meter_W) & np.isfinite(T_out_C) & np.isfinite(u).all(axis=0)
+    return np.asarray(off & known & (_off_h(off, time_s) > _AFTER_H + 1.0 / HOUR_S))
 
 
 def _lacking(load: OtherLoad, time_s: Array, T_out_C: Array, meter_W: Array) -> float:
