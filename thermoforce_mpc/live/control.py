@@ -117,7 +117,17 @@ def control(
     """
     sets = set_by(building.connection) if sets is None else sets
     driver = _Building(
-        building, controller, clock or WallClock(), steps, delay_s, dry, kept, journal, told, acts, watchdog
+        building=building,
+        controller=controller,
+        clock=clock or WallClock(),
+        left=steps,
+        delay=pd.Timedelta(seconds=delay_s),
+        dry=dry,
+        kept=kept,
+        journal=journal,
+        told=told,
+        acts=acts,
+        watchdog=watchdog,
     )
     with sole_control(sets) if sets and acts and not dry else nullcontext():
         return Loop(driver, controller, outage_h).run()
@@ -140,34 +150,32 @@ def until_taken(attempt: Callable[[], bool], clock: Clock, failed: str, remedy: 
     raise PlantError(f"{failed} in {_RELEASES} attempts: {remedy}") from interrupt
 
 
+@dataclass(eq=False, kw_only=True)
 class _Building:
-    """A real building as the driver of a loop: it goes on by itself, and may fail at any time."""
+    """A real building as the driver of a loop: it goes on by itself, and may fail at any time.
 
-    def __init__(
-        self,
-        building: LiveBuilding,
-        controller: Controller,
-        clock: Clock,
-        steps: int | None,
-        delay_s: float,
-        dry: bool,
-        kept_state: KeptState | None,
-        journal: LiveJournal | None,
-        on_decision: Callable[[Decision], None],
-        acts: bool,
-        watchdog: Watchdog | None,
-    ) -> None:
-        self._building, self._controller, self._clock = building, controller, clock
-        self._step, self._delay = pd.Timedelta(seconds=controller.step_s), pd.Timedelta(seconds=delay_s)
-        self._left, self._dry = steps, dry
-        self._on_decision, self._kept_state, self._journal = on_decision, kept_state, journal
+    `left`: decisions still to be made, None: no end; the others as in `control`.
+    """
+
+    building: LiveBuilding
+    controller: Controller
+    clock: Clock
+    left: int | None
+    delay: pd.Timedelta
+    dry: bool
+    kept: KeptState | None
+    journal: LiveJournal | None
+    told: Callable[[Decision], None]
+    acts: bool
+    watchdog: Watchdog | None
+
+    def __post_init__(self) -> None:
+        self._step = pd.Timedelta(seconds=self.controller.step_s)
         self._given = Given(None, None)
-        self._acts, self._watchdog = acts, watchdog
         # A tank of which nothing was learned stays the device's.
-        self._sets_tank = (
-            getattr(controller, "hot_water", None) is not None and building.command_of(TANK_NAME) is not None
-        )
-        self._allowed = limits_of(controller)
+        learned = getattr(self.controller, "hot_water", None) is not None
+        self._sets_tank = learned and self.building.command_of(TANK_NAME) is not None
+        self._allowed = limits_of(self.controller)
         self._instant: pd.Timestamp | None = None
         self._applied: list[Applied] = []
         self._commands: dict[str, SetCommand] = {}
@@ -178,18 +186,18 @@ class _Building:
 
     def begin(self) -> object:
         """See `LoopDriver.begin`: the state that was kept, if it is of this controller and young enough."""
-        self._next = self._building.instant(self._clock.now())
-        if self._journal is not None and (origin := self._journal.origin()) is not None:
-            self._building.count_from(pd.Timestamp(origin))
-        if self._kept_state is None or (kept := self._kept_state.load(self._next)) is None:
+        self._next = self.building.instant(self.clock.now())
+        if self.journal is not None and (origin := self.journal.origin()) is not None:
+            self.building.count_from(pd.Timestamp(origin))
+        if self.kept is None or (kept := self.kept.load(self._next)) is None:
             return None
-        self._building.count_from(pd.Timestamp(kept.origin))
+        self.building.count_from(pd.Timestamp(kept.origin))
         self._applied = list(kept.applied)
         # What ended meanwhile, or was given back, is not held any more.
-        now = self._clock.now()
+        now = self.clock.now()
         self._commands = {one.name: one for one in kept.commands if now <= pd.Timestamp(one.until)}
-        if self._acts:
-            self._building.remember(kept.told)
+        if self.acts:
+            self.building.remember(kept.told)
         return kept.state_at(self._next)
 
     def next_step(self) -> bool:
@@ -197,7 +205,7 @@ class _Building:
         self.begun_anew = False
         if self._instant is not None:
             # Steps that passed while this one was planned, or while the machine slept, are left out.
-            now = self._building.instant(self._clock.now() - self._delay)
+            now = self.building.instant(self.clock.now() - self.delay)
             self.begun_anew = now < self._instant
             if self.begun_anew:  # what is known is of times that are to come again
                 _LOG.warning(
@@ -206,18 +214,18 @@ class _Building:
                 self._applied, self._commands, self._next = [], {}, now
             else:
                 self._next = max(self._instant + self._step, now)
-        if self._left == 0:
+        if self.left == 0:
             return False
-        self._left = None if self._left is None else self._left - 1
+        self.left = None if self.left is None else self.left - 1
         self._instant, self._given = self._next, Given(None, None)
-        self._clock.wait_until(self._instant + self._delay)
+        self.clock.wait_until(self._instant + self.delay)
         return True
 
     def unfit(self, blocks: Sequence[Block]) -> str:
         """See `LoopDriver.unfit`: of each actuator its level is set, or the command of its map within its limits."""
         for block in blocks:
-            for name, u, told in zip(self._building.names, block.u, block.command, strict=True):
-                command = self._building.command_of(name)
+            for name, u, told in zip(self.building.names, block.u, block.command, strict=True):
+                command = self.building.command_of(name)
                 if isinstance(told, tuple):
                     return "room set-points, which a connection has none of"
                 if u is None:
@@ -233,8 +241,8 @@ class _Building:
 
     def read(self) -> Believed:
         """See `LoopDriver.read`."""
-        building, controller = self._building, self._controller
-        as_read = building.record(self._at, self._applied, self._clock.now())
+        building, controller = self.building, self.controller
+        as_read = building.record(self._at, self._applied, self.clock.now())
         self._given = Given(as_read, None)
         record, doubts = screened_history(as_read, self._allowed)
         model = getattr(controller, "model", None)
@@ -245,12 +253,12 @@ class _Building:
 
     def units(self) -> UnitDoubts | None:
         """See `LoopDriver.units`."""
-        return UnitDoubts(self._building.layout, getattr(self._controller, "model", None))
+        return UnitDoubts(self.building.layout, getattr(self.controller, "model", None))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """See `Plant.forecast`."""
         try:
-            forecast = self._building.forecast(horizon_s, interval_s)
+            forecast = self.building.forecast(horizon_s, interval_s)
         except NoForecast as error:
             self._given = replace(self._given, no_forecast=str(error))
             raise
@@ -276,27 +284,27 @@ class _Building:
         self._raised = isinstance(error, ControllerRaised)
         _LOG.warning("no decision at %s: %s", self._at, raised, exc_info=None if expected else raised)
         why = f"the building's own control: {raised if expected else f'{type(raised).__name__}: {raised}'}"
-        native = Block.native(len(self._building.names), self._controller.step_s)
-        plan = Plan((native,), PlanStatus.NATIVE, why, names=self._building.all_names)
+        native = Block.native(len(self.building.names), self.controller.step_s)
+        plan = Plan((native,), PlanStatus.NATIVE, why, names=self.building.all_names)
         return Decided(index, None, None, plan, (native,), before=state, after=state)
 
     def act(self, decided: Decided) -> object:
         """See `LoopDriver.act`."""
         self._raised = self._raised and decided.observation is None
         decided = self._with_holds(decided)
-        levels, time_s = [block.u for block in decided.blocks], self._building.time_s(self._at)
-        name, plan, refused = self._controller.name, decided.plan, decided.refused
+        levels, time_s = [block.u for block in decided.blocks], self.building.time_s(self._at)
+        name, plan, refused = self.controller.name, decided.plan, decided.refused
         # Of the forecast's table too, which was read after the measurements.
-        notes = decided.notes if decided.observation is None else (*self._building.left_out, *decided.notes)
+        notes = decided.notes if decided.observation is None else (*self.building.left_out, *decided.notes)
         log_decision(name, decided.index, time_s, plan, levels, refused, notes)
-        self._on_decision(Decision(self._at, plan, decided.blocks, refused, notes))
-        if self._journal is not None:
-            asked = (self._controller.horizon_s, self._controller.step_s)
+        self.told(Decision(self._at, plan, decided.blocks, refused, notes))
+        if self.journal is not None:
+            asked = (self.controller.horizon_s, self.controller.step_s)
             decision = replace(decided, notes=notes)
-            origin, layout = self._building.origin.isoformat(), self._building.layout
-            self._journal.decided(decision, time_s, self._given, asked, origin, layout)
-        if self._dry:
-            self._left = 0
+            origin, layout = self.building.origin.isoformat(), self.building.layout
+            self.journal.decided(decision, time_s, self._given, asked, origin, layout)
+        if self.dry:
+            self.left = 0
             return decided.after
         return self._apply(decided)
 
@@ -305,8 +313,8 @@ class _Building:
         try:
             self._release()
         finally:
-            if self._journal is not None:
-                self._journal.ended("control was ended")
+            if self.journal is not None:
+                self.journal.ended("control was ended")
 
     @property
     def _at(self) -> pd.Timestamp:
@@ -319,18 +327,18 @@ class _Building:
 
         What is known is kept first, and again after every block. Returns the state to go on from.
         """
-        begin, state = self._at + self._delay, decided.after
+        begin, state = self._at + self.delay, decided.after
         end = begin + self._step
         beyond_s = min(_NEXT_DECISION_S, self._step.total_seconds())
         self._keep(self._at, decided.before, state)
         # What is not set did not act: as if nothing had been planned.
-        acts = self._acts and not self._building.paused
+        acts = self.acts and not self.building.paused
         blocks, tank = decided.blocks if acts else (), self._tank_command(decided)
         if self._set and not acts:  # until now it was
-            self._set = not self._write((None,) * len(self._building.names), 0.0)
+            self._set = not self._write((None,) * len(self.building.names), 0.0)
         if not acts:
             self._commands = {}
-            self._record(Block.native(len(self._building.names), self._step.total_seconds()), begin)
+            self._record(Block.native(len(self.building.names), self._step.total_seconds()), begin)
             state = not_followed(decided.before, decided.after)
             self._keep(self._at, decided.before, state)
         left = list(blocks)
@@ -339,7 +347,7 @@ class _Building:
             until = min(begin + pd.Timedelta(seconds=block.duration_s), end)
             # A machine that slept may wake after the block's end.
             self._wait_until(begin)
-            if until > (now := self._clock.now()):
+            if until > (now := self.clock.now()):
                 hold_s = min((end - now).total_seconds(), self._step.total_seconds()) + beyond_s
                 block, later = self._as_may_be(block, now, (until - now).total_seconds())
                 if later is not None:
@@ -347,7 +355,7 @@ class _Building:
                     until -= pd.Timedelta(seconds=later.duration_s)
                 taken = self._write(block.told, hold_s, tank)
                 self._note_commands(block.told if taken else (None,) * len(block.told), now, hold_s)
-                start_s = self._building.time_s(begin)
+                start_s = self.building.time_s(begin)
                 # A plan whose levels were not taken did not act.
                 state = state if taken else not_followed(decided.before, decided.after)
                 # What a command brings is measured, not known.
@@ -366,18 +374,18 @@ class _Building:
     def _wait_until(self, at: pd.Timestamp) -> None:
         """No longer than a step, where the clock was set back; not at all where a signal to end was dropped."""
         raise_if_terminated()
-        self._clock.wait_until(min(at, self._clock.now() + self._step))
+        self.clock.wait_until(min(at, self.clock.now() + self._step))
 
     def _with_holds(self, decided: Decided) -> Decided:
         """What will be set where a command may not change yet, as `_as_may_be` says, and a note on each of these."""
-        if not self._acts or self._building.paused:
+        if not self.acts or self.building.paused:
             return decided
-        left, begin = list(decided.blocks), self._at + self._delay
+        left, begin = list(decided.blocks), self._at + self.delay
         blocks, notes = list[Block](), dict[str, None]()
         while left:
             planned = left.pop(0)
             end = begin + pd.Timedelta(seconds=planned.duration_s)
-            begins, begin = max(begin, self._clock.now()), end
+            begins, begin = max(begin, self.clock.now()), end
             if begins >= end:  # past, and not set any more
                 blocks.append(planned)
                 continue
@@ -386,18 +394,18 @@ class _Building:
                 left.insert(0, later)
                 begin -= pd.Timedelta(seconds=later.duration_s)
             blocks.append(block)
-            for name, wanted, value in zip(self._building.names, planned.told, block.told, strict=True):
-                if value != wanted and (command := self._building.command_of(name)) is not None:
+            for name, wanted, value in zip(self.building.names, planned.told, block.told, strict=True):
+                if value != wanted and (command := self.building.command_of(name)) is not None:
                     before = self._commands[name]
                     since = pd.Timestamp(before.since).tz_convert(self._at.tz)
-                    held = f"{self._building.key(name)}: {command.in_words(before.value)} was set at {since:%H:%M}"
+                    held = f"{self.building.key(name)}: {command.in_words(before.value)} was set at {since:%H:%M}"
                     stays = f"and stays for {command.hold_min:g} min (hold_min)"
                     notes[f"{held} {stays if value is not None else 'and may stay no longer'}"] = None
         return replace(decided, blocks=tuple(blocks), notes=(*decided.notes, *notes)) if notes else decided
 
     def _tank_command(self, decided: Decided) -> float | None:
         """What is set at the tank in the step; None: it is given back to the device."""
-        plan, command = decided.plan.hot_water, self._building.command_of(TANK_NAME)
+        plan, command = decided.plan.hot_water, self.building.command_of(TANK_NAME)
         value = None if plan is None or decided.refused or not self._sets_tank else plan.command[0]
         if value is None or command is None:
             return None
@@ -413,8 +421,8 @@ class _Building:
         rest of that time; those that would be held for too long are given back: plans count from the begins of steps.
         """
         out, lasts_s = list(block.told), seconds
-        for a, (name, value) in enumerate(zip(self._building.names, block.told, strict=True)):
-            command, before = self._building.command_of(name), self._commands.get(name)
+        for a, (name, value) in enumerate(zip(self.building.names, block.told, strict=True)):
+            command, before = self.building.command_of(name), self._commands.get(name)
             if command is None or before is None or not isinstance(value, float):
                 continue
             held_s = (now - pd.Timestamp(before.since)).total_seconds()
@@ -436,8 +444,8 @@ class _Building:
     def _note_commands(self, told: Sequence[CommandValue | None], now: pd.Timestamp, hold_s: float) -> None:
         """Note what is set since when, for `hold_s` s; what is left to itself is not."""
         until = (now + pd.Timedelta(seconds=hold_s)).isoformat()
-        for name, value in zip(self._building.names, told, strict=True):
-            if not isinstance(value, float) or self._building.command_of(name) is None:
+        for name, value in zip(self.building.names, told, strict=True):
+            if not isinstance(value, float) or self.building.command_of(name) is None:
                 self._commands.pop(name, None)
             else:
                 before = self._commands.get(name)
@@ -446,14 +454,14 @@ class _Building:
 
     def _record(self, block: Block, begin: pd.Timestamp) -> None:
         """Note a block in the journal, whose steps begin when they do, not when they are decided."""
-        if self._journal is not None:
-            self._journal.applied(block, self._building.time_s(begin - self._delay))
+        if self.journal is not None:
+            self.journal.applied(block, self.building.time_s(begin - self.delay))
 
     def _keep(self, instant: pd.Timestamp, before: object, after: object) -> None:
         self._decided = instant, before, after
-        if self._kept_state is not None:
-            origin = self._building.origin.isoformat()
-            self._kept_state.save(
+        if self.kept is not None:
+            origin = self.building.origin.isoformat()
+            self.kept.save(
                 Kept(
                     origin,
                     instant.isoformat(),
@@ -461,47 +469,47 @@ class _Building:
                     after,
                     tuple(self._applied),
                     commands=tuple(self._commands.values()),
-                    told=self._building.told,
+                    told=self.building.told,
                 )
             )
 
     def _write(self, told: Sequence[CommandValue | None], seconds: float, tank: float | None = None) -> bool:
-        names = self._building.names
+        names = self.building.names
         levels = {name: value if isinstance(value, float) else None for name, value in zip(names, told, strict=True)}
         if self._sets_tank:
             levels[TANK_NAME] = tank
         # What people set by hand is not in it, and the watchdog must not give it back either.
-        self._building.notice()
-        told_by_name = self._building.to_set(levels)
-        near = {self._building.key(name): self._building.nearness(name) for name in levels}
+        self.building.notice()
+        told_by_name = self.building.to_set(levels)
+        near = {self.building.key(name): self.building.nearness(name) for name in levels}
         ours = {key: (value, near[key]) for key, value in told_by_name.items() if value is not None}
         # Before the call: one that fails, or is interrupted, may have set them.
         anything = any(value is not None for value in told_by_name.values())
         self._set = self._set or anything
-        if self._watchdog is not None and anything:
-            self._watchdog.about_to_set(tuple(told_by_name), seconds, ours)
-        if self._watchdog is not None and not told_by_name:
-            self._watchdog.released()
+        if self.watchdog is not None and anything:
+            self.watchdog.about_to_set(tuple(told_by_name), seconds, ours)
+        if self.watchdog is not None and not told_by_name:
+            self.watchdog.released()
         try:
-            self._building.write(levels, seconds, told_by_name)
+            self.building.write(levels, seconds, told_by_name)
         except Exception as error:  # somebody's connection may raise anything
             _LOG.warning("the levels %s were not taken (%s: %s)", levels, type(error).__name__, error)
             return False
-        if self._watchdog is not None:
+        if self.watchdog is not None:
             if anything:
-                self._watchdog.set(tuple(told_by_name), seconds, ours)
+                self.watchdog.set(tuple(told_by_name), seconds, ours)
             else:
-                self._watchdog.released()
+                self.watchdog.released()
         return True
 
     def _release(self) -> None:
         """Give everything back, if anything was set; an interrupt meanwhile costs one attempt, and is raised after."""
         if not self._set:
             return
-        names = ", ".join(self._building.names)
+        names = ", ".join(self.building.names)
         interrupt = until_taken(
-            lambda: self._write((None,) * len(self._building.names), 0.0),
-            self._clock,
+            lambda: self._write((None,) * len(self.building.names), 0.0),
+            self.clock,
             f"the building did not take back {names}",
             "give them back to its own control by hand",
         )
@@ -512,7 +520,7 @@ class _Building:
     def _end_applied(self) -> None:
         if self._decided is None:
             return
-        now_s = self._building.time_s(self._clock.now())
+        now_s = self.building.time_s(self.clock.now())
         self._commands = {}
         self._applied = [
             replace(action, duration_s=min(action.duration_s, max(now_s - action.start_s, 0.0)))

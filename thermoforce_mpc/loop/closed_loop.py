@@ -184,21 +184,32 @@ def run_closed_loop(
         MemoryError: too little memory is left to begin a step.
     """
     began = time.perf_counter()
+    allowed = allowed or limits_of(controller)
     driver = _Simulated(
-        plant, controller, period, price, on_step, allowed, u_min, keeper, steps, record_days, units, state
+        plant,
+        period=period,
+        price=price,
+        step_s=controller.step_s,
+        on_step=on_step,
+        allowed=allowed,
+        u_min=allowed.u_min if u_min is None else u_min,
+        keeper=keeper,
+        steps=KeptSteps() if steps is None else steps,
+        record_days=record_days,
+        units_doubted=units,
+        state=state,
     )
     state = Loop(driver, controller, outage_h).run()
     kpis = plant.kpis() | {"time_rat": time_rat(driver.steps, controller.step_s)}
     return RunResult(period, controller.name, kpis, driver.steps, driver.start, time.perf_counter() - began, state)
 
 
+@dataclass(eq=False)
 class PlantDriver:
     """What drivers (`LoopDriver`) of a simulated plant share: it is its own clock, and its owner's."""
 
+    plant: Plant
     begun_anew = False
-
-    def __init__(self, plant: Plant) -> None:
-        self._plant = plant
 
     def unfit(self, blocks: Sequence[Block]) -> str:
         """See `LoopDriver.unfit`: the plant refuses itself what it has not."""
@@ -206,7 +217,7 @@ class PlantDriver:
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """See `Plant.forecast`."""
-        return self._plant.forecast(horizon_s, interval_s)
+        return self.plant.forecast(horizon_s, interval_s)
 
     def instead(self, index: int, error: Exception, state: object) -> Decided:
         """See `LoopDriver.instead`: nothing acts in the place of what cannot be decided about a simulated plant."""
@@ -216,42 +227,30 @@ class PlantDriver:
         """See `LoopDriver.end`: the plant is its owner's."""
 
 
+@dataclass(eq=False, kw_only=True)
 class _Simulated(PlantDriver):
-    """A simulated plant under a controller over a scored window."""
+    """A simulated plant under a controller of `step_s` over a scored window; the others as in `run_closed_loop`."""
 
-    start: Measurement
-
-    def __init__(
-        self,
-        plant: Plant,
-        controller: Controller,
-        period: Period,
-        price: str,
-        on_step: Callable[[StepRecord], None] | None,
-        allowed: ReadingLimits | None,
-        u_min: Sequence[float] | None,
-        keeper: StepKeeper | None,
-        steps: KeptSteps[StepRecord] | None,
-        record_days: float,
-        units: UnitDoubts | None,
-        state: object,
-    ) -> None:
-        super().__init__(plant)
-        self._state = state
-        self._period, self._price, self._step_s = period, price, controller.step_s
-        self._allowed = allowed or limits_of(controller)
-        self._u_min: float | Sequence[float] = self._allowed.u_min if u_min is None else u_min
-        self._on_step, self._keeper, self._units, self._record_days = on_step, keeper, units, record_days
-        self.steps: KeptSteps[StepRecord] = KeptSteps() if steps is None else steps
-        self._notes: tuple[str, ...] = ()
+    period: Period
+    price: str
+    step_s: float
+    on_step: Callable[[StepRecord], None] | None
+    allowed: ReadingLimits
+    u_min: float | Sequence[float]
+    keeper: StepKeeper | None
+    steps: KeptSteps[StepRecord]
+    record_days: float
+    units_doubted: UnitDoubts | None
+    state: object
+    start: Measurement = field(init=False)
 
     def begin(self) -> object:
         """See `LoopDriver.begin`."""
-        self.start = self._plant.reset(self._period.start_s, self._period.warmup_s, self._price)
-        self._end_s, self._now_s = self._period.start_s + self._period.scored_s, self.start.time_s
-        self._as_read = self._plant.past(self._step_s)
-        self._history, self._notes = screened_history(self._as_read, self._allowed)
-        return self._state
+        self.start = self.plant.reset(self.period.start_s, self.period.warmup_s, self.price)
+        self._end_s, self._now_s = self.period.start_s + self.period.scored_s, self.start.time_s
+        self._as_read = self.plant.past(self.step_s)
+        self._history, self._notes = screened_history(self._as_read, self.allowed)
+        return self.state
 
     def next_step(self) -> bool:
         """See `LoopDriver.next_step`."""
@@ -260,12 +259,12 @@ class _Simulated(PlantDriver):
     def read(self) -> Believed:
         """See `LoopDriver.read`."""
         as_read = self._history if self.steps else self._as_read
-        tank = self._plant.tank_now() if has_tank(self._plant) else (math.nan, False)
-        return Believed(self._history, as_read, self._notes, self._end_s - self._now_s, self._u_min, tank)
+        tank = self.plant.tank_now() if has_tank(self.plant) else (math.nan, False)
+        return Believed(self._history, as_read, self._notes, self._end_s - self._now_s, self.u_min, tank)
 
     def units(self) -> UnitDoubts | None:
         """See `LoopDriver.units`."""
-        return self._units
+        return self.units_doubted
 
     def act(self, decided: Decided) -> object:
         """See `LoopDriver.act`."""
@@ -274,15 +273,15 @@ class _Simulated(PlantDriver):
         assert observation is not None
         assert boundary is not None
         blocks = self._kept(decided, observation)
-        if has_tank(self._plant):
+        if has_tank(self.plant):
             of_tank = decided.plan.hot_water
-            self._plant.set_tank(None if of_tank is None or decided.refused else of_tank.command[0])
+            self.plant.set_tank(None if of_tank is None or decided.refused else of_tank.command[0])
         notes, samples = decided.notes, list[Sample]()
         parts: list[tuple[float, Measurement]] = []
         ahead_s = 0.0
         for block in blocks:
-            reported = advanced(self._plant, block)
-            measurement, rejected = screened(reported, self._allowed, self._history)
+            reported = advanced(self.plant, block)
+            measurement, rejected = screened(reported, self.allowed, self._history)
             parts.append((block.duration_s, with_level(measurement, block)))
             notes += rejected
             samples.append(sample_of(self._now_s, block, reported, boundary))
@@ -305,35 +304,35 @@ class _Simulated(PlantDriver):
             samples=tuple(samples),
             notes=tuple(dict.fromkeys(notes)),
         )
-        record = self._keeper.ended(record) if self._keeper else record
+        record = self.keeper.ended(record) if self.keeper else record
         self.steps.append(record)
         self._notes = ()
         if self.next_step():  # the last step may be cut short, and no plan follows it
             self._learn(parts, jumped)
-        if self._on_step:
-            self._on_step(record)
+        if self.on_step:
+            self.on_step(record)
         return decided.after
 
     def _kept(self, decided: Decided, observation: Observation) -> tuple[Block, ...]:
         """The blocks to apply, once the decision is recorded: of a run that is resumed those of then."""
-        if self._keeper is None:
+        if self.keeper is None:
             return decided.blocks
         kept = tuple(
-            self._keeper.decided(decided.index, observation.time_s, decided.plan, decided.blocks, decided.refused)
+            self.keeper.decided(decided.index, observation.time_s, decided.plan, decided.blocks, decided.refused)
         )
-        left_s = min(self._step_s, self._end_s - self._now_s)
-        if wrong := wrong_blocks(kept, left_s, self._u_min, self._history.names):
+        left_s = min(self.step_s, self._end_s - self._now_s)
+        if wrong := wrong_blocks(kept, left_s, self.u_min, self._history.names):
             raise DataError(f"the journal tells of {wrong}; was it edited? Start the run again")
         return kept
 
     def _learn(self, parts: list[tuple[float, Measurement]], jumped: bool) -> None:
         """Extend the history by what was measured in a step; after a jump of the clock it is read again."""
         if jumped:
-            self._history, self._notes = screened_history(self._plant.past(self._step_s), self._allowed)
+            self._history, self._notes = screened_history(self.plant.past(self.step_s), self.allowed)
         else:
             self._history = self._history.extended(parts[-1][1].averaged_with(parts))
-        if self._history.time_s[-1] - self._history.time_s[0] > (self._record_days + 1.0) * DAY_S:
-            self._history = self._history.last(round(self._record_days * DAY_S / self._step_s))
+        if self._history.time_s[-1] - self._history.time_s[0] > (self.record_days + 1.0) * DAY_S:
+            self._history = self._history.last(round(self.record_days * DAY_S / self.step_s))
 
 
 def time_rat(steps: Sequence[StepRecord], step_s: float) -> float:

@@ -318,7 +318,7 @@ class Probing(PlantDriver):
         """See `LoopDriver.act`."""
         for block in decided.blocks:
             self.blocks.append(block)
-            self.record = self.record.extended(advanced(self._plant, block))
+            self.record = self.record.extended(advanced(self.plant, block))
         self._on_step()
         return decided.after
 
