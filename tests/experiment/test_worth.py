@@ -181,7 +181,11 @@ def test_what_plans_would_have_saved_is_what_they_save_in_the_house() -> None:
     u = _levels(2)
     record, other = _run(u), _run(_nightly(u))
     conditions = _conditions(record)
-    found = worth(_model(0.1), record, conditions, _Nightly(), start_s=_FIRST * HOUR_S, days=4.0, draws=3, seed=1)
+    said: list[str] = []
+    asked = {"start_s": _FIRST * HOUR_S, "days": 4.0, "draws": 3, "seed": 1}
+    found = worth(_model(0.1), record, conditions, _Nightly(), **asked, progress=said.append)
+    assert [line.split(",")[0] for line in said if " again" not in line] == [f"house {k} of 4" for k in (1, 2, 3, 4)]
+    assert said[-1].endswith(f"over 4 days with a plan every 1 h; house 3 saves {found.draws[1]:.2f}")
     np.testing.assert_allclose(found.planned.T_zone_C, other.T_zone_C[:, _FIRST:], atol=1e-6)
     np.testing.assert_allclose(found.as_was.T_zone_C, record.T_zone_C[:, _FIRST:], atol=1e-9)
     kWh = [(run.power_W[0, _FIRST:] / 1000.0) for run in (record, other)]
@@ -203,7 +207,7 @@ def test_what_plans_would_have_saved_is_what_they_save_in_the_house() -> None:
     ending = conditions.price_per_kWh.copy()
     ending[:, -1] = np.nan
     conditions = replace(conditions, price_per_kWh=ending)
-    again = worth(_model(0.1), record, conditions, _Nightly(), start_s=_FIRST * HOUR_S, days=4.0, draws=3, seed=1)
+    again = worth(_model(0.1), record, conditions, _Nightly(), **asked)
     assert again.draws == found.draws
     # Of what costs more the band has the sign of the sentence.
     dearer = replace(found, saved=-0.31, low=-0.33, high=-0.28, cost_was=19.42)

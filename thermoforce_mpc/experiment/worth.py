@@ -243,7 +243,7 @@ def worth(
             known, so that hot water stays as it was; '' without one.
         error: of the weather forecasts; None: what was measured later.
         seed: of the draws.
-        progress: called with a line for each house.
+        progress: called with a line when a house begins, which says what the one before it saves.
 
     Raises:
         DataError: the stretch is not in the record, power, a price or a bound is not known, or the model knows no
@@ -264,19 +264,21 @@ def worth(
     houses = Houses(model, record, controller, draws=draws, seed=seed, commands=commands, hot_water=logged)
     period = Period("record", float(record.time_s[first]), n * step_s, 0.0)
     raised = Raised()
+    span = f"over {days:g} day{'s' * (days != 1)} with a plan every {step_s / HOUR_S:g} h"
+    progress(f"house 1 of {draws + 1}, the likeliest, {span}")
     for _ in range(_MOST_ROUNDS + 1):
         likeliest = houses.lived(0, period, conditions, raised=raised, error=error)
         outside_was_Kh = outside_Kh(likeliest.was, conditions, first)
-        progress(f"likeliest house: {likeliest.saved:+.2f}")
         more = raised.further(likeliest, outside_was_Kh, days)
         if more == raised:
             break
         raised = more
-        progress(f"colder than it was: plans with {raised.in_words}")
-    others = []
+        progress(f"house 1 again, since it was colder than it had been: plans with {raised.in_words}")
+    others: list[Lived] = []
     for k in range(1, draws + 1):
+        saved = (others[-1] if others else likeliest).saved
+        progress(f"house {k + 1} of {draws + 1}, {span}; house {k} saves {saved:.2f}")
         others.append(houses.lived(k, period, conditions, raised=raised, error=error))
-        progress(f"house {k} of {draws}: {others[-1].saved:+.2f}")
     low, high = band_of(likeliest.saved, [one.saved for one in others])
     price, was = conditions.price_per_kWh[:, first : first + n], likeliest.was
     power_kWh = energy_kWh(was.power_W, step_s)

@@ -28,6 +28,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record, energy_kWh
 from thermoforce_mpc.data.dataframes import seconds_at
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.report.display import RunDisplay
 from thermoforce_mpc.scenario.settings import parse_overrides, validate
 from thermoforce_mpc.whatif.counterfactual import Days
 from thermoforce_mpc.whatif.saving import Saving, verified_saving
@@ -114,22 +115,28 @@ def worth(
     if start is not None:
         start_s = float(record.time_s[0]) + record.nearest(seconds_at(record.origin, start, "--start")) * HOUR_S
     error = None if forecasts == "none" else ForecastError(forecasts, forecasts, seed)  # type: ignore[arg-type]
-    found = worth_of(
-        thermal,
-        record,
-        conditions,
-        controller,
-        start_s=start_s,
-        days=days,
-        draws=houses,
-        commands=learned,
-        hot_water=measured.map.tank_machine
-        if tank is None or measured.tank is None
-        else LoggedTank(tank, measured.tank),
-        error=error,
-        seed=seed,
-        progress=lambda line: click.echo(line, err=True),
-    )
+    with RunDisplay().phase("the record is made ready") as line:
+
+        def begins(house: str) -> None:
+            click.echo(house, err=True)
+            line.then(house)
+
+        found = worth_of(
+            thermal,
+            record,
+            conditions,
+            controller,
+            start_s=start_s,
+            days=days,
+            draws=houses,
+            commands=learned,
+            hot_water=measured.map.tank_machine
+            if tank is None or measured.tank is None
+            else LoggedTank(tank, measured.tank),
+            error=error,
+            seed=seed,
+            progress=begins,
+        )
     _show(found, console)
     if out is not None:
         write_table(out, found.to_dataframe(), console, "Course", worth=_as_json(found))
