@@ -775,6 +775,28 @@ def test_a_column_called_room_that_holds_temperatures_names_no_signals(tmp_path)
     assert "point: room, value: temperature" in starting_map(tmp_path / "long.csv")
 
 
+@pytest.mark.parametrize(("form", "begins"), [("%d.%m.%Y %H:%M", 6), ("%Y-%m-%dT%H:%MZ", 5)])
+@pytest.mark.parametrize("warm", [(6, 22), (22, 6)])
+def test_set_points_that_are_lowered_each_night_are_bounds_by_the_hour(tmp_path, form, begins, warm):
+    """By the map's clock; without them a plan keeps a room warm all night that people let cool."""
+    at = pd.date_range("2026-01-12", periods=N, freq="15min", tz=ZONE)
+    hour = np.roll(np.arange(24), -warm[0])[: (warm[1] - warm[0]) % 24]
+    asked = np.where(np.isin(at.hour, hour), 21.0, 18.0)
+    asked[200:206] = 23.0  # somebody turned it for an evening
+    stamps = at.strftime(form) if "Z" not in form else at.tz_convert("UTC").strftime(form)
+    table = pd.DataFrame({"Zeit": stamps, "Zimmer °C": HOUSE["living"].array, "Zimmer Soll °C": asked})
+    table["Bad °C"], table["Außen °C"] = HOUSE["bath"].array, HOUSE["out"].array
+    table.to_csv(tmp_path / "house.csv", index=False)
+    text = starting_map(tmp_path / "house.csv")
+    shift = begins - 6
+    expected = f"{warm[0] + shift}-{warm[1] + shift} 20.5-24, else 17.5-24"
+    assert yaml.safe_load(text)["comfort"]["schedule"] == {"zimmer": expected, "bad": "else 20-24"}
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    found = tf.read_measurements(tmp_path / "house.csv", tmp_path / "map.yaml")
+    lower = found.conditions.lower_C[0]
+    np.testing.assert_array_equal(lower, np.where(np.isin(at.hour, hour), 20.5, 17.5)[: lower.size])
+
+
 @pytest.mark.parametrize("rooms", [("Floor 1 Room 2", "Floor 2 Room 1"), ("Bad 1. OG", "Zone #1")])
 def test_rooms_whose_names_share_their_words_have_their_own_valves_and_setpoints(tmp_path, rooms):
     table = pd.DataFrame(

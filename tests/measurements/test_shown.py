@@ -78,7 +78,7 @@ def test_a_starting_map_reads_what_excel_writes(tmp_path, encoding):
 
 
 def test_a_set_point_and_a_window_are_those_of_their_room(tmp_path):
-    """A set-point that stays longest counts, as what is set at night does not; another room's window is not used."""
+    """What is set by day and by night are bounds by the hour; another room's window is not used."""
     at = pd.date_range("2025-01-10", periods=672, freq="15min", tz="Europe/Berlin")
     row = np.arange(672)
     df = pd.DataFrame({"time": at.strftime("%Y-%m-%d %H:%M"), "living temperature": 20 + row % 7 / 4})
@@ -87,8 +87,11 @@ def test_a_set_point_and_a_window_are_those_of_their_room(tmp_path):
     df["kitchen window"], df["living window"] = (row % 50 < 2).astype(int), (row % 70 < 2).astype(int)
     df.to_csv(tmp_path / "home.csv", index=False)
     text = starting_map(tmp_path / "home.csv")
-    zone = yaml.safe_load(text)["zones"]["living"]
-    assert (zone["lower"], zone["upper"], zone["window"]) == (21, 24, {"column": "living window"})
+    found = yaml.safe_load(text)
+    assert found["zones"]["living"] == {
+        "temperature": {"column": "living temperature", "unit": "°C"}, "window": {"column": "living window"},
+    }  # fmt: skip
+    assert found["comfort"]["schedule"] == {"living": "6-24 21-24, else 16.5-24"}
     assert "# not used: kitchen window" in text
     for name in ("living temperature", "living setpoint", "outdoor temperature"):
         df[name] = (1.8 * df[name] + 32.0).round(1)

@@ -453,10 +453,11 @@ class Guess:
 
 @dataclass(frozen=True)
 class Column:
-    """First readings of a signal: instants (n,) s, increasing, values (n,) NaN where none.
+    """First readings of a signal: instants (n,) s since 1970, increasing, values (n,) NaN where none.
 
-    `text`: it is mostly words; `unit`: one that stands elsewhere than in its name; `by`: what
-    values were multiplied by, where a line above the table says it; `words`: those that stand amid its numbers.
+    `text`: it is mostly words; `unit`: one that stands elsewhere than in its name; `by`: what values were multiplied
+    by, where a line above the table says it; `words`: those that stand amid its numbers; `zone`: of the map, where
+    instants are of UTC, '' where they are what a clock on the wall showed.
     """
 
     name: str
@@ -466,6 +467,7 @@ class Column:
     unit: str = ""
     by: float = 1.0
     words: tuple[str, ...] = ()
+    zone: str = ""
 
 
 def guesses(columns: Sequence[Column]) -> list[Guess]:

@@ -11,8 +11,10 @@ import numpy as np
 import pandas as pd
 import yaml
 
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses, place_in_order, tags, unit_of, words_of
+from thermoforce_mpc.measurements.map.habits import COMFORT_C, SETBACK_K, Habit, bounds_around, habit_of
 from thermoforce_mpc.measurements.map.mapping import converted
 from thermoforce_mpc.measurements.tables.clock import all_year, instants
 from thermoforce_mpc.measurements.tables.files import all_readings, found_files, head_of, named_after, stamps_of
@@ -36,11 +38,6 @@ from thermoforce_mpc.measurements.tables.recognition import (
 # Rows of a file that are looked at where its columns are signals, and readings of a signal where rows are readings.
 _ROWS, _READINGS = 20_000, 5_000
 _CHECK = "CHECK: "
-# Comfort bounds of a room of which nothing is known, °C: the least of EN 16798-1's category II for dwellings in winter,
-# and 4 K above it.
-_COMFORT_C = (20.0, 24.0)
-# A set-point that is lowered by this, K, tells of hours in which less is asked for.
-_SETBACK_K = 1.0
 # An hour that a clock shows twice has so many times the rows of the one before and after, at least.
 _HOUR, _REPEATED = pd.Timedelta("1h"), 1.5
 _HEAT_PAID = "heat, as no electric power is metered: so district heat is billed; of a boiler or heat pump set factor"
@@ -106,6 +103,7 @@ def _columns(taken: Recognised) -> list[Column]:
                 sum(words.values()) > np.isfinite(values).sum(),
                 unit_of(f"({units.get(name, '')})"),
                 words=tuple(word for word in words if word and not _NUMBER.search(word)),
+                zone=taken.clock.zone or "",
             )
             for name, (at, values, words) in all_readings(taken.paths, taken.clock, taken.csv, taken.table).items()
             if at.size
@@ -133,7 +131,7 @@ def _columns(taken: Recognised) -> list[Column]:
                 below = next((u for u in (unit_of(f"({units.get(name, '').strip('()[]')})"),) if u), "")
                 unit = unit_of(name) or unit_of_cells(head[name], taken.csv.decimal) or below
                 by = 1.0 / divisors.get(name, 1.0)
-                found[key] = Column(key, time_s, numbers * by, words, unit, by, texts)
+                found[key] = Column(key, time_s, numbers * by, words, unit, by, texts, taken.clock.zone or "")
     return list(found.values())
 
 
@@ -148,12 +146,11 @@ def _key(column: str, path: Path, taken: Recognised) -> str | None:
 
 def _seconds(table: RawTable, clock: TimeStampRules) -> np.ndarray:
     try:
-        at = pd.DatetimeIndex(
-            instants(table, clock.model_copy(update={"ambiguous": "first", "nonexistent": "gap"}), [])
-        )
+        at = instants(table, clock.model_copy(update={"ambiguous": "first", "nonexistent": "gap"}), [])
     except DataError:  # a form that is still to be filled in
         return np.arange(len(table.stamps)) * 900.0
-    seconds = np.asarray((at - at[0]).total_seconds(), dtype=np.float64)
+    at = at if at.dt.tz is None else at.dt.tz_convert("UTC").dt.tz_localize(None)
+    seconds = np.asarray((at - pd.Timestamp(0)).dt.total_seconds(), dtype=np.float64)
     return seconds if seconds.size == len(table.stamps) else np.arange(len(table.stamps)) * 900.0
 
 
@@ -381,29 +378,64 @@ class _Text:
             while name in self.zones:
                 name += "_"
             self.zones[name] = guess
+        by_hour = self._comfort_by_hour()
         for k, (name, guess) in enumerate(self.zones.items()):
             lines += [f"  {_value(name)}:", f"    temperature: {self._signal(guess)}{_comment(guess.doubt)}"]
-            lines += self._comfort(name, guess, "" if k else "  # comfort bound, °C or a column")
+            if not by_hour:
+                lines += self._comfort(name, guess, "" if k else "  # comfort bound, °C or a column")
             if (contact := self._only_one("window", name)) is not None:
                 lines.append(f"    window: {self._signal(contact)}  # open: nothing is learned, and heat pauses")
         if not self.zones:
             lines += ["  room:", f"    temperature: FILL IN  # {_CHECK}no column looks like the temperature of a room"]
+        return lines + by_hour
+
+    def _comfort_by_hour(self) -> list[str]:
+        """Bounds of all zones by the hour of the day, where people set one lower in some hours; else nothing."""
+        habits: dict[str, Habit | None] = {}
+        for name, zone in self.zones.items():
+            if any(self._bound(key, name, zone) for key in ("lower", "upper")):
+                return []
+            asked = self._only_one("setpoint", name)
+            habits[name] = None if asked is None else habit_of(self.column[asked.name], asked.unit)
+        if not any(habits.values()):
+            return []
+        note = f"{_CHECK}°C, from what is usually set in these hours of time.zone; as 'weekdays 6-22 …, else …' too"
+        lines = [f"comfort:  # {note}", "  schedule:"]
+        for name, habit in habits.items():
+            if habit is not None:
+                by_day, by_night = (bounds_around(one) for one in (habit.high_C, habit.low_C))
+                spans = [f"{begin}-{end} {by_day[0]:g}-{by_day[1]:g}" for begin, end in habit.spans]
+                lines.append(f"    {_value(name)}: {', '.join(spans)}, else {by_night[0]:g}-{by_day[1]:g}")
+            else:
+                low, high = self._usual_bounds(name)[:2]
+                lines.append(f"    {_value(name)}: else {low:g}-{high:g}")
         return lines
+
+    def _bound(self, key: str, name: str, zone: Guess) -> Guess | None:
+        """The column that is a comfort bound of a zone."""
+        sure = [g for g in self.of(key) if g.sure]
+        bound = sure if len(self.zones) == 1 else self._there([g for g in sure if g.place & zone.place], name)
+        return bound[0] if bound else None
+
+    def _usual_bounds(self, name: str) -> tuple[float, float, Array | None]:
+        """Numbers below and above what is usually set in a zone, °C, and 10 and 90 % of what is set there, if known."""
+        if (asked := self._only_one("setpoint", name)) is None:
+            return *COMFORT_C, None
+        low_set, usual, high_set = _over_time(self.column[asked.name], asked.unit, (0.1, 0.5, 0.9))
+        return *bounds_around(usual), np.array([low_set, high_set])
 
     def _comfort(self, name: str, zone: Guess, note: str) -> list[str]:
         """Both bounds of a zone: columns that say so, else numbers below and above what people usually set there."""
-        (low, high), by_hour = _COMFORT_C, ""
-        if (asked := self._only_one("setpoint", name)) is not None:
-            low_set, usual, high_set = _over_time(self.column[asked.name], asked.unit, (0.1, 0.5, 0.9))
-            low = np.floor(2.0 * usual) / 2.0 - 0.5
-            high, note = max(high, low + 3.0), f"  # {_CHECK}from what is usually set"
-            if high_set - low_set >= _SETBACK_K:
-                by_hour = f", {low_set:.3g} to {high_set:.3g} °C: bounds by the hour are the key comfort"
+        low, high, asked_C = self._usual_bounds(name)
+        by_hour = ""
+        if asked_C is not None:
+            note = f"  # {_CHECK}from what is usually set"
+            if np.ptp(asked_C) >= SETBACK_K:
+                by_hour = f", {asked_C[0]:.3g} to {asked_C[1]:.3g} °C: bounds by the hour are the key comfort"
         lines = []
         for key, number in (("lower", low), ("upper", high)):
-            sure = [g for g in self.of(key) if g.sure]
-            bound = sure if len(self.zones) == 1 else self._there([g for g in sure if g.place & zone.place], name)
-            told = self._signal(bound[0]) if bound else f"{number:g}"
+            bound = self._bound(key, name, zone)
+            told = self._signal(bound) if bound else f"{number:g}"
             said = note + (by_hour if key == "lower" else "")
             lines.append(f"    {key}: {told}{said if not bound or 'usually' not in note else ''}")
         return lines
