@@ -510,10 +510,6 @@ class CommandedPlan:
     def _tables(self) -> LoopTables:
         return LoopTables(self.operator, self.problem, self.loops)
 
-    def _usual_row(self, a: int) -> Array:
-        """What the command of actuator `a` usually is, in all parts (P,)."""
-        return np.repeat(self.loops[a].usual, self.loops[a].parts)
-
     def _brought(
         self,
         u: Array,
