@@ -22,7 +22,7 @@ from waiting import wait_for
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.live import LiveBuilding
-from thermoforce_mpc.live.commissioning import CommissioningBook, CommissioningFiles, read_house, stages
+from thermoforce_mpc.live.commissioning import CommissioningBook, CommissioningFiles, read_house, rows_of, stages
 from thermoforce_mpc.live.trial import planned_trials, tried
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.points import read_points
@@ -92,6 +92,25 @@ def test_a_house_as_it_should_be_has_no_remark(tmp_path):
     assert [plan["key"] for plan in said["planned"]] == ["living", "bath"]
     assert not (tmp_path / "levels.json").exists()
     assert not (tmp_path / "out").exists()
+
+
+def test_a_counter_is_shown_as_it_counts_and_judged_by_its_power():
+    """In J and called W a meter of 18,570 kWh stood there as 6.685e+10 W, and well."""
+    rows = table()
+    rules = TWO_ROOMS | {"machines": {"boiler": {"power": {"column": "meter", "unit": "Wh counter"}, "price": 0.3}}}
+    for per_h, wrong in ((600.0, ""), (-600.0, "its rise of a day is a power of -600 W"), (6e9, "6e+09 W")):
+        rows["meter"] = 18_570_123.0 + per_h * np.arange(len(rows)) / 12.0
+        now = rows.index[-1] if rows.index.tz is not None else rows.index[-1].tz_localize("Europe/Berlin")
+        found = read_points(rows, MeasurementMap.model_validate(rules), now)
+        point = next(one for one in found if one.key == "machines.boiler.power")
+        assert point.unit == "kWh"
+        assert point.last == pytest.approx(rows["meter"].iloc[-1] / 1000.0)
+        assert point.mean(-7200.0, 0.0) == pytest.approx(per_h)
+        assert wrong in point.problem
+        assert bool(wrong) is bool(point.problem)
+    rows["meter"] = 18_570_123.0
+    found = read_points(rows, MeasurementMap.model_validate(rules), now)
+    assert {key: value for key, _, value, *_ in rows_of(found)}["machines.boiler.power"] == "18570 kWh"
 
 
 @pytest.mark.slow

@@ -21,6 +21,11 @@ def summary(outcome: TaskOutcome) -> str:
     return f"{outcome.task.title} ({outcome.seconds:.0f} s)"
 
 
+def figure(value: float) -> str:
+    """A number with four digits, and all of those before the decimal point: 0.3482, 1234, 18570."""
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e9 else f"{value:.4g}"
+
+
 def duration(seconds: float) -> str:
     """A time for people, in s, min, h or days."""
     if seconds < 120.0:

@@ -21,7 +21,7 @@ from controllers.state_classes import model_key
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError, InputError, PlantError, ThermoForceError, counted
 from thermoforce_mpc.execution.keys import digest
-from thermoforce_mpc.execution.progress import duration
+from thermoforce_mpc.execution.progress import duration, figure
 from thermoforce_mpc.files import plain_json, read_bounded, write_whole
 from thermoforce_mpc.identification.probing.operation import findings, telling_part
 from thermoforce_mpc.live.building import LiveBuilding
@@ -392,8 +392,8 @@ def rows_of(points: Sequence[LivePoint]) -> list[tuple[str, str, str, str, str, 
     """Rows of a table of points: key, column, value with unit, age, range of a day, whether it is well."""
     out = []
     for p in points:
-        span = f"{np.min(p.values):.4g} to {np.max(p.values):.4g}" if p.values.size else ""
-        value = f"{p.last:.4g} {p.unit}".strip() if math.isfinite(p.last) else "none"
+        span = f"{figure(np.min(p.values))} to {figure(np.max(p.values))}" if p.values.size else ""
+        value = f"{figure(p.last)} {p.unit}".strip() if math.isfinite(p.last) else "none"
         age = duration(p.age_s) if math.isfinite(p.age_s) else ""
         out.append((p.key, p.column, value, age, span, "wrong" if p.problem else "look" if p.doubts else "ok"))
     return out

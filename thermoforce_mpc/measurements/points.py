@@ -14,10 +14,10 @@ import pandas as pd
 from thermoforce_mpc.commands.command import TemperatureCommand
 from thermoforce_mpc.commands.kinds import AnyCommand
 from thermoforce_mpc.commands.tank import TANK_NAME, AnyTankCommand
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array
 from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.execution.progress import duration
+from thermoforce_mpc.execution.progress import duration, figure
 from thermoforce_mpc.measurements import readings
 from thermoforce_mpc.measurements.map.mapping import COUNTER, PER_STEP, MeasurementMap, Signal, converted, likelier
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
@@ -50,7 +50,8 @@ class LivePoint:
 
     Attributes:
         key, column: of the map; `zone`: the room that it is of, '' without one.
-        unit: of `values`, that of the inside (°C, W, share); `declared`: what the map says of the column.
+        unit: of `values`, that of the inside (°C, W, share), kWh of a counter; `declared`: what the map says of the
+            column.
         at_s: instants (n,), s before now, below 0; `values` (n,): in `unit`.
         age_s: of the last reading, s; NaN where none came.
         every_s: usual time between two, s.
@@ -75,13 +76,13 @@ class LivePoint:
         return float(self.values[-1]) if self.values.size else float("nan")
 
     def mean(self, begin_s: float, end_s: float) -> float:
-        """Mean between two instants, s before now, of readings that hold until the next; NaN without one."""
+        """Mean between two instants, s before now, of readings that hold until the next, W of a counter; else NaN."""
         at_s, values = self.at_s, self.values
         if not values.size or at_s[0] > end_s or end_s <= begin_s:
             return float("nan")
-        if self.declared.endswith(COUNTER):  # energy, J, to power
-            rise = np.diff(np.interp([begin_s, end_s], at_s, values))
-            return float(rise[0] / (end_s - begin_s))
+        if self.declared.endswith(COUNTER):
+            rise_kWh = np.diff(np.interp([begin_s, end_s], at_s, values))
+            return float(J_PER_KWH * rise_kWh[0] / (end_s - begin_s))
         edges = np.unique(np.clip(np.concatenate([[begin_s], at_s, [end_s]]), max(begin_s, at_s[0]), end_s))
         if edges.size < 2:
             return float(values[np.searchsorted(at_s, end_s, side="right") - 1])
@@ -135,7 +136,10 @@ def _point(
     usual_rule = readings.TANK if key == f"{TANK_NAME}.temperature" else _RULES[key.rpartition(".")[2]]
     rule, declared = readings.with_map(usual_rule, signal), getattr(signal, "unit", "")
     command = _command(key, rules)
-    unit = rule.unit if command is None else "°C" if isinstance(command, TemperatureCommand) else command.told_in
+    counts = declared.endswith(COUNTER)
+    unit = "kWh" if counts else rule.unit
+    if command is not None:
+        unit = "°C" if isinstance(command, TemperatureCommand) else command.told_in
     base = LivePoint(
         key, " + ".join(signal.columns), _zone_of(key, rules), unit, declared, np.empty(0), np.empty(0), np.nan, np.nan
     )
@@ -152,6 +156,8 @@ def _point(
     recent = at_s >= min(-_KEPT_S, float(at_s[-1]))
     at_s, raw = at_s[recent], raw[recent] * signal.factor
     values = converted(raw, declared) if declared else np.asarray(raw)
+    if counts:
+        values = values / J_PER_KWH
     if declared.endswith(PER_STEP):
         values = values / (every_s if every_s > 0.0 else np.nan)
     point = replace(base, at_s=at_s, values=values, age_s=age_s, every_s=every_s)
@@ -180,7 +186,12 @@ def _problem(point: LivePoint, rule: SignalRule, raw: Array, command: AnyCommand
     if command is not None:
         return _problem_of_command(point, command)
     low, high = rule.range
-    if point.declared.endswith((COUNTER, PER_STEP)) or low <= point.last <= high:
+    if point.declared.endswith(COUNTER):
+        mean_W = point.mean(float(point.at_s[0]), float(point.at_s[-1]))
+        if not np.isfinite(mean_W) or max(low, 0.0) <= mean_W <= high:
+            return ""
+        return f"its rise of a day is a power of {figure(mean_W)} W: check whether it is a counter, and its unit"
+    if point.declared.endswith(PER_STEP) or low <= point.last <= high:
         return ""
     unit = likelier(raw[-1:], point.declared, rule.kind, rule.usual)
     hint = f"in {unit} it were usual: unit: '{unit}'" if unit else "check column, unit and factor"

@@ -21,6 +21,7 @@ from thermoforce_mpc.cli.options import PATH, plot_option
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import DataError, counted
+from thermoforce_mpc.execution.progress import figure
 from thermoforce_mpc.files import written
 from thermoforce_mpc.measurements.load import Measurements
 from thermoforce_mpc.measurements.signals import Understood
@@ -248,7 +249,7 @@ def show_measurements(measured: Measurements, console: Console) -> None:
         words = heading in ("signal", "column", "")
         table.add_column(heading, justify="left" if words else "right", overflow="fold")
     for signal in understood.signals:
-        numbers = (f"{value:.4g}" for value in (signal.least, signal.median, signal.most))
+        numbers = map(figure, (signal.least, signal.median, signal.most))
         gap = f"{signal.longest_gap_h:.3g} h" if signal.longest_gap_h else "none"
         name = signal.key.removeprefix("zones.").removeprefix("actuators.").removeprefix("machines.")
         every, known = _time(signal.usual_s), f"{100 * signal.measured:.1f} %"

@@ -34,7 +34,7 @@ def ask(key: str, value: str, out: Path, zone: str | None) -> None:
     from thermoforce_mpc.live import People
     from thermoforce_mpc.records.journal import NAME
     from thermoforce_mpc.records.people import KEYS
-    from thermoforce_mpc.records.run_folder import LOCK
+    from thermoforce_mpc.records.run_folder import LOCK, in_use
 
     if key not in KEYS:
         raise ConfigError(f"{key!r} cannot be asked; there are {', '.join(KEYS)}")
@@ -50,4 +50,5 @@ def ask(key: str, value: str, out: Path, zone: str | None) -> None:
     people.ask(key, value, now)
     shown = people.shown(now).items()
     told = ", ".join(f"{name} {one}" for name, one in shown if one not in (None, False, 0, "control"))
-    click.echo(f"Asked: {told or 'nothing'}")
+    later = "" if in_use(out) else "; no process here controls by that folder: it counts once one does"
+    click.echo(f"Asked: {told or 'nothing'}{later}")
