@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import fields
 from functools import wraps
 from typing import Any
 
+import numpy as np
 import pytest
 
 import thermoforce_mpc
-from thermoforce_mpc.data import Period
+from thermoforce_mpc.data import Array, Period
 from thermoforce_mpc.experiment import identifying, measured_model
 from thermoforce_mpc.identification import pipeline
+from thermoforce_mpc.identification.network import estimate, lag, sensor
+from thermoforce_mpc.identification.network.estimate import RoomRun
+from thermoforce_mpc.identification.network.room import RoomNetwork
 from thermoforce_mpc.identification.probing import operation
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
@@ -42,11 +47,27 @@ def _probed(plant: Plant, *, before: Period, testcase: TestCase | None = None, *
     return plant.info, before.start_s, before.warmup_s, named.model_dump_json(), sorted(options.items())
 
 
+def _sought(room: RoomNetwork, runs: Sequence[RoomRun], start: Array, spread: Array | None = None) -> object:
+    """By value: what they worked out already is kept in them too."""
+    given = [[_of_array(value) for value in vars(run).values()] for run in runs]
+    return [getattr(room, one.name) for one in fields(room)], given, _of_array(start), _of_array(spread)
+
+
+def _of_array(value: object) -> object:
+    return (value.shape, value.tobytes()) if isinstance(value, np.ndarray) else value
+
+
 def remember_identification(patch: pytest.MonkeyPatch) -> None:
-    """Data that were identified once with some options are not identified with them again."""
+    """Data that were identified once with some options are not identified with them again.
+
+    With others, which say nothing of the network, it is not searched again from where it was.
+    """
     once = remembered(pipeline.identify, _told)
     for users in (thermoforce_mpc, pipeline, measured_model, operation):
         patch.setattr(users, "identify", once)
+    found = remembered(estimate.searched, _sought)
+    for users in (estimate, lag, sensor):
+        patch.setattr(users, "searched", found)
 
 
 def remember_probing(patch: pytest.MonkeyPatch) -> None:
