@@ -106,7 +106,10 @@ def test_it_is_probed_planned_for_and_written_to_by_the_command_line(name, servi
         "plant": {"kind": "boptest", "url": service.url},
         "identification": {
             "days": 1, "most_days": 1, "probing": {"candidates": 2, "warmup_days": 1, "step_s": 1800},
-            "options": {"order": 1, "modulation": "linear", "sun_on_sensor": False},
+            "options": {
+                "order": 1, "modulation": "linear", "sun_on_sensor": False, "cross_effects": False,
+                "foreign_loads": False,
+            },
         },
         "controller": {
             "name": "thermoforce_mpc",
