@@ -19,7 +19,8 @@ def test_a_baseline_changes_nothing_about_the_controller_beside_it(tmp_path, mon
 
     def run(name: str, controller: str, baselines: str):
         words = ["--testcase", "bestest_hydronic_heat_pump", "--period", "20", "--days", "0.125", "--quiet"]
-        words += ["--set", "identification.days=1", "--set", "identification.options.modulation=linear"]
+        options = ("modulation=linear", "sun_on_sensor=false", "late_sensor=false")
+        words += ["--set", "identification.days=1", *(f"--set=identification.options.{one}" for one in options)]
         words += ["--controller", controller, "--baselines", baselines, "--out", str(tmp_path / name)]
         done = CliRunner().invoke(cli, ["run", *words])
         assert done.exit_code == 0, done.output

@@ -139,7 +139,8 @@ def test_a_thermostat_that_was_not_moved_is_at_its_set_point():
 @pytest.mark.slow
 def test_a_run_says_what_it_saves_at_equal_comfort(tmp_path):
     words = ["--testcase", TESTCASE, "--days", "0.25", "--out", str(tmp_path / "r")]
-    settings = ("days=1.5", "most_days=1.5", "options.modulation=linear")
+    options = ("modulation=linear", "sun_on_sensor=false", "late_sensor=false")
+    settings = ("days=1.5", "most_days=1.5", *(f"options.{one}" for one in options))
     words += [f"--set=identification.{one}" for one in settings]
     done = CliRunner().invoke(cli, ["run", *words])
     assert done.exit_code == 0, done.output

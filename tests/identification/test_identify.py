@@ -17,8 +17,8 @@ from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.scenario.settings import validate
 
 HOUSE = House()
-LINEAR = IdentificationConfig(order=3, modulation="linear", sun_on_sensor=False)
-QUICK = IdentificationConfig(epochs=40, sun_on_sensor=False)
+LINEAR = IdentificationConfig(order=3, modulation="linear", sun_on_sensor=False, late_sensor=False)
+QUICK = IdentificationConfig(epochs=40, sun_on_sensor=False, late_sensor=False)
 
 
 def test_three_days_of_one_run_tell_what_an_action_does():
@@ -141,7 +141,10 @@ def test_the_network_learns_what_the_linear_gain_cannot():
 
 @pytest.mark.slow
 def test_order_one_on_u_is_the_papers_operator():
-    model = identify([record(HOUSE, 3.0)], config=IdentificationConfig(order=1, heat_input="identity", epochs=20))
+    model = identify(
+        [record(HOUSE, 3.0)],
+        config=IdentificationConfig(order=1, heat_input="identity", epochs=20, sun_on_sensor=False, late_sensor=False),
+    )
     assert model.only.operator.n_trained == 195
     assert model.only.operator.heat_input.heat is None
     assert model.only.operator.gamma == 0.75
@@ -331,7 +334,10 @@ def test_options_are_checked(options, words):
 def test_the_operator_has_the_modes_that_were_asked_for():
     assert [IdentificationConfig(order=order).modes for order in ("auto", 1, 2, 3)] == [3, 1, 2, 3]
     assert IdentificationConfig(method="two_stage").modes == 1
-    model = identify([record(HOUSE, 2.0)], config=IdentificationConfig(order=2, modulation="linear"))
+    model = identify(
+        [record(HOUSE, 2.0)],
+        config=IdentificationConfig(order=2, modulation="linear", sun_on_sensor=False, late_sensor=False),
+    )
     assert model.only.operator.order == 2
 
 
@@ -341,7 +347,9 @@ def test_features_of_the_total_temperature_are_certified_or_refused():
     pairs = [make_pair(house, seed) for seed in range(4)]
 
     def found(**options):
-        config = IdentificationConfig(order=1, heat_input="identity", feedback=True, epochs=60, **options)
+        config = IdentificationConfig(
+            order=1, heat_input="identity", feedback=True, epochs=60, sun_on_sensor=False, late_sensor=False, **options
+        )
         return identify(pairs=pairs, config=config)
 
     model = found(gamma=0.3)
@@ -370,6 +378,8 @@ def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
         return replace(result, hidden_weight=weights, output_weight=np.full(32, -10.0))
 
     monkeypatch.setattr(modulation, "train", steep)
-    config = IdentificationConfig(order=1, feedback=True, modulation="always", epochs=2)
+    config = IdentificationConfig(
+        order=1, feedback=True, modulation="always", epochs=2, sun_on_sensor=False, late_sensor=False
+    )
     with pytest.raises(DataError, match=r"not certified: the modulation depends on .* per K"):
         identify(pairs=[make_pair(HOUSE, seed) for seed in range(3)], config=config)

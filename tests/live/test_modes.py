@@ -137,7 +137,7 @@ def probed(folder, kill_at_h=None, days=1.0, most_days=1.0):
         days=days,
         most_days=most_days,
         probing={"candidates": 4, "trial_levels": [0.5]},
-        options={"modulation": "linear", "order": 1},
+        options={"modulation": "linear", "order": 1, "sun_on_sensor": False, "late_sensor": False},
     )
     config = MPCConfig(step_s=1800.0)
     plan = ProbingPlan.of(spec, config, rules)

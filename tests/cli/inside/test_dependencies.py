@@ -47,7 +47,10 @@ _PLAN = [
     "--plot", "plan.png",
 ]  # fmt: skip
 _RUN = ["run", "--testcase", "bestest_hydronic_heat_pump", "--days", "0.05", "--baselines", ""]
-_RUN += [f"--set=identification.{one}" for one in ("days=1.5", "most_days=1.5", "options.modulation=linear")]
+_RUN += [f"--set=identification.{one}" for one in ("days=1.5", "most_days=1.5")]
+_RUN += [
+    f"--set=identification.options.{one}" for one in ("modulation=linear", "sun_on_sensor=false", "late_sensor=false")
+]
 _ALL = {
     "run": [*TF_MPC, *_RUN],
     "control": [*TF_MPC, "control", *_HOUSE, *(f"--set={one}" for one in _CONTROL), "--dry-run"],

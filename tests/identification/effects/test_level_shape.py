@@ -21,7 +21,9 @@ from thermoforce_mpc.scenario.scenario import Scenario
 
 # A room heated at once, in which an hour shows what a level gives.
 ROOM = House(tau_h=(0.05, 0.6, 40.0), gain_K=(6.0, 24.0), outdoor=(0.1, 0.85), solar_K=(0.2, 1.0))
-CONFIG = IdentificationConfig(order=3, modulation="linear", part_load=True, lowest_level=0.25, sun_on_sensor=False)
+CONFIG = IdentificationConfig(
+    order=3, modulation="linear", part_load=True, lowest_level=0.25, sun_on_sensor=False, late_sensor=False
+)
 
 
 def levels(shares, seed: int = 2, n: int = 288) -> np.ndarray:

@@ -21,7 +21,7 @@ from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
-CONFIG = IdentificationConfig(order=3, modulation="linear", sun_on_sensor=False)
+CONFIG = IdentificationConfig(order=3, modulation="linear", sun_on_sensor=False, late_sensor=False)
 DAYS = 12.0
 
 

@@ -26,7 +26,7 @@ def with_coil(run):
 
 @pytest.mark.slow
 def test_laws_are_those_of_the_machine_alone(tmp_path):
-    linear = IdentificationConfig(modulation="linear", sun_on_sensor=False)
+    linear = IdentificationConfig(modulation="linear", sun_on_sensor=False, late_sensor=False)
     alone = record(House())
     run, coil_W = with_coil(alone)
     model, without = identify(run, config=linear), identify(alone, config=linear)

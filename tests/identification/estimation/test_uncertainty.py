@@ -20,7 +20,7 @@ from thermoforce_mpc.whatif.counterfactual import plot_identification, rollouts
 pytestmark = pytest.mark.slow
 
 HOUSE = House()
-LINEAR = IdentificationConfig(order=3, modulation="linear", sun_on_sensor=False)
+LINEAR = IdentificationConfig(order=3, modulation="linear", sun_on_sensor=False, late_sensor=False)
 
 
 @functools.cache

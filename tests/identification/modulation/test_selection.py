@@ -24,7 +24,9 @@ SWITCHED = random_levels(288, 1, levels=(0.0, 1.0))
 
 def found(run, **options):
     return identify(
-        [run], config=IdentificationConfig(order=3, sun_on_sensor=False, **options), floor_area_m2=190.0
+        [run],
+        config=IdentificationConfig(order=3, sun_on_sensor=False, late_sensor=False, **options),
+        floor_area_m2=190.0,
     ).only
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -31,7 +32,17 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 HOUSE = House()
-LINEAR = IdentificationConfig(modulation="linear", sun_on_sensor=False)
+LINEAR = IdentificationConfig(modulation="linear", sun_on_sensor=False, late_sensor=False)
+
+
+def good_record(seed: int = 0) -> Record:
+    return record(HOUSE, 3.0, seed=seed, noise_K=0.01)
+
+
+@cache
+def good_model(seed: int) -> ThermalModel:
+    """Of a good record, whose model most tests look at: it is identified once."""
+    return identify([good_record(seed)], config=LINEAR, floor_area_m2=190.0)
 
 
 def _verdict(run: Record, **options) -> Competence:
@@ -43,7 +54,7 @@ def _verdict(run: Record, **options) -> Competence:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_good_record_passes_with_margin(seed):
-    verdict = _verdict(record(HOUSE, 3.0, seed=seed, noise_K=0.01))
+    verdict = good_model(seed).only.card.competence
     assert verdict.competent, verdict.reasons
     assert not verdict.advice
     assert verdict.sign_probability > 0.999
@@ -56,7 +67,7 @@ def test_a_good_record_passes_with_margin(seed):
 
 @pytest.mark.slow
 def test_the_verdict_is_saved_and_said(tmp_path):
-    model = identify([record(HOUSE, 3.0)], config=LINEAR, floor_area_m2=190.0)
+    model = good_model(0)
     assert load_model(model.save(tmp_path / "m")).only.card.competence == model.only.card.competence
     assert "competent: the effect of 8 h" in model.summary()
     unjudged = replace(model, cards=(replace(model.only.card, competence=None),))
@@ -67,8 +78,7 @@ def test_the_verdict_is_saved_and_said(tmp_path):
 @pytest.mark.slow
 def test_held_out_errors_are_those_of_the_predictor():
     """The shortcut over one Cholesky factor gives what predicting from every start would: checked on persistence."""
-    run = record(HOUSE, 3.0, noise_K=0.01)
-    verdict = _verdict(run)
+    run, verdict = good_record(), good_model(0).only.card.competence
     first = round(0.75 * run.T_zone_C[0].size)
     for score in verdict.horizons:
         steps = round(score.hours * 4)
@@ -105,8 +115,7 @@ def test_a_lead_time_without_data_is_said_plainly():
 
 @pytest.mark.slow
 def test_tests_count_an_earlier_part_that_its_fit_has_not_seen():
-    run = record(HOUSE, 3.0, noise_K=0.01)
-    verdict = _verdict(run)
+    run, verdict = good_record(), good_model(0).only.card.competence
     assert verdict.held_out_h == pytest.approx(18.0, abs=0.3)
     one = verdict.horizons[0]
     assert one.blocks == 10  # two parts of 18 h in blocks of 4 h, the last of each shorter
@@ -254,7 +263,9 @@ def _wandering(run: Record, seed: int) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize("modulation", ["linear", "auto"])
 def test_the_two_stages_are_judged_without_their_held_out_rows(modulation):
-    config = IdentificationConfig(method="two_stage", modulation=modulation, heat_input="identity", sun_on_sensor=False)
+    config = IdentificationConfig(
+        method="two_stage", modulation=modulation, heat_input="identity", sun_on_sensor=False, late_sensor=False
+    )
     run = record(HOUSE, 6.0, 3600.0, noise_K=0.01)
     verdict = identify(run, config=config, floor_area_m2=190.0).only.card.competence
     assert verdict is not None
@@ -278,14 +289,14 @@ def test_a_given_model_is_not_judged():
 @pytest.mark.slow
 def test_more_than_the_heat_can_do_is_not_competent():
     """Of a house of 190 m² as one of 2,000 m²: its heat per area cannot do what the record shows."""
-    model = identify(record(HOUSE, 3.0, noise_K=0.01), config=LINEAR, floor_area_m2=190.0).only
+    model = good_model(0).only
     heat_W_m2 = model.operator.heat_input.reference_W / 190.0
     most = most_K(STEP_RESPONSE_H, heat_W_m2)
     said = [model.card.uncertainty[f"step_response_{hours}h_K"] for hours in STEP_RESPONSE_H]
     assert (np.array(said) < 0.7 * most).all()
     assert most_K((1.0,), 2 * heat_W_m2) == pytest.approx(2 * most_K((1.0,), heat_W_m2), rel=1e-6)
     assert (np.diff(most) > 0.0).all()
-    verdict = identify(record(HOUSE, 3.0, noise_K=0.01), config=LINEAR, floor_area_m2=4000.0).only.card.competence
+    verdict = identify(good_record(), config=LINEAR, floor_area_m2=4000.0).only.card.competence
     assert not verdict.competent
     assert any("the heat can do" in reason for reason in verdict.reasons)
     assert any("floor area" in advice for advice in verdict.advice)
@@ -295,10 +306,8 @@ def test_more_than_the_heat_can_do_is_not_competent():
 @pytest.mark.parametrize(("times", "surely"), [(1.12, False), (2.2, True)])
 def test_only_what_is_surely_more_than_the_heat_can_do_is_not_competent(times, surely):
     """An estimate a little above the bound is of a room below it as often as not."""
-    run = record(HOUSE, 3.0, noise_K=0.01)
-    first = identify(run, config=LINEAR, floor_area_m2=190.0).only
-    area_m2 = 190.0 * times / over_bound(first, 190.0)
-    model = identify(run, config=LINEAR, floor_area_m2=area_m2).only
+    area_m2 = 190.0 * times / over_bound(good_model(0).only, 190.0)
+    model = identify(good_record(), config=LINEAR, floor_area_m2=area_m2).only
     assert over_bound(model, area_m2) > 1.0  # it says more at first sight
     assert any("the heat can do" in reason for reason in model.card.competence.reasons) == surely
 

@@ -11,7 +11,7 @@ from houses import House, record
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.zones.model import uncertain
 
-LINEAR = IdentificationConfig(modulation="linear", order=1, sun_on_sensor=False)
+LINEAR = IdentificationConfig(modulation="linear", order=1, sun_on_sensor=False, late_sensor=False)
 
 
 @pytest.mark.slow

@@ -15,7 +15,10 @@ from thermoforce_mpc.identification.zones.data import ZoneData
 from thermoforce_mpc.identification.zones.network_estimate import network_estimates
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
-LAYOUT, CONFIG = Layout.single(floor_area_m2=190.0), IdentificationConfig(modulation="linear")
+LAYOUT, CONFIG = (
+    Layout.single(floor_area_m2=190.0),
+    IdentificationConfig(modulation="linear", sun_on_sensor=False, late_sensor=False),
+)
 
 
 def folds_of(run, pairs=(), config=CONFIG):
