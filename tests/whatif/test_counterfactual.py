@@ -192,6 +192,8 @@ def test_levels_that_were_not_measured_are_not_invented(model: ThermalModel) -> 
     [
         ("2026-02-01", 0.5, "not inside the record, which goes from 2026-01-01"),
         ("noon", 0.5, "'noon' is not a time stamp"),
+        ("05.01.2026", 0.5, "'05.01.2026': is its day or its month first"),
+        ("1/5/26 12:00", 0.5, "'1/5/26 12:00': is its day or its month first"),
         ("2026-01-05", np.full(24, 1.5), r"inside \[0, 1\]"),
         ("2026-01-05", np.full(24, np.nan), r"inside \[0, 1\]"),
     ],
@@ -325,6 +327,7 @@ def test_a_schedule_that_begins_too_late_or_lacks_a_column(house: Path) -> None:
         ("when,u\n2026-01-05 00:00,0\n", "no column 'time'"),
         ("time,u\n2026-01-05 00:00,0\n2026-01-05 00:00,1\n", "row 3 is not later"),
         ("time,u\n2026-01-05 00:00,0\n,1\n", "row 3, time 'nan' is not a time stamp"),
+        ("time,u\n05.01.2026 00:00,0\n05.01.2026 01:00,1\n", "row 2, time '05.01.2026 00:00': is its day or its"),
         ("time,u\n", "no rows"),
         ("time,u\n2026-01-05 00:00,0\n2026-01-05 06:00,50\n", "late.csv: row 3, u is 50: give one from 0 to 1"),
         ("time,u\n2026-01-05 00:00,n/a\n", "late.csv: row 2, u is nan: give one"),

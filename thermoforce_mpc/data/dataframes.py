@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime
 
 import numpy as np
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data.clock import DAY_S
 from thermoforce_mpc.errors import DataError, suggestion
+
+# pandas takes 03.04.2026 for March and 25.03.2026 for March too.
+_YEAR_LAST = re.compile(r"\s*\d{1,2}[./-]\d{1,2}[./-]\d{2,4}\b")
 
 
 def new_year(index: pd.Index, what: str) -> pd.Timestamp:
@@ -53,18 +57,26 @@ def seconds_since(origin: pd.Timestamp, index: pd.Index, what: str) -> NDArray[n
     return np.asarray((at - origin) / pd.Timedelta(seconds=1), dtype=np.float64)
 
 
-def seconds_at(origin: pd.Timestamp, time: pd.Timestamp | str, what: str) -> float:
-    """Seconds from `origin` to a time as people write it, on the clock of `origin` where it has no offset.
-
-    Of an hour that the end of summer time repeats, the first is meant. Raises `DataError` for what is no time stamp,
-    does not exist on that clock, or has a zone where `origin` has none.
-    """
+def time_told(time: pd.Timestamp | str, what: str) -> pd.Timestamp:
+    """A time as people write it, the year first; raises `DataError` for others, of which 03.04.2026 may be two days."""
+    if isinstance(time, str) and _YEAR_LAST.match(time):
+        raise DataError(f"{what} '{time}': is its day or its month first? write it as 2026-01-20 14:30")
     try:
         at = pd.Timestamp(time)
     except (ValueError, TypeError) as error:
         raise DataError(f"{what} '{time}' is not a time stamp: write for example 2026-01-20 00:00") from error
     if pd.isna(at):
         raise DataError(f"{what} '{time}' is not a time stamp: write for example 2026-01-20 00:00")
+    return at
+
+
+def seconds_at(origin: pd.Timestamp, time: pd.Timestamp | str, what: str) -> float:
+    """Seconds from `origin` to a time as people write it, on the clock of `origin` where it has no offset.
+
+    Of an hour that the end of summer time repeats, the first is meant. Raises `DataError` for what is no time stamp,
+    does not exist on that clock, or has a zone where `origin` has none.
+    """
+    at = time_told(time, what)
     if at.tz is not None and origin.tz is None:
         raise DataError(f"{what} '{time}' has a time zone and the record has none: write it without")
     if at.tz is None and origin.tz is not None:

@@ -19,6 +19,7 @@ from rich.table import Table
 
 from thermoforce_mpc.cli.options import PATH, plot_option
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.data.dataframes import time_told
 from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import DataError, counted
 from thermoforce_mpc.execution.progress import figure
@@ -211,7 +212,6 @@ def _start(record: Record, awake: tuple[int, int], start: str | None) -> tuple[f
     Raises:
         DataError: `start` is no date, or lies before the end of the record.
     """
-    import pandas as pd
 
     origin, end = record.origin, record.stamps()[-1]
     summer = (end.utcoffset() - origin.utcoffset()).total_seconds() if origin.tzinfo else 0.0
@@ -219,13 +219,7 @@ def _start(record: Record, awake: tuple[int, int], start: str | None) -> tuple[f
     if start is None:
         now_s = float(record.time_s[-1])
         return np.ceil((now_s - hours[0] * HOUR_S) / DAY_S) * DAY_S + hours[0] * HOUR_S, hours
-    try:
-        day = pd.Timestamp(start)
-        dated = not pd.isna(day)
-    except ValueError:
-        dated = False
-    if not dated:
-        raise DataError(f"--start {start}: no date; write for example 2025-01-31")
+    day = time_told(start, "--start")
     at = (day.normalize().tz_localize(None) - origin.tz_localize(None)).total_seconds() + HOUR_S * hours[0]
     if at < record.time_s[-1]:
         raise DataError(f"--start {start}: lies before the end of the data, {end}; name a later day")
