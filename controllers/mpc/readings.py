@@ -91,8 +91,9 @@ class ReadingsFilter:
         history = self.meters.mask_rejected(meters, history)
         if metered.found:  # the forced state was computed with them
             state = state.without_forced()
+        late_news = ""
         if with_model:
-            history = self._in_time(history)
+            history, late_news = self._in_time(history)
         before = self.sensors.mask_rejected(state.sensors, history)
         state, began = (yield from self._anchored(before, state)) if with_model else (state, None)
         forced = (self._forced(before, state) if began is None else began) if with_model else None
@@ -105,7 +106,7 @@ class ReadingsFilter:
         )
         seen = Observation(validated, boundary)
         doubts = tuple(filter(None, (zones.bridged, metered.why, filled)))
-        news = tuple(filter(None, (sun_news, zones.news, metered.news)))
+        news = tuple(filter(None, (sun_news, late_news, zones.news, metered.news)))
         return Readings(seen, observation.boundary, zones, forced_K, doubts, news), state
 
     def _anchored(self, history: Record, state: MPCState) -> Computation[tuple[MPCState, ForcedState | None]]:
@@ -136,12 +137,12 @@ class ReadingsFilter:
             state = state.without_forced()
         return off_sensors(history, of_zones), replace(state, sun=sun), news
 
-    def _in_time(self, history: Record) -> Record:
-        """The record with the temperatures of rooms whose sensors are late; as it is where its levels are not known."""
+    def _in_time(self, history: Record) -> tuple[Record, str]:
+        """The record with the temperatures of rooms whose sensors are late, and news; as it is without levels."""
         try:
-            return self._model.in_time(history)
+            return self._model.in_time(history), self._model.news_of_late(history)
         except DataError:  # prediction meets the same error and says it
-            return history
+            return history, ""
 
     def _forced(self, history: Record, state: MPCState) -> ForcedState | None:
         """Forced states of the building until now; None at the start, or if they cannot be estimated."""

@@ -8,6 +8,7 @@ F less what the sensor reads of F, so that plans, rules and checks mean the room
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -23,6 +24,11 @@ LIKELY = 0.99
 """Probability of a late sensor from which records are corrected. Of 16 drawn houses with late sensors (seed 64001) nine
 have log odds of 10 to 114, none between 4 and 10; of 39 with ideal sensors none is above .95, of four rooms of
 `house:4rooms:8813`, which are ideal too, one at .96 (2026-11-30)."""
+# Time by which a late sensor is judged again in a run, s, and log odds from which it reads in time. By judgement: a day
+# of one that is late in a house with air heating has −20 to −60 while it is heated, of an ideal one in its place 17 to
+# 50, and mild days of either −4 to 8; two days flipped ten times in a mild one (`bench detectors`, houses 1 and 5 of
+# 140930, 2026-11-30).
+_JUDGED_S, _SURE = 5.0 * DAY_S, 10.0
 # Least pole of a mode: one that is over within a step has a logarithm all the same.
 _FASTEST = 1e-12
 
@@ -57,22 +63,58 @@ def in_time(record: Record, operator: BuildingOperator, late: Sequence[LateSenso
     """`record` with the temperatures of the rooms whose sensors are `late` (Z,), as far as actuators move them.
 
     By the operator with m = 1 from the steady state of the first day: of what came hours before a late sensor misses
-    nothing. Gaps of weather and levels are bridged; raises `DataError` as `forced_state.heat_drive`.
+    nothing. Sensors that are not `still_late` read the rooms. Gaps of weather and levels are bridged; raises
+    `DataError` as `forced_state.heat_drive`.
     """
+    told, T = _forced_and_read(record, operator, late), np.array(record.T_zone_C)
+    for z, (forced_K, read_K) in told.items():
+        if _tells_late(record.T_zone_C[z], forced_K, read_K, record.step_s):
+            T[z] += forced_K - read_K
+    return replace(record, T_zone_C=T) if told else record
+
+
+def still_late(record: Record, operator: BuildingOperator, late: Sequence[LateSensor | None]) -> tuple[bool, ...]:
+    """Whether each of the sensors that are `late` (Z,) may be so by the latest days of a record; see `in_time`.
+
+    What is left of readings without what they hold of forced responses is slow, and so smoother where they are read as
+    they should be.
+    """
+    told = _forced_and_read(record, operator, late)
+    return tuple(
+        z in told and _tells_late(record.T_zone_C[z], *told[z], record.step_s) for z in range(len(record.T_zone_C))
+    )
+
+
+def _forced_and_read(
+    record: Record, operator: BuildingOperator, late: Sequence[LateSensor | None]
+) -> dict[int, tuple[Array, Array]]:
+    """The forced response and what the sensor reads of it (n + 1,), K, by number of the zones that have a late one."""
     if not any(late) or not record.n_steps:
-        return record
+        return {}
     filled, _ = bridged(record)
     operator = operator.resampled(record.step_s)
     heat = heat_drive(operator, filled, 0, record.n_steps)
     day = max(1, min(record.n_steps, round(DAY_S / record.step_s)))
     start = operator.steady_gains_K * heat[:, :day].mean(axis=1)[:, None]
     forced_K = np.concatenate([start[:, :, None], operator.driven(start, heat)], axis=2)
-    T = np.array(record.T_zone_C)
+    found = {}
     for z, sensor in enumerate(late):
         if sensor is not None:
-            for of_one, poles in zip(forced_K[z], operator.poles[z], strict=True):
-                T[z] += of_one.sum(axis=-1) - read_late(of_one, poles, record.step_s, sensor.lag_s)
-    return replace(record, T_zone_C=T)
+            each = zip(forced_K[z], operator.poles[z], strict=True)
+            read = [read_late(of_one, poles, record.step_s, sensor.lag_s) for of_one, poles in each]
+            found[z] = (forced_K[z].sum(axis=(0, -1)), np.asarray(np.sum(read, axis=0)))
+    return found
+
+
+def _tells_late(T_C: Array, forced_K: Array, read_K: Array, step_s: float) -> bool:
+    """Whether readings (n + 1,) of the latest days do not surely hold all of `forced_K` rather than `read_K`."""
+    n = round(_JUDGED_S / step_s)
+    late, prompt = (np.diff((T_C - of_K)[-n - 1 :], 2) for of_K in (read_K, forced_K))
+    known = np.isfinite(prompt)
+    left = [float(np.sum(rest[known] ** 2)) for rest in (late, prompt)]
+    if not min(left) > 0.0:
+        return True
+    return 0.5 * float(known.sum()) * math.log(left[0] / left[1]) <= _SURE
 
 
 def read_late(forced_K: Array, poles: Array, step_s: float, lag_s: float) -> Array:

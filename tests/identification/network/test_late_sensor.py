@@ -19,6 +19,7 @@ from thermoforce_mpc.identification.network.lag import rooms_in_time
 from thermoforce_mpc.identification.network.room import RoomNetwork
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.loop.probing import probe
+from thermoforce_mpc.model.forced_state import heat_drive
 from thermoforce_mpc.model.late_sensor import LateSensor, read_late
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
@@ -172,3 +173,28 @@ def test_gaps_of_readings_stay_and_rest_is_read_as_it_is():
     np.testing.assert_allclose(late_model().in_rooms(history).T_zone_C, T, atol=1e-9)
     empty = history.slice(0, 0)
     assert late_model().in_rooms(empty) is empty
+
+
+def test_a_late_sensor_that_was_replaced_is_not_taken_for_late_any_more():
+    """Days of a room that is heated by the hour: read late until the end of the third, in time from then on."""
+    model, rng = late_model(), np.random.default_rng(3)
+    time_s = 900.0 * np.arange(8 * 96 + 1)
+    u = np.repeat(rng.random(8 * 24) < 0.5, 4).astype(float)
+    nothing = np.full(u.size, np.nan)
+    still = Record(time_s, np.zeros(time_s.size), np.full(time_s.size, 5.0), 0.0 * time_s, u, nothing, nothing)
+    operator = model.operator.resampled(900.0)
+    heat = heat_drive(operator, still, 0, u.size)
+    start = operator.steady_gains_K * heat[:, :96].mean(axis=1)[:, None]
+    forced_K = np.concatenate([start[:, :, None], operator.driven(start, heat)], axis=2).sum(axis=(0, 1, 3))
+    room_C = 20.0 + np.sin(time_s / DAY_S) + forced_K
+    missed_K = model.in_time(still).T_zone_C[0]
+    noise_K = 0.01 * rng.standard_normal(time_s.size)
+    read_C = np.where(time_s < 3 * DAY_S, room_C - missed_K, room_C) + noise_K
+    record = replace(still, T_zone_C=read_C[None])
+    np.testing.assert_allclose(model.in_time(record.slice(0, 3 * 96 - 1)).T_zone_C[0], (room_C + noise_K)[: 3 * 96])
+    np.testing.assert_allclose(model.in_time(record).T_zone_C[0], read_C)
+    parts = [record.slice(0, n) for n in range(3 * 96, 8 * 96, 12)]
+    late = [part.n_steps for part in parts if (model.in_time(part).T_zone_C != part.T_zone_C).any()]
+    assert 3 * 96 < late[-1] < 7 * 96
+    told = [model.news_of_late(record.slice(0, n + 1)) for n in range(late[-1], late[-1] + 12)]
+    assert list(filter(None, told)) == ["the zone sensor reads the room in time: nothing is added to its readings"]
