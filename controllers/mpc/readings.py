@@ -93,7 +93,7 @@ class ReadingsFilter:
             state = state.without_forced()
         late_news = ""
         if with_model:
-            history, late_news = self._in_time(history)
+            history, late_news = self._in_time(history, first=state.predictor is None)
         before = self.sensors.mask_rejected(state.sensors, history)
         state, began = (yield from self._anchored(before, state)) if with_model else (state, None)
         forced = (self._forced(before, state) if began is None else began) if with_model else None
@@ -137,10 +137,10 @@ class ReadingsFilter:
             state = state.without_forced()
         return off_sensors(history, of_zones), replace(state, sun=sun), news
 
-    def _in_time(self, history: Record) -> tuple[Record, str]:
+    def _in_time(self, history: Record, *, first: bool) -> tuple[Record, str]:
         """The record with the temperatures of rooms whose sensors are late, and news; as it is without levels."""
         try:
-            return self._model.in_time(history), self._model.news_of_late(history)
+            return self._model.in_time(history), self._model.news_of_late(history, first=first)
         except DataError:  # prediction meets the same error and says it
             return history, ""
 

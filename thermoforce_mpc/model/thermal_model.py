@@ -282,14 +282,19 @@ class ThermalModel:
         """`record` with the temperatures of the rooms in the place of what late sensors read of them."""
         return in_time(record, self.operator, self.late_sensors)
 
-    def news_of_late(self, record: Record) -> str:
-        """What the last step told of late sensors, in words, by a record as read; raises as `in_time`."""
+    def news_of_late(self, record: Record, *, first: bool) -> str:
+        """What the last step told of late sensors, in words, by a record as read; raises as `in_time`.
+
+        `first`: all that the record tells is new, beside what the cards say.
+        """
         if not any(self.late_sensors) or record.n_steps < 2:
             return ""
         before, now = (
             still_late(record.slice(0, n), self.operator, self.late_sensors)
             for n in (record.n_steps - 1, record.n_steps)
         )
+        if first:
+            before = tuple(found is not None for found in self.late_sensors)
         told = []
         for zone, was, late in zip(self.names.zones, before, now, strict=True):
             if was != late:

@@ -196,5 +196,8 @@ def test_a_late_sensor_that_was_replaced_is_not_taken_for_late_any_more():
     parts = [record.slice(0, n) for n in range(3 * 96, 8 * 96, 12)]
     late = [part.n_steps for part in parts if (model.in_time(part).T_zone_C != part.T_zone_C).any()]
     assert 3 * 96 < late[-1] < 7 * 96
-    told = [model.news_of_late(record.slice(0, n + 1)) for n in range(late[-1], late[-1] + 12)]
+    told = [model.news_of_late(record.slice(0, n + 1), first=False) for n in range(late[-1], late[-1] + 12)]
     assert list(filter(None, told)) == ["the zone sensor reads the room in time: nothing is added to its readings"]
+    assert model.news_of_late(record, first=False) == ""
+    assert model.news_of_late(record, first=True) in told, "a run that begins then"
+    assert model.news_of_late(parts[0], first=True) == ""
