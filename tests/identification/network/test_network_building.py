@@ -24,8 +24,8 @@ THETAS = (
 )
 
 
-def fit_of(thetas=THETAS, variances=(1e-4, 1e-4), rooms=ROOMS, layout=LAYOUT):
-    """Rooms at θ, all of whose parameters have a variance."""
+def fit_of(thetas=THETAS, variances=(1e-9, 1e-9), rooms=ROOMS, layout=LAYOUT):
+    """Rooms at θ, all of whose parameters have a variance, beside which their priors count nothing."""
     fits = zip(rooms, thetas, variances, strict=True)
     return BuildingFit(layout, tuple(KnownFit(room, t, v) for room, t, v in fits))
 

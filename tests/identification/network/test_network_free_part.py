@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from thermal_networks import AREA_M2, LAYOUT, ROOMS, random_theta, simulated, theta_of
+from thermal_networks import AREA_M2, LAYOUT, ROOMS, KnownFit, random_theta, simulated, theta_of
 
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification.network.building import BuildingFit
@@ -27,8 +27,7 @@ def building(seed):
         theta = random_theta(room, rng, 0.4)
         theta[[room.place["wall_0"], room.place["door_0"]]] = np.log(np.array([WALL_W_K, DOOR_W_K]) / area)
         run = simulated(room, theta, (lambda hour, T: 0.0,) * len(room.signs), 0.5, seed)
-        fits.append(RoomFit(room, theta, 0.0, [run]))
-        fits[-1].__dict__["covariance"] = 1e-4 * np.eye(theta.size)
+        fits.append(KnownFit(room, theta, 1e-9, [run]))
     return BuildingFit(LAYOUT, tuple(fits))
 
 
@@ -67,7 +66,7 @@ def test_weather_and_disturbances_do_what_they_do_to_the_network(zone):
             x, z = A @ x + B @ weather, free.poles * z + free.weights @ weather
             np.testing.assert_allclose(z.sum(), x[begins[zone]], rtol=1e-3, atol=5e-5)
             P, found = A @ P @ A.T + np.diag(Q), np.outer(free.poles, free.poles) * found + free.process_K2
-        assert free.sensor_sd_K**2 == pytest.approx(fit.rooms[zone].reading_K2)
+        assert free.sensor_sd_K**2 == pytest.approx(fit.rooms[zone].reading_K2(fit.thetas[zone]))
 
 
 def test_a_time_constant_of_a_disturbance_may_be_one_of_the_room():
@@ -83,5 +82,6 @@ def test_a_time_constant_of_a_disturbance_may_be_one_of_the_room():
 
 def test_pairs_alone_say_nothing_of_it():
     fit = building(0)
-    bath = replace(fit.rooms[0], runs=[replace(run, pair=True) for run in fit.rooms[0].runs])
+    paired = [replace(run, pair=True) for run in fit.rooms[0].runs]
+    bath = KnownFit(fit.rooms[0].room, fit.rooms[0].theta, 1e-9, paired)
     assert free_part(replace(fit, rooms=(bath, fit.rooms[1])), 0) is None

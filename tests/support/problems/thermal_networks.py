@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from houses import weather
@@ -31,11 +31,21 @@ ROOMS = (RoomNetwork(neighbours=1), RoomNetwork((1, -1), (float("nan"),) * 2, ne
 
 
 class KnownFit(RoomFit):
-    """A room at θ, all of whose parameters have one variance."""
+    """A room at θ, of whose parameters the covariance (p, p), or one variance of all, is the same everywhere."""
 
-    def __init__(self, room: RoomNetwork, theta: np.ndarray, variance: float) -> None:
-        super().__init__(room, theta, 0.0, ())
-        self.__dict__["covariance"] = variance * np.eye(theta.size)
+    def __init__(
+        self, room: RoomNetwork, theta: np.ndarray, covariance: np.ndarray | float, runs: Sequence[RoomRun] = ()
+    ) -> None:
+        super().__init__(room, theta, 0.0, runs)
+        everywhere = covariance if isinstance(covariance, np.ndarray) else covariance * np.eye(theta.size)
+        self.__dict__["everywhere"] = everywhere
+
+    def covariance_at(self, theta: np.ndarray) -> np.ndarray:
+        return self.__dict__["everywhere"]
+
+    def posterior(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        slope = np.linalg.solve(self.__dict__["everywhere"], theta - self.theta)
+        return 0.5 * float(slope @ (theta - self.theta)), slope
 
 
 def theta_of(room: RoomNetwork, **values: float) -> np.ndarray:

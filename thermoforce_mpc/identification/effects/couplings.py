@@ -219,6 +219,11 @@ def _all_given(fed: Sequence[int], heat_inputs: Sequence[HeatInput], histories: 
 
 def largest_W(heat_W: Array, step_s: float) -> float:
     """Largest mean of an hour, W; steps that were not metered do not count."""
-    n = max(1, min(heat_W.size, round(HOUR_S / step_s)))
-    mean = np.convolve(heat_W, np.ones(n) / n, "valid")
+    mean = hourly(heat_W, step_s)
     return float(np.nanmax(mean)) if np.isfinite(mean).any() else float("nan")
+
+
+def hourly(of_steps: Array, step_s: float) -> Array:
+    """Mean of every hour of a record, one from each step on (m,), of values of its steps (n,)."""
+    n = max(1, min(of_steps.size, round(HOUR_S / step_s)))
+    return np.convolve(of_steps, np.ones(n) / n, "valid")

@@ -1,7 +1,7 @@
 """Rooms joined to one network of the building: what each actuator does to each zone, and how sure that is.
 
-Each room is estimated with its neighbours' measured temperatures as inputs. Joined, a wall or door has the conductance
-that both of its rooms saw. With C the capacities and L the conductances, C dx/dt = −L x + b v, and L is symmetric:
+Each room is estimated with its neighbours' measured temperatures as inputs. Joined, a wall or door has one conductance
+(`joint`). With C the capacities and L the conductances, C dx/dt = −L x + b v, and L is symmetric:
 C^{-1/2} L C^{-1/2} has real positive eigenvalues λ_k, so that step responses are sums of 1 − exp(−λ_k t).
 """
 
@@ -19,6 +19,7 @@ from thermoforce_mpc.data.series import interpolated, step_means
 from thermoforce_mpc.identification.effects.level_laws import LevelLaw
 from thermoforce_mpc.identification.network.circuits import Circuit
 from thermoforce_mpc.identification.network.estimate import DIFFERENCE, RoomFit, RoomRun, estimate_room
+from thermoforce_mpc.identification.network.joint import JointPosterior
 from thermoforce_mpc.identification.network.room import BETWEEN, EMITTER, Law, RoomNetwork, neighbours_of
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -112,7 +113,17 @@ class BuildingFit:
     @cached_property
     def responses(self) -> Array:
         """Step responses of each zone to full level (v = 1) of each actuator at `RESPONSE_H`, (Z, A, T) K."""
-        return self._steps([fit.theta for fit in self.rooms])
+        return self._steps(self.thetas)
+
+    @cached_property
+    def joint(self) -> JointPosterior:
+        """What all rooms know together."""
+        return JointPosterior(self.rooms, self.area_m2)
+
+    @cached_property
+    def thetas(self) -> list[Array]:
+        """Most likely θ of each room (Z,), by `joint`."""
+        return self.joint.thetas(self.joint.free)
 
     @cached_property
     def covariance(self) -> Array:
@@ -127,31 +138,21 @@ class BuildingFit:
         """
         signs = np.asarray(self.layout.signs, dtype=np.float64)
         whole = np.einsum("a,zat->zt", signs, self.responses)[:, None]
-        slopes = [np.einsum("a,zati->zti", signs, of_room)[:, None] for of_room in self._slopes]
+        slopes = np.einsum("a,zati->zti", signs, self._slopes)[:, None]
         return whole[:, 0], self._covariance(whole, slopes)[:, 0]
 
-    def _covariance(self, mean: Array, slopes: Sequence[Array]) -> Array:
-        """Covariance (Z, A, T, T) K² of responses `mean` (Z, A, T) with `slopes` (Z, A, T, p) by θ of each room."""
+    def _covariance(self, mean: Array, slopes: Array) -> Array:
+        """Covariance (Z, A, T, T) K² of responses `mean` (Z, A, T) with `slopes` (Z, A, T, K) as of `_slopes`."""
         slow = mean * -np.expm1(-RESPONSE_H / _LAYERS_H)
         covariance = sum(np.einsum("zat,zas->zats", part, part) for part in (mean, slow)) * _STRUCTURE_SD**2
-        for fit, by_theta in zip(self.rooms, slopes, strict=True):
-            known = by_theta.shape[-1]
-            covariance += np.einsum("zati,ij,zasj->zats", by_theta, fit.covariance[:known, :known], by_theta)
-        return np.asarray(covariance)
+        of_slopes = self.joint.covariance[np.ix_(self.joint.positive, self.joint.positive)]
+        return np.asarray(covariance + slopes @ of_slopes @ np.swapaxes(slopes, -1, -2))
 
     @cached_property
-    def _slopes(self) -> list[Array]:
-        """Derivatives of the responses by the positive parameters of each room, (Z, A, T, p) each."""
-        thetas = [fit.theta for fit in self.rooms]
-
-        def of_room(z: int) -> Array:
-            return _jacobian(
-                lambda theta: self._steps([*thetas[:z], theta, *thetas[z + 1 :]]),
-                thetas[z],
-                len(self.rooms[z].room.names),
-            )
-
-        return [of_room(z) for z in range(len(thetas))]
+    def _slopes(self) -> Array:
+        """Derivatives of the responses by the positive parameters of all rooms that are free, (Z, A, T, K)."""
+        joint = self.joint
+        return _jacobian(lambda free: self._steps(joint.thetas(free)), joint.free, joint.positive)
 
     @property
     def longest_h(self) -> float:
@@ -166,8 +167,8 @@ class BuildingFit:
 
     @cached_property
     def network(self) -> RcNetwork:
-        """The joined network at the rooms' most likely parameters."""
-        return self._network([fit.theta for fit in self.rooms])
+        """The network of all rooms at their most likely parameters."""
+        return self._network(self.thetas)
 
     @property
     def area_m2(self) -> Array:
@@ -222,22 +223,12 @@ class BuildingFit:
             L[node, node] += loss
             heat[node, constant] += loss * circuit.emitter_C
             heat[:, a] *= circuit.full
-        for z, fit in enumerate(self.rooms):
-            for other in range(z if fit.room.neighbours else 0):
+        for z, (fit, theta) in enumerate(zip(self.rooms, thetas, strict=True)):
+            for k, other in enumerate(neighbours_of(z, len(thetas))[:z] if fit.room.neighbours else ()):
                 for name, (node, _) in BETWEEN.items():
-                    joined(begins[z] + node, begins[other] + node, self._between(name, z, other, thetas, area))
+                    conductance = area[z] * fit.room.value(theta, f"{name}_{k}")
+                    joined(begins[z] + node, begins[other] + node, conductance)
         return RcNetwork(C, L, heat, begins[:-1])
-
-    def _between(self, name: str, z: int, other: int, thetas: Sequence[Array], area: Array) -> float:
-        """Conductance between two rooms, W/K: the mean of the logarithms that both saw, weighted by their precision."""
-        Z, total, weights = len(self.rooms), 0.0, 0.0
-        for here, there in ((z, other), (other, z)):
-            fit = self.rooms[here]
-            place = fit.room.place[f"{name}_{list(neighbours_of(here, Z)).index(there)}"]
-            weight = 1.0 / fit.covariance[place, place]
-            total += weight * (thetas[here][place] + np.log(area[here]))
-            weights += weight
-        return float(np.exp(total / weights))
 
 
 def building_fit(
@@ -280,10 +271,10 @@ def room_run(
     )
 
 
-def _jacobian(function: Callable[[Array], Array], at: Array, count: int) -> Array:
-    """Derivatives (..., count) of a function's values (...) by the first parameters, by central differences."""
+def _jacobian(function: Callable[[Array], Array], at: Array, places: NDArray[np.intp]) -> Array:
+    """Derivatives (..., K) of a function's values (...) by the parameters at `places` (K,), by central differences."""
     columns = []
-    for i in range(count):
+    for i in places:
         step = np.zeros(at.size)
         step[i] = DIFFERENCE * max(1.0, abs(float(at[i])))
         columns.append((function(at + step) - function(at - step)) / (2.0 * step[i]))

@@ -8,7 +8,8 @@ network, the heat is
 
 For plans that is linearised about a usual level: the first two terms are what a level gives, and the last one is a
 conductance of the emitter to its mean temperature, so that effects come sooner and stay smaller than those of heat that
-is held. While the machine is at its limit circuits take from each other: such steps say nothing of a valve.
+is held. While the machine is at its limit, which goes with the weather, circuits take from each other: such steps say
+nothing of a valve.
 """
 
 from __future__ import annotations
@@ -21,16 +22,20 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
 from thermoforce_mpc.data.series import interpolated, lagged, step_means
-from thermoforce_mpc.identification.effects.couplings import largest_W
-from thermoforce_mpc.identification.network.estimate import RoomFit, RoomRun
+from thermoforce_mpc.identification.effects.couplings import hourly
+from thermoforce_mpc.identification.network.estimate import RoomRun
+from thermoforce_mpc.identification.network.room import RoomNetwork
+from thermoforce_mpc.model.machine.heat_capacity import kinds_for
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE, RESIDUAL_SCALE, TRUST_K, MachineLoad, error_of_a_step
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # Level about which plans are linearised: that which holds a room over a season.
 _USUAL_LEVEL = 0.3
-# Share of the largest heat of an hour from which the machine counts as at its limit. By judgement, as the number of
-# steps.
+# Share of the most heat of an hour in such weather from which the machine counts as at its limit. By judgement, as the
+# number of steps.
 _AT_LIMIT = 0.9
+# Slopes that are tried, of which two are a tenth of a per cent per K apart.
+_SLOPES = 41
 # Steps from which the heat of a circuit is found: three hours of operation, by judgement.
 _LEAST_STEPS = 12
 # Prior of both slopes over the heat of full level, 1/K: water is 10 to 50 K warmer than its emitter, its excess goes
@@ -54,9 +59,16 @@ class Circuit:
 
 
 def circuit_of(
-    fit: RoomFit, a: int, records: Sequence[Record], runs: Sequence[RoomRun], layout: Layout, heat_input: HeatInput
+    room: RoomNetwork,
+    theta: Array,
+    a: int,
+    records: Sequence[Record],
+    runs: Sequence[RoomRun],
+    layout: Layout,
+    heat_input: HeatInput,
 ) -> Circuit | None:
-    """The circuit of actuator `a` by the fit of its room, `records` of the building and the same as `runs` of the room.
+    """The circuit of actuator `a` of a room with parameters `theta` (p,), by `records` of the building and the same as
+    `runs` of the room.
 
     `heat_input` is v of the runs. None where heat is not metered, its machine feeds nothing else, or too few steps
     tell.
@@ -69,8 +81,8 @@ def circuit_of(
     k = layout.actuators_of(layout.home[a]).index(a)
     u, T_out_C = (np.concatenate(rows) for rows in ([r.u[a] for r in records], [r.T_out_C[:-1] for r in records]))
     v = sign * np.concatenate([r.heat_W[a] for r in records]) / heat_input.reference_W
-    emitter_C = np.concatenate([_emitter_C(fit, k, run) for run in runs])
-    rows = (u > LEVEL_EDGE) & np.isfinite(v) & ~_at_limit(records, fed)
+    emitter_C = np.concatenate([_emitter_C(room, theta, k, run) for run in runs])
+    rows = (u > LEVEL_EDGE) & np.isfinite(v) & ~_at_limit(records, fed, sign)
     if np.count_nonzero(rows) < _LEAST_STEPS:
         return None
     u, T_out_C, v, emitter_C = u[rows], T_out_C[rows], v[rows], emitter_C[rows]
@@ -94,9 +106,8 @@ def circuit_of(
     return Circuit(load, at_full, _USUAL_LEVEL * warmer, usual_C)
 
 
-def _emitter_C(fit: RoomFit, k: int, run: RoomRun) -> Array:
+def _emitter_C(room: RoomNetwork, theta: Array, k: int, run: RoomRun) -> Array:
     """Temperature of the room's `k`-th emitter in each step of a run, °C, by the readings and v."""
-    room, theta = fit.room, fit.theta
     C, H, heat = (room.value(theta, f"{name}_{k}") for name in ("C_emitter", "H_emitter", "heat"))
     T = interpolated(run.readings)
     steady_C = step_means(T) + room.signs[k] * heat / H * run.inputs[:-1, room.drive(k)]
@@ -107,8 +118,26 @@ def _emitter_C(fit: RoomFit, k: int, run: RoomRun) -> Array:
     return step_means(at_ends)
 
 
-def _at_limit(runs: Sequence[Record], fed: Sequence[int]) -> NDArray[np.bool_]:
-    """Steps (n,) in which a machine gives about the most that it was seen to give."""
-    together = [np.abs(run.heat_W[list(fed)]).sum(axis=0) for run in runs]
-    most_W = max(largest_W(heat_W, run.step_s) for heat_W, run in zip(together, runs, strict=True))
-    return np.asarray(np.concatenate(together) > _AT_LIMIT * most_W)
+def _at_limit(runs: Sequence[Record], fed: Sequence[int], sign: int) -> NDArray[np.bool_]:
+    """Steps (n,) in which a machine gives about the most that it was seen to give in such weather.
+
+    The most is a straight line over the outdoor temperature: of those that no hour is above, and whose slope a boiler
+    or a heat pump may have, the one that is lowest in the mean weather.
+    """
+    together_W = [np.abs(run.heat_W[list(fed)]).sum(axis=0) for run in runs]
+    T_out_C = [step_means(run.T_out_C) for run in runs]
+    W, of_hours_C = (
+        np.concatenate([hourly(steps, run.step_s) for steps, run in zip(of_runs, runs, strict=True)])
+        for of_runs in (together_W, T_out_C)
+    )
+    metered, of_steps_C = np.isfinite(W), np.concatenate(T_out_C)
+    if not metered.any():
+        return np.zeros(of_steps_C.size, dtype=bool)
+    mean_C, (slope, sd) = float(of_steps_C.mean()), kinds_for(sign)[0].slope
+    per_K = np.linspace(0.0, slope + np.copysign(2.0 * sd, slope), _SLOPES)
+    ends_K = np.array([of_steps_C.min(), of_steps_C.max()]) - mean_C
+    per_K = per_K[(1.0 + np.outer(per_K, ends_K)).min(axis=1) >= _LEAST_SHARE]
+    most_W = np.max(W[metered] / (1.0 + np.outer(per_K, of_hours_C[metered] - mean_C)), axis=1)
+    lowest = int(np.argmin(most_W))
+    of_steps_W = most_W[lowest] * (1.0 + per_K[lowest] * (of_steps_C - mean_C))
+    return np.asarray(np.concatenate(together_W) > _AT_LIMIT * of_steps_W)

@@ -91,15 +91,27 @@ class RoomFit:
     @cached_property
     def covariance(self) -> Array:
         """Posterior covariance of θ (p, p) by the curvature (Laplace)."""
-        return self.spread * np.outer(self.room.sd, self.room.sd)
+        return self.covariance_at(self.theta)
 
     @cached_property
     def spread(self) -> Array:
         """Posterior covariance of `scaled` (p, p)."""
+        return self.covariance / np.outer(self.room.sd, self.room.sd)
+
+    def covariance_at(self, theta: Array) -> Array:
+        """Posterior covariance of θ (p, p) by the curvature at some θ (p,)."""
         # What the record does not know stays at its prior: no direction is surer than the data or less than the prior.
-        sizes, directions = np.linalg.eigh(_curvature(self.room, self.runs, self.scaled))
-        half = directions / np.sqrt(np.maximum(sizes, 1.0))
+        sizes, directions = np.linalg.eigh(_curvature(self.room, self.runs, self._in_sds(theta)))
+        half = self.room.sd[:, None] * directions / np.sqrt(np.maximum(sizes, 1.0))
         return np.asarray(half @ half.T)
+
+    def posterior(self, theta: Array) -> tuple[float, Array]:
+        """Half the negative log posterior at θ (p,) up to a constant, and its gradient (p,).
+
+        Infinite, without a slope, where rates are beyond numbers.
+        """
+        value, slope = _scaled(self.room, self.runs, self._in_sds(theta))
+        return value, slope / self.room.sd
 
     def without(self, actuator: int) -> RoomFit:
         """The best fit as if `actuator` did nothing; its `value` less that of this one: the log odds that it acts."""
@@ -107,16 +119,18 @@ class RoomFit:
         best = searched(self.room, runs, self.scaled)
         return RoomFit(self.room, self.room.mean + self.room.sd * best.x, float(best.fun), runs)
 
-    @property
-    def reading_K2(self) -> float:
-        """Variance of a reading."""
-        _, _, reading = self.room.noise(self.theta, self.runs[0].step_h)
+    def reading_K2(self, theta: Array) -> float:
+        """Variance of a reading at θ (p,)."""
+        _, _, reading = self.room.noise(theta, self.runs[0].step_h)
         return reading + self.runs[0].rounding_K2 + _MODEL_SD_K**2
 
     @property
     def scaled(self) -> Array:
         """θ in prior standard deviations from its mean (p,)."""
-        return np.asarray((self.theta - self.room.mean) / self.room.sd)
+        return self._in_sds(self.theta)
+
+    def _in_sds(self, theta: Array) -> Array:
+        return np.asarray((theta - self.room.mean) / self.room.sd)
 
 
 def start_K2(room: RoomNetwork, stationary: Array) -> Array:

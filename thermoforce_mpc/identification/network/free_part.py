@@ -48,7 +48,7 @@ def free_part(building: BuildingFit, zone: int) -> RcParameters | None:
         step_h * HOUR_S,
         ((by_state * process) @ by_state.T)[np.ix_(seen, seen)],
         start_covariance[np.ix_(seen, seen)],
-        float(np.sqrt(building.rooms[zone].reading_K2)),
+        float(np.sqrt(building.rooms[zone].reading_K2(building.thetas[zone]))),
     )
 
 
@@ -71,8 +71,8 @@ def _by_state(building: BuildingFit, zone: int) -> Array:
 def _variances(building: BuildingFit, step_h: float) -> tuple[Array, Array]:
     """Variances of what disturbs the states of `_by_state` in a step, and of the states at the start."""
     process, start, disturbed, stationary = [], [], [], []
-    for fit in building.rooms:
-        Q, variances, _ = fit.room.noise(fit.theta, step_h)
+    for fit, theta in zip(building.rooms, building.thetas, strict=True):
+        Q, variances, _ = fit.room.noise(theta, step_h)
         nodes = fit.room.disturbances.start
         process.append(Q[:nodes])
         start.append(start_K2(fit.room, variances)[:nodes])

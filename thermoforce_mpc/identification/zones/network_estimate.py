@@ -84,7 +84,9 @@ def network_estimates(
         fit = replace(building_fit(actuators, rooms, fit), sizes=sizes)
         circuits = {}
         for a, (home, heat_input) in enumerate(zip(layout.home, heat_inputs, strict=True)):
-            circuit = circuit_of(fit.rooms[home], a, seen, rooms[home][: len(seen)], layout, heat_input)
+            circuit = circuit_of(
+                fit.rooms[home].room, fit.thetas[home], a, seen, rooms[home][: len(seen)], layout, heat_input
+            )
             if circuit is not None:
                 circuits[a] = circuit
         by_fold[fold] = fit = replace(fit, circuits=circuits)
@@ -141,10 +143,10 @@ def _estimate(
 def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw], *, sd: bool = False) -> Estimates:
     """What a fit says of the laws of actuator `a`, with standard deviations, which take a while, where asked for."""
     home = fit.layout.home[a]
-    room, k = fit.rooms[home], fit.layout.actuators_of(home).index(a)
-    places = {law.name: room.room.place[f"{law.name}_{k}"] for law in laws}
-    sds = np.sqrt(np.diagonal(room.covariance)) if sd else np.full(room.theta.size, np.nan)
-    return {name: (float(room.theta[i]), float(sds[i])) for name, i in places.items()}
+    theta, k = fit.thetas[home], fit.layout.actuators_of(home).index(a)
+    places = {law.name: fit.rooms[home].room.place[f"{law.name}_{k}"] for law in laws}
+    sds = fit.joint.sds[home] if sd else np.full(theta.size, np.nan)
+    return {name: (float(theta[i]), float(sds[i])) for name, i in places.items()}
 
 
 def _seen(
