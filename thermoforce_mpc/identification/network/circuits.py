@@ -34,7 +34,7 @@ _USUAL_LEVEL = 0.3
 # Share of the most heat of an hour in such weather from which the machine counts as at its limit. By judgement, as the
 # number of steps.
 _AT_LIMIT = 0.9
-# Slopes that are tried, of which two are a tenth of a per cent per K apart.
+# Slopes that are tried: so many that two are a tenth of a per cent per K apart, since no record tells them finer.
 _SLOPES = 41
 # Steps from which the heat of a circuit is found: three hours of operation, by judgement.
 _LEAST_STEPS = 12
