@@ -212,7 +212,6 @@ def _start(record: Record, awake: tuple[int, int], start: str | None) -> tuple[f
     Raises:
         DataError: `start` is no date, or lies before the end of the record.
     """
-
     origin, end = record.origin, record.stamps()[-1]
     summer = (end.utcoffset() - origin.utcoffset()).total_seconds() if origin.tzinfo else 0.0
     hours = (max(0, awake[0] - round(summer / HOUR_S)), awake[1] - round(summer / HOUR_S))
