@@ -239,7 +239,10 @@ def test_a_plan_is_a_table_a_file_and_a_picture(folder, model):
         (("data", "check", "probed.csv", "--map", "other.yaml"), "no such file; `tf-mpc data map FILE` writes one"),
         (("data", "probe-plan", "probed.csv", "--map", "map.yaml", "--levels", "1,0"), "start with 0"),
         (("data", "probe-plan", "probed.csv", "--map", "map.yaml", "--start", "2024-01-01"), "before the end of"),
-        (("data", "probe-plan", "probed.csv", "--map", "map.yaml", "--start", "NaT"), "--start 'NaT' is not a time stamp"),
+        (
+            ("data", "probe-plan", "probed.csv", "--map", "map.yaml", "--start", "NaT"),
+            "--start 'NaT' is not a time stamp",
+        ),
         (("identify", "--data", "probed.csv"), "--data and --map belong together"),
         (("identify", "--data", "probed.csv", "--map", "map.yaml", "--data-days", "nan"), "nan is no number"),
         (("identify", "--data", "probed.csv", "--map", "map.yaml", "--testcase", "x"), "--testcase is for probing"),
