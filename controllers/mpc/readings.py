@@ -140,9 +140,10 @@ class ReadingsFilter:
     def _in_time(self, history: Record, *, first: bool) -> tuple[Record, str]:
         """The record with the temperatures of rooms whose sensors are late, and news; as it is without levels."""
         try:
-            return self._model.in_time(history), self._model.news_of_late(history, first=first)
+            late = self._model.late_readings(history)
         except DataError:  # prediction meets the same error and says it
             return history, ""
+        return late.in_time(), late.news(first=first)
 
     def _forced(self, history: Record, state: MPCState) -> ForcedState | None:
         """Forced states of the building until now; None at the start, or if they cannot be estimated."""

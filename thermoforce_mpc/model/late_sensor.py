@@ -9,7 +9,7 @@ F less what the sensor reads of F, so that plans, rules and checks mean the room
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,62 +59,72 @@ class LateSensor:
         )
 
 
-def in_time(record: Record, operator: BuildingOperator, late: Sequence[LateSensor | None]) -> Record:
-    """`record` with the temperatures of the rooms whose sensors are `late` (Z,), as far as actuators move them.
-
-    By the operator with m = 1 from the steady state of the first day: of what came hours before a late sensor misses
-    nothing. Sensors that are not `still_late` read the rooms. Gaps of weather and levels are bridged; raises
-    `DataError` as `forced_state.heat_drive`.
+@dataclass(frozen=True, eq=False)
+class LateReadings:
+    """A `record` as read, and of each zone whose sensor is late, by its number in `responses`, the forced response of
+    the room and what the sensor reads of it (n + 1,), K.
     """
-    told, T = _forced_and_read(record, operator, late), np.array(record.T_zone_C)
-    for z, (forced_K, read_K) in told.items():
-        if _tells_late(record.T_zone_C[z], forced_K, read_K, record.step_s):
-            T[z] += forced_K - read_K
-    return replace(record, T_zone_C=T) if told else record
 
+    record: Record
+    responses: Mapping[int, tuple[Array, Array]]
 
-def still_late(record: Record, operator: BuildingOperator, late: Sequence[LateSensor | None]) -> tuple[bool, ...]:
-    """Whether each of the sensors that are `late` (Z,) may be so by the latest days of a record; see `in_time`.
+    @classmethod
+    def of(cls, record: Record, operator: BuildingOperator, late: Sequence[LateSensor | None]) -> LateReadings:
+        """What the sensors `late` (Z,) read of a record, by the operator with m = 1 from the steady state of the first
+        day: of what came hours before a late sensor misses nothing.
 
-    What is left of readings without what they hold of forced responses is slow, and so smoother where they are read as
-    they should be.
-    """
-    told = _forced_and_read(record, operator, late)
-    return tuple(
-        z in told and _tells_late(record.T_zone_C[z], *told[z], record.step_s) for z in range(len(record.T_zone_C))
-    )
+        Gaps of weather and levels are bridged; raises `DataError` as `forced_state.heat_drive`.
+        """
+        if not any(late) or not record.n_steps:
+            return cls(record, {})
+        filled, _ = bridged(record)
+        operator = operator.resampled(record.step_s)
+        heat = heat_drive(operator, filled, 0, record.n_steps)
+        day = max(1, min(record.n_steps, round(DAY_S / record.step_s)))
+        start = operator.steady_gains_K * heat[:, :day].mean(axis=1)[:, None]
+        forced_K = np.concatenate([start[:, :, None], operator.driven(start, heat)], axis=2)
+        responses = {}
+        for z, sensor in enumerate(late):
+            if sensor is not None:
+                each = zip(forced_K[z], operator.poles[z], strict=True)
+                read = [read_late(of_one, poles, record.step_s, sensor.lag_s) for of_one, poles in each]
+                responses[z] = (forced_K[z].sum(axis=(0, -1)), np.asarray(np.sum(read, axis=0)))
+        return cls(record, responses)
 
+    def in_time(self) -> Record:
+        """The record with the rooms' temperatures, as far as actuators move them, where sensors are still late."""
+        if not self.responses:
+            return self.record
+        T = np.array(self.record.T_zone_C)
+        for z, (forced_K, read_K) in self.responses.items():
+            if self._still_late(z, self.record.n_steps):
+                T[z] += forced_K - read_K
+        return replace(self.record, T_zone_C=T)
 
-def _forced_and_read(
-    record: Record, operator: BuildingOperator, late: Sequence[LateSensor | None]
-) -> dict[int, tuple[Array, Array]]:
-    """The forced response and what the sensor reads of it (n + 1,), K, by number of the zones that have a late one."""
-    if not any(late) or not record.n_steps:
-        return {}
-    filled, _ = bridged(record)
-    operator = operator.resampled(record.step_s)
-    heat = heat_drive(operator, filled, 0, record.n_steps)
-    day = max(1, min(record.n_steps, round(DAY_S / record.step_s)))
-    start = operator.steady_gains_K * heat[:, :day].mean(axis=1)[:, None]
-    forced_K = np.concatenate([start[:, :, None], operator.driven(start, heat)], axis=2)
-    found = {}
-    for z, sensor in enumerate(late):
-        if sensor is not None:
-            each = zip(forced_K[z], operator.poles[z], strict=True)
-            read = [read_late(of_one, poles, record.step_s, sensor.lag_s) for of_one, poles in each]
-            found[z] = (forced_K[z].sum(axis=(0, -1)), np.asarray(np.sum(read, axis=0)))
-    return found
+    def news(self, *, first: bool) -> str:
+        """What the last step told of late sensors, in words; `first`: all of the record is new."""
+        told, n, zones = [], self.record.n_steps, self.record.names.zones
+        for z in self.responses if n > 1 else ():
+            was, late = first or self._still_late(z, n - 1), self._still_late(z, n)
+            if was != late:
+                words = "late again" if late else "in time: nothing is added to its readings"
+                told.append(f"the zone sensor reads the room {words}" if len(zones) == 1 else f"{zones[z]}: {words}")
+        return "; ".join(told)
 
+    def _still_late(self, z: int, n_steps: int) -> bool:
+        """Whether the sensor of zone `z` may be late by the latest days of the first `n_steps`.
 
-def _tells_late(T_C: Array, forced_K: Array, read_K: Array, step_s: float) -> bool:
-    """Whether readings (n + 1,) of the latest days do not surely hold all of `forced_K` rather than `read_K`."""
-    n = round(_JUDGED_S / step_s)
-    late, prompt = (np.diff((T_C - of_K)[-n - 1 :], 2) for of_K in (read_K, forced_K))
-    known = np.isfinite(prompt)
-    left = [float(np.sum(rest[known] ** 2)) for rest in (late, prompt)]
-    if not min(left) > 0.0:
-        return True
-    return 0.5 * float(known.sum()) * math.log(left[0] / left[1]) <= _SURE
+        What is left of readings without what they hold of forced responses is slow, and so smoother where they are read
+        as they should be. Late unless they surely hold all of the response.
+        """
+        judged = slice(max(n_steps - round(_JUDGED_S / self.record.step_s), 0), n_steps + 1)
+        T_C = self.record.T_zone_C[z, judged]
+        prompt, late = (np.diff(T_C - of_K[judged], 2) for of_K in self.responses[z])
+        known = np.isfinite(prompt)
+        left = [float(np.sum(rest[known] ** 2)) for rest in (late, prompt)]
+        if not min(left) > 0.0:
+            return True
+        return 0.5 * float(known.sum()) * math.log(left[0] / left[1]) <= _SURE
 
 
 def read_late(forced_K: Array, poles: Array, step_s: float, lag_s: float) -> Array:

@@ -20,7 +20,7 @@ from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.model.card import UNTOLD_SD, ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
-from thermoforce_mpc.model.late_sensor import LateSensor, in_time, still_late
+from thermoforce_mpc.model.late_sensor import LateReadings, LateSensor
 from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, HourEffects, HourSeen, said
 from thermoforce_mpc.model.machine.change import UNKNOWN, Share, share_of_change
 from thermoforce_mpc.model.machine.other_load import own_W
@@ -276,31 +276,11 @@ class ThermalModel:
 
     def in_rooms(self, record: Record) -> Record:
         """`record` with the temperatures of the rooms and the heat of the actuators, as `own_heat`."""
-        return self.in_time(off_sensors(self.own_heat(record), self.sun_on_sensors))
+        return self.late_readings(off_sensors(self.own_heat(record), self.sun_on_sensors)).in_time()
 
-    def in_time(self, record: Record) -> Record:
-        """`record` with the temperatures of the rooms in the place of what late sensors read of them."""
-        return in_time(record, self.operator, self.late_sensors)
-
-    def news_of_late(self, record: Record, *, first: bool) -> str:
-        """What the last step told of late sensors, in words, by a record as read; raises as `in_time`.
-
-        `first`: all that the record tells is new, beside what the cards say.
-        """
-        if not any(self.late_sensors) or record.n_steps < 2:
-            return ""
-        before, now = (
-            still_late(record.slice(0, n), self.operator, self.late_sensors)
-            for n in (record.n_steps - 1, record.n_steps)
-        )
-        if first:
-            before = tuple(found is not None for found in self.late_sensors)
-        told = []
-        for zone, was, late in zip(self.names.zones, before, now, strict=True):
-            if was != late:
-                words = "late again" if late else "in time: nothing is added to its readings"
-                told.append(f"the zone sensor reads the room {words}" if len(now) == 1 else f"{zone}: {words}")
-        return "; ".join(told)
+    def late_readings(self, record: Record) -> LateReadings:
+        """What late sensors read of `record`; raises `DataError` where what its levels bring is not known."""
+        return LateReadings.of(record, self.operator, self.late_sensors)
 
     def power_change(self, m: int, record: Record) -> Share:
         """How much of what the power law of machine `m` says of other levels was in `record`."""

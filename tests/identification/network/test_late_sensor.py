@@ -187,17 +187,19 @@ def test_a_late_sensor_that_was_replaced_is_not_taken_for_late_any_more():
     start = operator.steady_gains_K * heat[:, :96].mean(axis=1)[:, None]
     forced_K = np.concatenate([start[:, :, None], operator.driven(start, heat)], axis=2).sum(axis=(0, 1, 3))
     room_C = 20.0 + np.sin(time_s / DAY_S) + forced_K
-    missed_K = model.in_time(still).T_zone_C[0]
+    missed_K = model.late_readings(still).in_time().T_zone_C[0]
     noise_K = 0.01 * rng.standard_normal(time_s.size)
     read_C = np.where(time_s < 3 * DAY_S, room_C - missed_K, room_C) + noise_K
     record = replace(still, T_zone_C=read_C[None])
-    np.testing.assert_allclose(model.in_time(record.slice(0, 3 * 96 - 1)).T_zone_C[0], (room_C + noise_K)[: 3 * 96])
-    np.testing.assert_allclose(model.in_time(record).T_zone_C[0], read_C)
+    np.testing.assert_allclose(
+        model.late_readings(record.slice(0, 3 * 96 - 1)).in_time().T_zone_C[0], (room_C + noise_K)[: 3 * 96]
+    )
+    np.testing.assert_allclose(model.late_readings(record).in_time().T_zone_C[0], read_C)
     parts = [record.slice(0, n) for n in range(3 * 96, 8 * 96, 12)]
-    late = [part.n_steps for part in parts if (model.in_time(part).T_zone_C != part.T_zone_C).any()]
+    late = [part.n_steps for part in parts if (model.late_readings(part).in_time().T_zone_C != part.T_zone_C).any()]
     assert 3 * 96 < late[-1] < 7 * 96
-    told = [model.news_of_late(record.slice(0, n + 1), first=False) for n in range(late[-1], late[-1] + 12)]
+    told = [model.late_readings(record.slice(0, n + 1)).news(first=False) for n in range(late[-1], late[-1] + 12)]
     assert list(filter(None, told)) == ["the zone sensor reads the room in time: nothing is added to its readings"]
-    assert model.news_of_late(record, first=False) == ""
-    assert model.news_of_late(record, first=True) in told, "a run that begins then"
-    assert model.news_of_late(parts[0], first=True) == ""
+    assert model.late_readings(record).news(first=False) == ""
+    assert model.late_readings(record).news(first=True) in told, "a run that begins then"
+    assert model.late_readings(parts[0]).news(first=True) == ""
