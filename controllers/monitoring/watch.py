@@ -825,8 +825,9 @@ class Watch:
         fault = (
             f"the machine's {meter} was {ratio:.0%} of the model's in the last hours ({ratio / usual:.0%} of before)"
         )
-        other_W = self._left_while_off(history) if meter == "power" else None
-        explained = False
+        # Of another load nothing is new but where it may explain what differs, or have ended.
+        looks = meter == "power" and (differs or state.other_W != 0.0)
+        other_W, explained = self._left_while_off(history) if looks else None, False
         if differs and other_W is not None:
             with_other = machine_ratio(recent, history, law, partial(self._with_other, least_most_W=other_W))
             explained = with_other is not None and fits(with_other[1])
