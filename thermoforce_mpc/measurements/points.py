@@ -71,6 +71,11 @@ class LivePoint:
     doubts: tuple[str, ...] = field(default=())
 
     @property
+    def counts(self) -> bool:
+        """Whether it counts energy."""
+        return self.declared.endswith(COUNTER)
+
+    @property
     def last(self) -> float:
         """The last reading, NaN without one."""
         return float(self.values[-1]) if self.values.size else float("nan")
@@ -80,7 +85,7 @@ class LivePoint:
         at_s, values = self.at_s, self.values
         if not values.size or at_s[0] > end_s or end_s <= begin_s:
             return float("nan")
-        if self.declared.endswith(COUNTER):
+        if self.counts:
             rise_kWh = np.diff(np.interp([begin_s, end_s], at_s, values))
             return float(J_PER_KWH * rise_kWh[0] / (end_s - begin_s))
         edges = np.unique(np.clip(np.concatenate([[begin_s], at_s, [end_s]]), max(begin_s, at_s[0]), end_s))
@@ -186,7 +191,7 @@ def _problem(point: LivePoint, rule: SignalRule, raw: Array, command: AnyCommand
     if command is not None:
         return _problem_of_command(point, command)
     low, high = rule.range
-    if point.declared.endswith(COUNTER):
+    if point.counts:
         mean_W = point.mean(float(point.at_s[0]), float(point.at_s[-1]))
         if not np.isfinite(mean_W) or max(low, 0.0) <= mean_W <= high:
             return ""

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.boundary.tariffs import price_unit_of
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import DAY_S, Array
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap, converted
 
 # Tag: (whole words, beginnings or ends and parts of compound words of five letters and more).
@@ -400,7 +400,7 @@ _SETPOINTS_C = (4.0, 32.0)
 _TOGETHER = 0.9
 # Two names have one sensor where their readings are so near for this share of a day or more, K: one may be rounded to
 # tenths, and be stored some seconds later. Thermometers of two rooms at one set-point are further apart more often.
-_ROUNDED_K, _SAME_SHARE, _DAY_S = 0.051, 0.99, 86_400.0
+_ROUNDED_K, _SAME_SHARE = 0.051, 0.99
 # Tags of what is not the temperature of a room, and temperatures in the short of point lists.
 _NO_ROOM = frozenset(
     ("outdoor", "supply", "return", "water", "hot water", "humidity", "power", "energy", "valve", "other", "sun")
@@ -894,7 +894,7 @@ def _rooms_once(found: Sequence[Guess], looks: Mapping[str, _Look]) -> list[Gues
 def _the_same(one: _Look, unit: str, other: _Look, others_unit: str) -> bool:
     """Whether two temperatures differ by their rounding alone, each reading held until the next one."""
     begin, end = (f(one.time_s[k], other.time_s[k]) for f, k in ((max, 0), (min, -1)))
-    if one.constant or other.constant or end - begin < _DAY_S:
+    if one.constant or other.constant or end - begin < DAY_S:
         return False
     at = np.union1d(one.time_s, other.time_s)
     at = at[(at >= begin) & (at <= end)]

@@ -52,8 +52,8 @@ _AN_HOUR = pd.Timedelta("1h")
 # Rows that go on from one another are no farther apart than so many of their usual distances.
 _GOES_ON = 1.5
 _MOST_YEARS = 20
-# Midnight at the end of a day.
-_LATE = r"(?<=[ T])24:00(?=\D|$)"
+LATE = r"(?<=[ T])24:00(?=\D|$)"
+"""Midnight at the end of a day."""
 # The clock of a table that is being written may be ahead of ours by so much.
 _AHEAD = pd.Timedelta("5min")
 # Share of the stamps of two files from which they stand beside one another rather than overlap at their ends.
@@ -191,10 +191,10 @@ def parsed_or_nat(text: pd.Series, clock: TimeStampRules) -> tuple[pd.Series, ND
 
 def times_of(text: pd.Series, form: str, *, utc: bool, errors: Literal["raise", "coerce"] = "raise") -> pd.Series:
     """Stamps (n,) by a `strptime` format or "ISO8601", as by `pandas.to_datetime`; 24:00 is the end of its day."""
-    late = text.str.contains(_LATE, regex=True) if "24:00" in "\n".join(text.tolist()) else None
+    late = text.str.contains(LATE, regex=True) if "24:00" in "\n".join(text.tolist()) else None
     if late is None or not late.any():
         return pd.to_datetime(text, format=form, utc=utc, errors=errors)
-    at = pd.to_datetime(text.str.replace(_LATE, "00:00", regex=True), format=form, utc=utc, errors=errors)
+    at = pd.to_datetime(text.str.replace(LATE, "00:00", regex=True), format=form, utc=utc, errors=errors)
     return at + pd.Timedelta("1D") * late.astype(int)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.tables.clock import newest_first, plain, times_of
+from thermoforce_mpc.measurements.tables.clock import LATE, newest_first, plain, times_of
 from thermoforce_mpc.measurements.tables.files import (
     PARQUET,
     SEPARATORS,
@@ -481,7 +481,7 @@ def _clock(head: pd.DataFrame, path: Path, form: CsvFormat) -> tuple[tuple[str, 
     if not len(text):
         raise DataError(f"{path}: no column holds time stamps")
     # What ends at 24:00 is an interval, not a reading of then.
-    marks: Literal["start", "end"] = "end" if stamps.astype(str).str.contains("[ T]24:00").any() else "start"
+    marks: Literal["start", "end"] = "end" if stamps.astype(str).str.contains(LATE).any() else "start"
     if _only(text, _NO_YEAR):
         return key, TimeStampRules(year=_YEAR, marks=marks), "the year, which the stamps do not have"
     pattern, note = _stamp_format(text)
@@ -536,7 +536,7 @@ def _stamp_format(text: pd.Series) -> tuple[str | None, str]:
     if as_iso and times_of(sample_of, "ISO8601", utc=True, errors="coerce").notna().all():
         return None, ""
     fitting = []
-    first = next((one for one in map(str.strip, text.astype(str)) if "24:00" not in one), "")
+    first = next((one for one in map(str.strip, text.astype(str)) if not re.search(LATE, one)), "")
     ends = (" %z", "%z") if with_offset(text.iloc[:1])[0] else ("",)
     for day in _DAYS:
         for between in _BETWEEN:
