@@ -12,7 +12,7 @@ import yaml
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.measurements.map.starting_map import starting_map
+from thermoforce_mpc.measurements.map.starting_map import doubt_of_zone, starting_map
 
 ZONE = "Europe/Berlin"
 N = 4 * 96
@@ -775,10 +775,10 @@ def test_a_column_called_room_that_holds_temperatures_names_no_signals(tmp_path)
     assert "point: room, value: temperature" in starting_map(tmp_path / "long.csv")
 
 
-@pytest.mark.parametrize(("form", "begins"), [("%d.%m.%Y %H:%M", 6), ("%Y-%m-%dT%H:%MZ", 5)])
+@pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M", "%Y-%m-%dT%H:%MZ"])
 @pytest.mark.parametrize("warm", [(6, 22), (22, 6)])
-def test_set_points_that_are_lowered_each_night_are_bounds_by_the_hour(tmp_path, form, begins, warm):
-    """By the map's clock; without them a plan keeps a room warm all night that people let cool."""
+def test_set_points_that_are_lowered_each_night_are_bounds_by_the_hour(tmp_path, form, warm):
+    """By the building's clock; without them a plan keeps a room warm all night that people let cool."""
     at = pd.date_range("2026-01-12", periods=N, freq="15min", tz=ZONE)
     hour = np.roll(np.arange(24), -warm[0])[: (warm[1] - warm[0]) % 24]
     asked = np.where(np.isin(at.hour, hour), 21.0, 18.0)
@@ -788,13 +788,48 @@ def test_set_points_that_are_lowered_each_night_are_bounds_by_the_hour(tmp_path,
     table["Bad °C"], table["Außen °C"] = HOUSE["bath"].array, HOUSE["out"].array
     table.to_csv(tmp_path / "house.csv", index=False)
     text = starting_map(tmp_path / "house.csv")
-    shift = begins - 6
-    expected = f"{warm[0] + shift}-{warm[1] + shift} 20.5-24, else 17.5-24"
+    expected = f"{warm[0]}-{warm[1]} 20.5-24, else 17.5-24"
     assert yaml.safe_load(text)["comfort"]["schedule"] == {"zimmer": expected, "bad": "else 20-24"}
     (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
     found = tf.read_measurements(tmp_path / "house.csv", tmp_path / "map.yaml")
     lower = found.conditions.lower_C[0]
     np.testing.assert_array_equal(lower, np.where(np.isin(at.hour, hour), 20.5, 17.5)[: lower.size])
+
+
+HOURS_IN_UTC = {"offsets": "%Y-%m-%dT%H:%M:%SZ", "header": "%Y-%m-%d %H:%M", "other offsets": "%Y-%m-%dT%H:%M:%S%z"}
+
+
+@pytest.mark.parametrize("long", [False, True])
+@pytest.mark.parametrize("how", HOURS_IN_UTC)
+def test_comfort_by_the_hour_is_of_the_building_s_clock(tmp_path, how, long):
+    """Home Assistant and InfluxDB write in UTC: 6 to 22 h in New York were 11 to 3 h, and nothing was said of it."""
+    zone = "America/New_York"
+    at = pd.date_range("2026-01-12", periods=N, freq="15min", tz=zone)
+    stamps = (at if how == "other offsets" else at.tz_convert("UTC")).strftime(HOURS_IN_UTC[how])
+    table = pd.DataFrame({"room temperature": HOUSE["living"].array, "outdoor": HOUSE["out"].array})
+    table["room setpoint"] = np.where((at.hour >= 6) & (at.hour < 22), 21.0, 18.0)
+    table.insert(0, "time (UTC)" if how == "header" else "time", stamps)
+    if long:
+        table = table.melt(table.columns[0], var_name="name")
+    table.to_csv(tmp_path / "house.csv", index=False)
+    text = starting_map(tmp_path / "house.csv", zone)
+    assert yaml.safe_load(text)["comfort"]["schedule"] == {"room": "6-22 20.5-24, else 17.5-24"}
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    found = tf.read_measurements(tmp_path / "house.csv", tmp_path / "map.yaml")
+    assert found.record.stamps()[0] == at[0]
+    np.testing.assert_array_equal(found.conditions.lower_C[0], np.where((at.hour >= 6) & (at.hour < 22), 20.5, 17.5))
+    untold = starting_map(tmp_path / "house.csv")
+    if how == "other offsets":  # told by the stamps
+        assert yaml.safe_load(untold)["comfort"] == yaml.safe_load(text)["comfort"]
+        return
+    assert "in these hours of UTC, not of the building's clock" in untold
+    assert doubt_of_zone(untold).startswith("time.zone of the map is UTC: the stamps are in UTC, and so are all hours")
+    assert not doubt_of_zone(text)
+    (tmp_path / "map.yaml").write_text(untold, encoding="utf-8")
+    assumed = tf.read_measurements(tmp_path / "house.csv", tmp_path / "map.yaml").understood.assumed
+    assert any("hours of comfort are of UTC" in told for told in assumed)
+    with pytest.raises(DataError, match="no time zone 'New York', did you mean"):
+        starting_map(tmp_path / "house.csv", "New York")
 
 
 @pytest.mark.parametrize("rooms", [("Floor 1 Room 2", "Floor 2 Room 1"), ("Bad 1. OG", "Zone #1")])

@@ -404,7 +404,7 @@ def _from_table(
         (*reader.summaries, *of_tank),
         (
             *table.notes,
-            *of_clock(zone, rows_every_s, step_s),
+            *of_clock(zone, rows_every_s, step_s, by_hour=rules.comfort is not None and rules.comfort.by_hour),
             *of_sun,
             *of_levels,
             *of_changes(reader.on_change),

@@ -124,9 +124,13 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def of_clock(zone: str, rows_every_s: float, step_s: float) -> list[str]:
-    """What is assumed about clock and step, in words."""
+def of_clock(zone: str, rows_every_s: float, step_s: float, *, by_hour: bool) -> list[str]:
+    """What is assumed about clock and step, in words; `by_hour`: the map has comfort bounds by the hour."""
     notes = [] if zone else ["the time stamps have no time zone (time.zone): every day is taken to have 24 h"]
+    if zone == "UTC" and by_hour:
+        notes.append(
+            "hours of comfort are of UTC (time.zone), not the building's clock: name its zone, and hours of it"
+        )
     if rows_every_s > step_s * 1.01:
         notes.append(
             f"rows come every {rows_every_s / 60.0:g} min, the step is {step_s / 60.0:g} min: fast effects are not seen"

@@ -176,6 +176,12 @@ class Comfort(StrictModel):
         bounds = np.array([_bounds(rules_from(text, self.within_C), day, hour, holiday) for text in texts])
         return bounds[:, 0], bounds[:, 1]
 
+    @property
+    def by_hour(self) -> bool:
+        """Whether bounds of a zone change within a day, so that it matters of which clock hours are."""
+        texts = [self.schedule] if isinstance(self.schedule, str) else self.schedule.values()
+        return any(rule.end_h - rule.begin_h != 24.0 for text in texts for rule in rules_from(text, self.within_C))
+
     def strictest_C(self, zones: Sequence[str]) -> list[tuple[float, float]]:
         """The highest lower and the lowest upper bound of each of `zones`, °C; raises as `bounds_C`."""
         rules = [rules_from(text, self.within_C) for text in self._of_zones(zones)]

@@ -184,7 +184,7 @@ def test_probing_by_hand_keeps_the_hours_of_summer_time(folder, tmp_path):
 def test_a_starting_map_is_printed(folder):
     done = tf_mpc(folder, "data", "map", "probed.csv")
     assert done.exit_code == 0, done.output
-    rules = yaml.safe_load(done.output)
+    rules = yaml.safe_load(done.stdout)
     assert rules["zones"]["room_k"]["temperature"] == {"column": "room_K", "unit": "K"}
     assert rules["outdoor"]["column"] == "out_F"
 
@@ -405,3 +405,19 @@ def test_a_band_that_held_nothing_is_a_warning(folder, model, tmp_path):
         said[name] = done.output
     assert "warning: the band of living promises 80 % and held far less" in said["warmer"]
     assert "warning" not in said["as it was"]
+
+
+def test_a_map_whose_hours_are_of_utc_says_so_loudly_until_the_zone_is_told(tmp_path):
+    table = pd.DataFrame({"time": pd.date_range("2026-01-12", periods=48, freq="15min", tz="UTC")})
+    table["room temperature"], table["outdoor temperature"] = 20 + np.arange(48) % 7 / 4, np.arange(48) / 9
+    table["time"] = table["time"].dt.strftime("%Y-%m-%dT%H:%M:%SZ")
+    table.to_csv(tmp_path / "house.csv", index=False)
+    said = "time.zone of the map is UTC"
+    for zone, loud in ((), True), (("--zone", "America/Denver"), False):
+        done = tf_mpc(tmp_path, "data", "map", "house.csv", *zone)
+        assert (said in done.stderr, "zone: America/Denver  #" in done.stdout) == (loud, not loud)
+        assert yaml.safe_load(done.stdout)["outdoor"]
+        begun = tf_mpc(tmp_path, "init", str(tmp_path / f"home{loud}"), "--data", "house.csv", *zone)
+        assert (said in begun.stdout) is loud
+    refused = tf_mpc(tmp_path, "init", "other", "--zone", "UTC").exception
+    assert str(refused).startswith("--zone: is of the map that --data writes")

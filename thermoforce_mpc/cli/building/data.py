@@ -56,16 +56,24 @@ MAP = click.option("--map", "map_file", required=True, type=PATH, help="Map of t
 
 @data.command("map")
 @FILES
-def map_of(files: tuple[str, ...]) -> None:
+@click.option("--zone", help="The building's time zone, as Europe/Brussels.  [default: as FILE tells]")
+def map_of(files: tuple[str, ...], zone: str | None) -> None:
     """Print a map for FILE (several of one building, or a pattern in quotes), to be checked line by line.
 
     Recognises one column per signal, one row per reading (Home Assistant, InfluxDB and the like), one file per signal
     or room; how the file is written and stamped; and by names and values what each signal is. What is not certain is
-    marked by CHECK.
-    """
-    from thermoforce_mpc.measurements.map.starting_map import starting_map
+    marked by CHECK. Comfort by the hour is of the building's clock: exports in UTC need --zone.
 
-    click.echo(starting_map(files), nl=False)
+    \b
+    Example:
+      tf-mpc data map history.csv --zone Europe/Brussels > map.yaml
+    """
+    from thermoforce_mpc.measurements.map.starting_map import doubt_of_zone, starting_map
+
+    text = starting_map(files, zone)
+    click.echo(text, nl=False)
+    if doubt := doubt_of_zone(text):
+        click.echo(doubt, err=True)
 
 
 @data.command("check")

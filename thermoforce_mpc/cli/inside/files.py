@@ -45,11 +45,13 @@ _KIND_OF = {
 )
 @click.option("--copy-testcase", is_flag=True, help="Copy that test case to testcase.yaml, to make it yours.")
 @click.option("--data", metavar="FILE", help="Write map.yaml too, guessed from this table of measurements.")
+@click.option("--zone", help="With --data: the building's time zone, as Europe/Brussels.")
 @click.option("--from-url", metavar="URL", help="Write testcase.yaml, proposed from the points of a BOPTEST service.")
 @click.option("--for", "home", type=click.Choice(HOMES), help="Of a real building behind this, or a BOPTEST service.")
 def init(
-    folder: Path, testcase: str | None, copy_testcase: bool, data: str | None, from_url: str | None, home: str | None
-) -> None:
+    folder: Path, testcase: str | None, copy_testcase: bool, data: str | None, zone: str | None, from_url: str | None,
+    home: str | None,
+) -> None:  # fmt: skip
     """Write a commented scenario to DIR, with every key, its meaning and its default, ready to run.
 
     With --for the files of a real building: map.yaml, connection.yaml, a systemd unit, and for Home Assistant the timer
@@ -61,14 +63,16 @@ def init(
     Examples:
       tf-mpc init my_study
       tf-mpc init my_house --testcase bestest_hydronic --copy-testcase
-      tf-mpc init my_house --data house.csv
+      tf-mpc init my_house --data house.csv --zone Europe/Brussels
       tf-mpc init my_study --testcase my_office --from-url http://127.0.0.1:8000
       tf-mpc init my_house --for home-assistant
     """
-    from thermoforce_mpc.measurements.map.starting_map import starting_map
+    from thermoforce_mpc.measurements.map.starting_map import doubt_of_zone, starting_map
     from thermoforce_mpc.plants.testcases import is_read, load_scenario, load_testcase
     from thermoforce_mpc.scenario.settings import find_config
 
+    if zone is not None and data is None:
+        raise ConfigError("--zone: is of the map that --data writes; give a table of measurements, or leave it out")
     if from_url is not None:
         if copy_testcase or data is not None or home is not None:
             raise ConfigError("--from-url: writes a test case itself; leave --copy-testcase, --data and --for out")
@@ -81,11 +85,13 @@ def init(
             raise ConfigError(
                 f"--testcase: --for {home} is a real building, which is no test case; leave one of them out"
             )
-        texts = home_files(home, None if data is None else starting_map(data))
+        texts = home_files(home, None if data is None else starting_map(data, zone))
         texts["map.yaml"] = _headed("map", texts["map.yaml"])
         _write_new({folder / name: text for name, text in texts.items()}, _schemas(folder, ["map"]))
         for name in texts:
             click.echo(f"Wrote {folder / name}")
+        if data is not None and (doubt := doubt_of_zone(texts["map.yaml"])):
+            click.echo(doubt)
         first = "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
         click.echo(f"Replace the names in them, then: {first}tf-mpc validate map.yaml")
         click.echo("Then: tf-mpc commission connection.yaml")
@@ -106,8 +112,10 @@ def init(
         path = find_config("testcases", testcase.replace("energyplus:", "energyplus_", 1))
         texts["testcase"] = _headed("testcase", path.read_text(encoding="utf-8"))
     if data is not None:
-        texts["map"] = _headed("map", starting_map(data))
+        texts["map"] = _headed("map", starting_map(data, zone))
     enter = _written(folder, texts)
+    if doubt := doubt_of_zone(texts.get("map", "")):
+        click.echo(doubt)
     what = " (the simulated test case, not your measurements)" if data is not None else ""
     click.echo(f"Run it:   {enter}tf-mpc run --config scenario.yaml{what}")
     if not implemented and home is None:

@@ -456,8 +456,8 @@ class Column:
     """First readings of a signal: instants (n,) s since 1970, increasing, values (n,) NaN where none.
 
     `text`: it is mostly words; `unit`: one that stands elsewhere than in its name; `by`: what values were multiplied
-    by, where a line above the table says it; `words`: those that stand amid its numbers; `zone`: of the map, where
-    instants are of UTC, '' where they are what a clock on the wall showed.
+    by, where a line above the table says it; `words`: those that stand amid its numbers; `clock`: the zone
+    of the clock that instants are of, '' for the building's.
     """
 
     name: str
@@ -467,7 +467,7 @@ class Column:
     unit: str = ""
     by: float = 1.0
     words: tuple[str, ...] = ()
-    zone: str = ""
+    clock: str = ""
 
 
 def guesses(columns: Sequence[Column]) -> list[Guess]:

@@ -34,16 +34,21 @@ class Habit:
     spans: tuple[tuple[int, int], ...]
 
 
-def habit_of(column: Column, unit: str) -> Habit | None:
-    """What people set by the hour of the day; None where days have no such hours, or are too few."""
+def habit_of(column: Column, unit: str, zone: str) -> Habit | None:
+    """What people set by the hour of the day in `zone`; None where days have no such hours, or are too few."""
     known = np.isfinite(column.values)
     at = pd.DatetimeIndex(pd.to_datetime(column.time_s[known], unit="s"))
     # Stamps that cannot be read are counted from 1970.
     if not len(at) or at[-1] - at[0] < _LEAST_HABIT or at[0].year == 1970:
         return None
     celsius = converted(column.values[known], unit or "°C")
-    if column.zone:
-        at = at.tz_localize("UTC").tz_convert(column.zone).tz_localize(None)
+    if column.clock:
+        first = np.ones(len(at), dtype=bool)
+        at = (
+            at.tz_localize(column.clock, ambiguous=first, nonexistent="shift_forward")
+            .tz_convert(zone)
+            .tz_localize(None)
+        )
     hours = pd.date_range(at[0].ceil("1h"), at[-1].floor("1h"), freq="1h")
     # In the middle of each hour, which changes at full hours leave alone.
     held = pd.Series(celsius[np.searchsorted(at, hours + pd.Timedelta("30min"), side="right") - 1])

@@ -6,17 +6,18 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from zoneinfo import available_timezones
 
 import numpy as np
 import pandas as pd
 import yaml
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import DataError, suggestion
 from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses, place_in_order, tags, unit_of, words_of
 from thermoforce_mpc.measurements.map.habits import COMFORT_C, SETBACK_K, Habit, bounds_around, habit_of
 from thermoforce_mpc.measurements.map.mapping import converted
-from thermoforce_mpc.measurements.tables.clock import all_year, instants
+from thermoforce_mpc.measurements.tables.clock import all_year, instants, plain
 from thermoforce_mpc.measurements.tables.files import all_readings, found_files, head_of, named_after, stamps_of
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import (
@@ -26,6 +27,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     bad_status,
     raw_table,
     unit_of_cells,
+    with_offset,
 )
 from thermoforce_mpc.measurements.tables.recognition import (
     Recognised,
@@ -36,13 +38,15 @@ from thermoforce_mpc.measurements.tables.recognition import (
 )
 
 # Rows of a file that are looked at where its columns are signals, and readings of a signal where rows are readings.
-_ROWS, _READINGS = 20_000, 5_000
+_ROWS, _READINGS, _FEW = 20_000, 5_000, 20
 _CHECK = "CHECK: "
 # An hour that a clock shows twice has so many times the rows of the one before and after, at least.
 _HOUR, _REPEATED = pd.Timedelta("1h"), 1.5
 _HEAT_PAID = "heat, as no electric power is metered: so district heat is billed; of a boiler or heat pump set factor"
 # Words amid numbers that a map says to be empty cells, at most; and what may be a number that is written otherwise.
 _MOST_MISSING, _NUMBER = 6, re.compile(r"\d[.,' ]?\d|^\W*\d\W*$")
+UTC = "UTC"
+_ANEW = "write this map anew with --zone and the building's, such as --zone Europe/Brussels"
 # Zones of time of people who write so.
 _ZONES = {
     "de": "Europe/Berlin", "fr": "Europe/Paris", "nl": "Europe/Amsterdam", "en": "Europe/Brussels",
@@ -59,11 +63,17 @@ _OF_INTERVALS = frozenset(("max", "min", "peak", "aprt", "apparent", "reactive",
 _PUT_LAST = re.compile(r"pump|pomp|fan|relay|switch|status|stat$|enable", re.I)
 
 
-def starting_map(files: str | Path | Sequence[str | Path]) -> str:
+def starting_map(files: str | Path | Sequence[str | Path], zone: str | None = None) -> str:
     """The text of a map for files of one building, with what is not certain marked by CHECK.
 
-    Raises `DataError` where a file cannot be read, or nothing in it looks like a temperature.
+    `zone`: the building's time zone, such as Europe/Brussels; None: as the files tell, or UTC where stamps are of it.
+
+    Raises `DataError` where a file cannot be read, nothing in it looks like a temperature, or there is no such zone.
     """
+    if zone is not None and zone not in (known := available_timezones()):
+        of_city = [name for name in sorted(known) if name.endswith("/" + zone.replace(" ", "_").title())]
+        meant = f", did you mean '{of_city[0]}'?" if of_city else suggestion(zone, known)
+        raise DataError(f"zone: there is no time zone {zone!r}{meant}; names are as Europe/Brussels")
     paths = found_files([files] if isinstance(files, str | Path) else list(files))
     kinds = [recognised(of_kind) for of_kind in written_alike(paths)]
     read = [_columns(kind) for kind in kinds]
@@ -86,13 +96,21 @@ def starting_map(files: str | Path | Sequence[str | Path]) -> str:
             f"{paths[0]}: taken for {taken.words}; none of {names} looks like a temperature of a room or outdoors: "
             "write the map by hand"
         )
-    return _Text(paths, kinds, columns, found).written()
+    return _Text(paths, kinds, columns, found, zone).written()
+
+
+def doubt_of_zone(text: str) -> str:
+    """What is not certain of the zone of a map that `starting_map` wrote, in a line for people; '' where nothing is."""
+    told = re.search(rf"(?m)^  zone: (\S+)  # {_CHECK}(.*)$", text)
+    return f"time.zone of the map is {told[1]}: {told[2]}" if told else ""
 
 
 def _columns(taken: Recognised) -> list[Column]:
     """First readings of all signals of files."""
     if taken.table.point is not None:
         units: dict[str, str] = {}
+        of_utc = taken.clock.unit is not None or _have_offsets(taken.paths[0], taken)
+        clock = UTC if of_utc else taken.clock.zone or ""
         for path in taken.paths:
             units |= units_of_points(head_of(path, _ROWS, taken.csv), taken.table, taken.csv.decimal)
         return [
@@ -103,7 +121,7 @@ def _columns(taken: Recognised) -> list[Column]:
                 sum(words.values()) > np.isfinite(values).sum(),
                 unit_of(f"({units.get(name, '')})"),
                 words=tuple(word for word in words if word and not _NUMBER.search(word)),
-                zone=taken.clock.zone or "",
+                clock=clock,
             )
             for name, (at, values, words) in all_readings(taken.paths, taken.clock, taken.csv, taken.table).items()
             if at.size
@@ -131,7 +149,7 @@ def _columns(taken: Recognised) -> list[Column]:
                 below = next((u for u in (unit_of(f"({units.get(name, '').strip('()[]')})"),) if u), "")
                 unit = unit_of(name) or unit_of_cells(head[name], taken.csv.decimal) or below
                 by = 1.0 / divisors.get(name, 1.0)
-                found[key] = Column(key, time_s, numbers * by, words, unit, by, texts, taken.clock.zone or "")
+                found[key] = Column(key, time_s, numbers * by, words, unit, by, texts, UTC if taken.clock.zone else "")
     return list(found.values())
 
 
@@ -152,6 +170,14 @@ def _seconds(table: RawTable, clock: TimeStampRules) -> np.ndarray:
     at = at if at.dt.tz is None else at.dt.tz_convert("UTC").dt.tz_localize(None)
     seconds = np.asarray((at - pd.Timestamp(0)).dt.total_seconds(), dtype=np.float64)
     return seconds if seconds.size == len(table.stamps) else np.arange(len(table.stamps)) * 900.0
+
+
+def _have_offsets(path: Path, kind: Recognised) -> bool:
+    """Whether the stamps of a file say themselves how far they are from UTC."""
+    stamps = raw_table(head_of(path, _FEW, kind.csv), kind.clock.column, [], str(path)).stamps
+    if pd.api.types.is_datetime64_any_dtype(stamps):
+        return getattr(stamps.dtype, "tz", None) is not None
+    return bool(with_offset(plain(stamps.dropna().astype(str), kind.clock.format)).all())
 
 
 def _follows_summer_time(path: Path, clock: TimeStampRules, form: CsvFormat, zone: str) -> bool | None:
@@ -186,12 +212,15 @@ class _Text:
     """The lines of a map."""
 
     def __init__(
-        self, paths: Sequence[Path], kinds: Sequence[Recognised], columns: Sequence[Column], found: Sequence[Guess]
-    ) -> None:
+        self, paths: Sequence[Path], kinds: Sequence[Recognised], columns: Sequence[Column], found: Sequence[Guess],
+        home: str | None,
+    ) -> None:  # fmt: skip
         self.paths, self.taken, self.others, self.found = paths, kinds[0], kinds[1:], list(found)
+        self.home = home
         self.column = {column.name: column for column in columns}
         self.used: set[str] = set()
         self.clocks = {path: self._told_by(kind, path) for kind in kinds for path in kind.paths}
+        self.zone, self.why_zone = self._zone()
         modes = self.of("mode")
         self.mode = modes[0] if len(modes) == 1 else None
 
@@ -239,13 +268,7 @@ class _Text:
             lines += ["  unit: s  # stamps are numbers", "  since: FILL IN  # what they count from, such as 2016-01-01"]
         if clock.year is not None:
             lines.append(f"  year: {clock.year}  # {_CHECK}{note}")
-        if clock.zone is not None:
-            lines.append(
-                f"  zone: {clock.zone}  # of the stamps; name the building's all the same, such as Europe/Brussels"
-            )
-        else:
-            zone, why = self._zone()
-            lines.append(f"  zone: {zone}  # {_CHECK}{why}")
+        lines.append(f"  zone: {self.zone}  # {self.why_zone}")
         if note.startswith("? stamps such"):
             lines.append(f"  format: FILL IN  # of {note[2:]}")
         elif clock.format is not None:
@@ -258,16 +281,31 @@ class _Text:
         return lines
 
     def _zone(self) -> tuple[str, str]:
-        """The zone of stamps without one, and how certain it is: of the first file that tells, else by the language."""
-        told = (self.clocks[path] for path in self.taken.paths)
-        usual = self._of_language(), "the building's; Etc/GMT-1 for a clock without summer time"
-        return next((one for one in told if one is not None), usual)
+        """The zone of the map, whose hours are those of comfort and prices, and what is said of it."""
+        if self.home is not None:
+            return self.home, "the building's, of hours of comfort and prices"
+        others = [kind for kind in (self.taken, *self.others) if kind.clock.zone != UTC]
+        if not others:
+            if (guessed := self._of_names()) is not None:
+                return (
+                    guessed,
+                    f"{_CHECK}the building's? The stamps are in UTC, names and units are of there; else {_ANEW}",
+                )
+            return UTC, f"{_CHECK}the stamps are in UTC, and so are all hours here, comfort's too: {_ANEW}"
+        zone, paths = others[0].clock.zone, others[0].paths
+        if zone is not None:
+            return zone, "of the stamps; name the building's all the same, such as Europe/Brussels"
+        usual = self._of_wall_clocks(), "the building's; Etc/GMT-1 for a clock without summer time"
+        zone, why = next((one for path in paths if (one := self.clocks[path]) is not None), usual)
+        return zone, f"{_CHECK}{why}"
 
     def _told_by(self, kind: Recognised, path: Path) -> tuple[str, str] | None:
-        """The zone of a file whose stamps show how its clock went through a change of summer time, and a note."""
-        zone, clock = self._of_language(), kind.clock
-        if clock.zone is not None or clock.unit is not None or kind.notes["time"].startswith("?"):
+        """The zone of a file whose header, or change of summer time, tells it where its stamps do not, and a note."""
+        zone, clock = self._of_wall_clocks(), kind.clock
+        if clock.unit is not None or kind.notes["time"].startswith("?"):
             return None
+        if clock.zone is not None:  # by their offsets, or by what stands above them
+            return None if _have_offsets(path, kind) else (clock.zone, "")
         follows = _follows_summer_time(path, clock, kind.csv, zone)
         if follows is None:
             return None
@@ -278,22 +316,26 @@ class _Text:
             f"the stamps know no summer time; {zone} where a row is wrong",
         )
 
-    def _of_language(self) -> str:
+    def _of_wall_clocks(self) -> str:
+        """The zone of stamps without one."""
+        return self.home or self._of_names() or _ZONES["en"]
+
+    def _of_names(self) -> str | None:
+        """The zone of those who write names and units so; None where these tell none."""
         words = [word for guess in self.found for word in words_of(guess.name)]
         counts = {code: sum(bool(re.search(told, word)) for word in words) for code, told in _LANGUAGES.items()}
         best = max(counts, key=lambda code: counts[code])
         if counts[best] > 0:
             return _ZONES[best]
-        return _ZONES["°F" if any(guess.unit == "°F" for guess in self.found) else "en"]
+        return _ZONES["°F"] if any(guess.unit == "°F" for guess in self.found) else None
 
     def _written_otherwise(self) -> list[str]:
         """Lines of the files that are not written as the first one is, or by another clock."""
-        zone = self.taken.clock.zone or self._zone()[0]
         lines = []
         for kind in (self.taken, *self.others):
             for path in kind.paths:
                 own = self.clocks[path]
-                other_zone = own is not None and own[0] != zone
+                other_zone = own is not None and own[0] != self.zone
                 if kind is not self.taken or other_zone:
                     lines.append(self._otherwise(kind, path, own if other_zone else None))
         return ["files:  # those that are written otherwise than the lines above say", *lines] if lines else []
@@ -305,14 +347,14 @@ class _Text:
         told += [
             f"{key}: {_value(getattr(clock, key))}"
             for key in ("unit", "since", "year", "zone", "marks")
-            if getattr(clock, key) not in (None, "start")
+            if getattr(clock, key) not in (None, "start") and not (key == "zone" and other_zone is not None)
         ]
         why = ""
         if other_zone is not None:
             told.append(f"zone: {other_zone[0]}")
             why = other_zone[1]
-        elif clock.zone is None and self.taken.clock.zone is not None:
-            told.append(f"zone: {self._of_language()}")
+        elif clock.zone is None and (zone := self._of_wall_clocks()) != self.zone:
+            told.append(f"zone: {zone}")
             why = "the zone"
         if note.startswith("?"):
             told.append("format: FILL IN" if "stamps such" in note else "since: FILL IN")
@@ -396,10 +438,11 @@ class _Text:
             if any(self._bound(key, name, zone) for key in ("lower", "upper")):
                 return []
             asked = self._only_one("setpoint", name)
-            habits[name] = None if asked is None else habit_of(self.column[asked.name], asked.unit)
+            habits[name] = None if asked is None else habit_of(self.column[asked.name], asked.unit, self.zone)
         if not any(habits.values()):
             return []
-        note = f"{_CHECK}°C, from what is usually set in these hours of time.zone; as 'weekdays 6-22 …, else …' too"
+        clock = "UTC, not of the building's clock" if self.home is None and self.zone == UTC else "time.zone"
+        note = f"{_CHECK}°C, from what is usually set in these hours of {clock}; as 'weekdays 6-22 …, else …' too"
         lines = [f"comfort:  # {note}", "  schedule:"]
         for name, habit in habits.items():
             if habit is not None:

@@ -216,7 +216,7 @@ def all_readings(
                         at = pd.Series(
                             pd.Timestamp("2025-01-01") + pd.to_timedelta(np.arange(len(at)) * 900.0, unit="s")
                         )
-                at = at.dt.tz_localize(None) if getattr(at.dtype, "tz", None) is not None else at
+                at = at.dt.tz_convert(None) if getattr(at.dtype, "tz", None) is not None else at
                 pieces.append((codes, at.astype("datetime64[ns]").to_numpy().astype("int64") / 1e9, piece.columns[""]))
     codes, time_s, readings = (np.concatenate(column) for column in zip(*pieces, strict=True))
     order = np.lexsort((time_s, codes))
