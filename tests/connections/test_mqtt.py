@@ -318,28 +318,33 @@ def test_a_record_reads_as_measurements(tmp_path):
 
 
 @needs_broker
-def test_home_assistant_finds_one_device_and_what_people_ask_is_heard(connect, broker):
-    asked = []
-    home = connect(prefix="house/mpc")
+@pytest.mark.parametrize("begins", ["early", "late"])  # commands are learned from a first reading
+def test_home_assistant_finds_one_device_and_what_people_ask_is_heard(connect, broker, begins):
+    asked, mpc = [], f"house/{begins}"
+    home = connect(prefix=mpc)
     asks = ("lower", "upper", "boost", "away", "mode")
+    if begins == "early":
+        home.begin()
+        wait_for("the broker", lambda: home.connected)
     home.listen({key: lambda text, key=key: asked.append((key, text)) for key in asks})
     home.tell({"status": "solved", "why": "cheap hours first", "plan": {"next": "21 °C from 14:00", "steps": []}})
     home.begin()
     wait_for("the broker", lambda: home.connected)
     late = Listener(broker, "#")
-    (message,) = late.wait("homeassistant/device/house_mpc/config")
-    found = json.loads(message)
-    assert found == device_message("house/mpc", "house_mpc", found["o"]["sw"], asks)
+    config = f"homeassistant/device/house_{begins}/config"
+    wait_for("the device", lambda: any("climate" in text for text in late.texts(config)))
+    found = json.loads(late.texts(config)[-1])
+    assert found == device_message(mpc, f"house_{begins}", found["o"]["sw"], asks)
     assert {part["p"] for part in found["cmps"].values()} == {"sensor", "climate", "number", "switch", "select"}
-    assert late.wait("house/mpc/availability") == ["online"]
-    assert late.wait("house/mpc/why") == ["cheap hours first"]
+    assert late.wait(f"{mpc}/availability") == ["online"]
+    assert late.wait(f"{mpc}/why") == ["cheap hours first"]
     other = broker.client()
-    other.publish("house/mpc/set/lower", "20.5", qos=1).wait_for_publish(5)
-    other.publish("house/mpc/set/away", "ON", qos=1).wait_for_publish(5)
+    other.publish(f"{mpc}/set/lower", "20.5", qos=1).wait_for_publish(5)
+    other.publish(f"{mpc}/set/away", "ON", qos=1).wait_for_publish(5)
     wait_for("what was asked", lambda: len(asked) == 2)
     assert asked == [("lower", "20.5"), ("away", "ON")]
     home.close()
-    assert late.wait("house/mpc/availability", 2)[-1] == "offline"
+    assert late.wait(f"{mpc}/availability", 2)[-1] == "offline"
     other.disconnect()
     other.loop_stop()
     late.close()

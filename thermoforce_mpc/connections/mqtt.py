@@ -338,8 +338,9 @@ class MqttConnection:
         A retained message is no wish of now, and not taken as one.
         """
         self._asks = dict(asks)
-        if self._client is not None:
+        if self._client is not None and self._client.is_connected():
             self._subscribe(self._client)
+            self._describe(self._client)
 
     def close(self) -> None:
         """See `Connection.close`: says that nobody controls any more, and disconnects."""
@@ -435,13 +436,18 @@ class MqttConnection:
             return
         self._problem = ""
         self._subscribe(client)
-        if self._discovery is not None:
-            node = self._prefix.replace("/", "_")
-            text = json.dumps(device_message(self._prefix, node, VERSION, tuple(self._asks)))
-            client.publish(f"{self._discovery}/device/{node}/config", text, qos=1, retain=True)
+        self._describe(client)
         for topic, text in dict(self._said).items():
             client.publish(topic, text, qos=0, retain=True)
         client.publish(f"{self._prefix}/availability", "online", qos=1, retain=True)
+
+    def _describe(self, client: Any) -> None:
+        """Tell Home Assistant of the device, with what may be asked of it as far as that is known yet."""
+        if self._discovery is None:
+            return
+        node = self._prefix.replace("/", "_")
+        text = json.dumps(device_message(self._prefix, node, VERSION, tuple(self._asks)))
+        client.publish(f"{self._discovery}/device/{node}/config", text, qos=1, retain=True)
 
     def _on_disconnect(self, _client: Any, _userdata: Any, _flags: Any, reason: Any, _properties: Any = None) -> None:
         self._problem = f"lost ({reason})"
