@@ -479,6 +479,18 @@ def test_what_somebody_sets_meanwhile_stays(tmp_path, monkeypatch):
     assert any("somebody set it" in one for one in outcome.doubts)
 
 
+def test_what_the_device_makes_of_a_command_is_put_back_and_said(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    home, rules = by_setpoint()
+    held = Held(home)
+    building, (plan,), read = of(held, rules)
+    held.write = lambda levels, seconds: home.write(dict.fromkeys(levels, plan.value - 1.0), seconds)
+    held.present = lambda names: dict.fromkeys(names, home.rows[-1]["set"] if home.told is None else home.told)
+    outcome = tried(building, plan, read=read, clock=home, sets="home")
+    assert held.put == [{"actuator": 19.0}]
+    assert any("it made that of the command" in one for one in outcome.doubts)
+
+
 def test_one_that_is_not_taken_is_said_and_put_back(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     home, rules = by_setpoint()

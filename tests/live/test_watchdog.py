@@ -41,8 +41,8 @@ def raise_after_setting(dog):
 
 
 def raise_in_an_attempt(dog):
-    dog.set(["pump"], 1.0, {"pump": (21.0, 0.255)})
-    dog.about_to_set(["pump"], 1.0, {"pump": (20.0, 0.255)})
+    dog.set(["pump"], 1.0, {"pump": [(21.0, 0.255)]})
+    dog.about_to_set(["pump"], 1.0, {"pump": [(20.0, 0.255)]})
     raise PlantError("the building did not take back pump")
 
 

@@ -270,6 +270,42 @@ def test_a_thermostat_that_does_not_take_its_set_point_is_nobody_at_the_wall(tmp
     assert not any("by hand" in note for decision in decisions for note in decision.notes)
 
 
+class MakesItsOwn(TimedHome):
+    """A thermostat of whole degrees up to 23 °C, that may say what it holds."""
+
+    def write(self, levels, seconds) -> None:
+        (value,) = levels.values()
+        super().write({"actuator": None if value is None else min(float(round(value)), 23.0)}, seconds)
+
+
+class SaysIt(MakesItsOwn):
+    def present(self, names):
+        return dict.fromkeys(names, self.rows[-1]["set"] if self.told is None else self.told)
+
+
+@pytest.mark.parametrize(
+    ("made", "told", "took"), [(MakesItsOwn, 20.5, 20.0), (SaysIt, 20.5, 20.0), (SaysIt, 26.0, 23.0)]
+)
+def test_what_a_thermostat_makes_of_a_command_is_nobody_at_the_wall(people, made, told, took):
+    """It is given back like the command itself, by the watchdog too; what is turned after that is a person's."""
+    home = made(3)
+    rules = MeasurementMap.model_validate(rules_of({name: name for name in SENSORS}))
+    building = LiveBuilding(home, rules, 3600.0, people=people)
+    building.record(START)
+    building.write({"actuator": told}, 7200.0)
+    home.wait_until(START + HOUR)
+    building.record(START + HOUR)
+    building.notice()
+    assert not people.by_hand(START)
+    assert building.ours({"actuator": told}) == {"actuator": [(told, 0.255), (took, 0.255)]}
+    assert building.to_set({"actuator": None}) == {"actuator": None}
+    home.told = 21.5
+    home.wait_until(START + 2 * HOUR)
+    building.record(START + 2 * HOUR)
+    assert people.by_hand(START)["actuator"][0] == 21.5
+    assert building.to_set({"actuator": None}) == {}
+
+
 def test_it_is_asked_on_the_command_line(tmp_path):
     def told(*words):
         return CliRunner().invoke(cli, ["ask", *words, "--out", str(tmp_path)])

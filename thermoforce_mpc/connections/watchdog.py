@@ -28,8 +28,8 @@ from thermoforce_mpc.connections.sole import SetByAnother, Sets, last_to_set, so
 from thermoforce_mpc.errors import ConfigError
 
 _LOG = logging.getLogger(__name__)
-Ours = Mapping[str, tuple[float, float | None]]
-"""Commands by name: the value that is set, and how far a device may be from it that holds it; None: of a level."""
+Ours = Mapping[str, Sequence[tuple[float, float | None]]]
+"""Commands by name: values by which a device shows that it holds what was set, and how near; None: of a level."""
 # How often the deadline is looked at, s, and how soon a building is asked again that does not take its levels back:
 # twice as long after each attempt, so that a broker that is gone for good is asked every five minutes, for ever.
 _LOOK_S, _AGAIN_S, _SELDOM_S = 0.5, 5.0, 300.0
@@ -167,8 +167,9 @@ def watch(told: int) -> None:
                         head = beat
                         continue
                     names, failed = beat["names"] or names, 0
-                    for name, one in beat.get("ours", {}).items():  # what failed may have been set: any of these
-                        ours[name] = [*(ours.get(name, []) if "attempt" in beat else []), tuple(one)][-_MOST_OURS:]
+                    for name, some in beat.get("ours", {}).items():  # what failed may have been set: any of these
+                        before = ours.get(name, []) if "attempt" in beat else []
+                        ours[name] = [*before, *map(tuple, some)][-_MOST_OURS:]
                     if "attempt" in beat:
                         deadline_s = deadline_s or _now_s() + beat["attempt"] + head["grace_s"]
                     else:

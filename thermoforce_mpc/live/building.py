@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ import pandas as pd
 from controllers.mpc.config import MPCConfig
 from controllers.safety.deadline import BoundedCalls, Crashed
 from controllers.state_classes import STATE_CLASSES
-from thermoforce_mpc.commands.command import Command
+from thermoforce_mpc.commands.command import Command, TemperatureCommand
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.tank import TANK_NAME, LearnedTank, TankRecord
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Names, Record
@@ -55,6 +55,8 @@ _LATELY_S, _FAR_K, _NEAR_K = 10800.0, 10.0, 4.0
 # Readings stamped after the clock: so little is nothing, so much two clocks that are not the same, s; more is refused,
 # and so much more probably the zone, of half an hour at least less what a reading is old.
 _SAME_CLOCK_S, _CLOCKS_S, _ZONE_S = 60.0, 300.0, 1200.0
+# A device that takes whole degrees makes of a temperature one so far from it, K.
+_ROUNDED_K = 0.51
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,8 @@ class Applied:
 class LastTold:
     """A command that an actuator was told, to hold `until` a time, ISO 8601.
 
-    `before`: what was set before (NaN: unknown); `seen`: it was read since.
+    `before`: what was set before (NaN: unknown); `seen`: it was read since; `took`: what the device made of it, where
+    that is another value (it rounds, or has limits of its own), else NaN.
     """
 
     name: str
@@ -78,6 +81,11 @@ class LastTold:
     before: float
     until: str
     seen: bool = False
+    took: float = math.nan
+
+    def holds(self, value: float, near: float) -> bool:
+        """Whether a device that says `value` holds this command."""
+        return abs(value - self.value) <= near or abs(value - self.took) <= near
 
 
 class LiveBuilding:
@@ -281,7 +289,12 @@ class LiveBuilding:
             elif (leave := getattr(self.connection, "leave", None)) is not None:
                 leave()
 
-        self._answered(write)
+        try:
+            self._answered(write)
+        except Exception:  # a device that made something else of it did not take it, and holds that
+            self._note_taken(levels)
+            raise
+        self._note_taken(levels)
 
     def to_set(self, levels: Mapping[str, float | None]) -> dict[str, float | None]:
         """What the connection is told of levels, see `Connection.write`, by its own names.
@@ -366,6 +379,17 @@ class LiveBuilding:
             else:
                 self._told[name] = replace(told, until=until)
 
+    def _note_taken(self, names: Iterable[str]) -> None:
+        """Note what devices made of what they were told just now, of those that say what they hold (`present`)."""
+        new = [name for name in names if name in self._told and not self._told[name].seen]
+        held = self.held([self.key(name) for name in new]) if new else {}
+        for name in new:
+            value, told, near = held.get(self.key(name), math.nan), self._told[name], self.nearness(name)
+            if near is None or not math.isfinite(value) or told.holds(value, near):
+                continue
+            if not abs(value - told.before) <= near:  # else it may not have taken it yet
+                self._told[name] = replace(told, seen=True, took=value)
+
     def _commanded(self, name: str) -> float:
         """The command as it was read last; NaN where it was not."""
         return float("nan") if self._measured is None else _last_command(self._measured, name)
@@ -401,6 +425,20 @@ class LiveBuilding:
         command = self.command_of(name)
         return None if command is None else 0.51 * float(getattr(command, "step", 1.0))
 
+    def ours(self, told: Mapping[str, float | None]) -> dict[str, list[tuple[float, float | None]]]:
+        """Values by which devices show that they hold what they were `told`, and how near, by the connection's names:
+        what was set, and what they made of it.
+        """
+        out: dict[str, list[tuple[float, float | None]]] = {}
+        for name in (*self.names, TANK_NAME):
+            value, near = told.get(key := self.key(name)), self.nearness(name)
+            if value is None:
+                continue
+            noted = self._told.get(name)
+            took = [] if noted is None or not math.isfinite(noted.took) else [(noted.took, near)]
+            out[key] = [*out.get(key, [(value, near)]), *took]
+        return out
+
     def _compare(self, name: str, value: float, now: pd.Timestamp) -> None:
         """Keep `value` as a person's where it is neither what was set nor what was before; NaN: not known."""
         told, near = self._told[name], self.nearness(name)
@@ -408,11 +446,17 @@ class LiveBuilding:
             return
         if now > pd.Timestamp(told.until):  # it ended by itself
             del self._told[name]
-        elif abs(value - told.value) <= near:
+        elif told.holds(value, near):
             self._told[name] = replace(told, seen=True)
+        elif not told.seen and abs(value - told.value) <= self._rounded(name) and not abs(value - told.before) <= near:
+            self._told[name] = replace(told, seen=True, took=value)
         elif told.seen or (math.isfinite(told.before) and abs(value - told.before) > near):
             self._people.set_by_hand(name, value, now)
             del self._told[name]
+
+    def _rounded(self, name: str) -> float:
+        """How far from its command a device may be that rounds it."""
+        return _ROUNDED_K if isinstance(self.command_of(name), TemperatureCommand) else 0.0
 
     def _of_windows(self, names: Sequence[str]) -> list[str]:
         """Notes on open windows."""

@@ -481,23 +481,23 @@ class _Building:
         # What people set by hand is not in it, and the watchdog must not give it back either.
         self.building.notice()
         told_by_name = self.building.to_set(levels)
-        near = {self.building.key(name): self.building.nearness(name) for name in levels}
-        ours = {key: (value, near[key]) for key, value in told_by_name.items() if value is not None}
         # Before the call: one that fails, or is interrupted, may have set them.
         anything = any(value is not None for value in told_by_name.values())
         self._set = self._set or anything
         if self.watchdog is not None and anything:
-            self.watchdog.about_to_set(tuple(told_by_name), seconds, ours)
+            self.watchdog.about_to_set(tuple(told_by_name), seconds, self.building.ours(told_by_name))
         if self.watchdog is not None and not told_by_name:
             self.watchdog.released()
         try:
             self.building.write(levels, seconds, told_by_name)
         except Exception as error:  # somebody's connection may raise anything
             _LOG.warning("the levels %s were not taken (%s: %s)", levels, type(error).__name__, error)
+            if self.watchdog is not None and anything:  # a device may have made something else of them
+                self.watchdog.about_to_set(tuple(told_by_name), seconds, self.building.ours(told_by_name))
             return False
         if self.watchdog is not None:
             if anything:
-                self.watchdog.set(tuple(told_by_name), seconds, ours)
+                self.watchdog.set(tuple(told_by_name), seconds, self.building.ours(told_by_name))
             else:
                 self.watchdog.released()
         return True

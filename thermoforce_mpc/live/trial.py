@@ -234,7 +234,7 @@ class _Trial:
     ) -> None:
         self._building, self._plan, self._clock, self._read = building, plan, clock, read
         self._watchdog, self._say = watchdog, say
-        self._seen_s = math.nan
+        self._seen_s = self._took = math.nan
 
     def run(self) -> TrialOutcome:
         """Set, watch and put back; an interrupt is raised after that."""
@@ -258,16 +258,19 @@ class _Trial:
     def _set(self) -> str:
         """Set the command; why it was not taken, '' where it was."""
         plan, seconds = self._plan, self._plan.seconds + BEYOND_S
-        ours = {plan.key: (plan.value, plan.near)}
+        ours, told = {plan.key: [(plan.value, plan.near)]}, ""
         if self._watchdog is not None:
             self._watchdog.about_to_set([plan.key], seconds, ours)
         try:
             self._building.write({plan.actuators[0]: plan.value}, seconds, {plan.key: plan.value})
         except Exception as error:  # somebody's connection may raise anything
-            return str(error)
+            told = str(error)
+        # What the device made of it, where it rounds or has limits of its own, nobody set by hand.
+        self._took = self._held()
         if self._watchdog is not None:
-            self._watchdog.set([plan.key], seconds, ours)
-        return ""
+            took = {plan.key: [*ours[plan.key], *([(self._took, plan.near)] if math.isfinite(self._took) else [])]}
+            (self._watchdog.about_to_set if told else self._watchdog.set)([plan.key], seconds, took)
+        return told
 
     def _watched(self, begin: pd.Timestamp) -> Sequence[LivePoint]:
         """The points at the end of the trial; notes when the column of the command showed what was set."""
@@ -312,7 +315,10 @@ class _Trial:
         told = "; ".join(f"{one.key} {one.before:.4g} to {one.after:.4g} {one.unit}".strip() for one in answers)
         doubts = []
         if math.isfinite(held) and not self._is_ours(held):
-            doubts.append(f"the device holds {self._words(held)}: somebody set it, or it did not take the command")
+            made = math.isfinite(self._took) and abs(held - self._took) <= (plan.near or 0.05)
+            by = "somebody set it, or it did not take the command"
+            by = "it made that of the command: see its resolution, minimum and maximum in the map" if made else by
+            doubts.append(f"the device holds {self._words(held)}: {by}")
         if moved and not fits:
             doubts.append("what moved went the other way: is the command of something else, or the wrong way round?")
         acts = [one for one in answers if one.key.endswith((".level", ".flow", ".heat"))]
@@ -373,7 +379,8 @@ class _Trial:
         def attempt() -> bool:
             nonlocal words
             try:
-                words = put_back(building, plan.key, plan.actuators[0], plan.value, plan.before, plan.near)
+                ours = (plan.value, self._took)
+                words = put_back(building, plan.key, plan.actuators[0], ours, plan.before, plan.near)
             except Exception as error:  # somebody's connection may raise anything
                 _LOG.warning("%s was not put back (%s: %s)", plan.key, type(error).__name__, error)
                 return False
@@ -390,17 +397,18 @@ class _Trial:
 
 
 def put_back(
-    building: LiveBuilding, key: str, name: str, value: float, before: float, near: float | None
-) -> str:  # fmt: skip
-    """Put the command `key` of actuator `name`, which a trial set to `value`, back to what was `before`; says how.
+    building: LiveBuilding, key: str, name: str, ours: Sequence[float], before: float, near: float | None
+) -> str:
+    """Put the command `key` of actuator `name`, which holds one of `ours` by a trial, back to what was `before`; says
+    how.
 
-    What the device holds that is neither of the two, somebody set by hand meanwhile, and stays. Raises what the
+    What the device holds that is neither of these nor that, somebody set by hand meanwhile, and stays. Raises what the
     connection raises.
     """
     command = building.command_of(name)
     held = building.held([key]).get(key, math.nan)
     tolerance = 0.05 if near is None else near
-    known = [one for one in (value, before) if math.isfinite(one)]
+    known = [one for one in (*ours, before) if math.isfinite(one)]
     if command is not None and math.isfinite(held) and all(abs(held - one) > tolerance for one in known):
         building.leave()
         return f"{command.in_words(held)} was set by hand meanwhile: left alone"

@@ -240,7 +240,7 @@ def _restored(building: LiveBuilding, book: CommissioningBook, sets: Sets) -> st
         near = None if was.get("near") is None else float(was["near"])
         key, name = str(was["key"]), str(was["actuator"])
         with sole_control(sets):
-            done = put_back(building, key, name, float(was["value"]), float(was["before"]), near)
+            done = put_back(building, key, name, (float(was["value"]),), float(was["before"]), near)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{what}, and commission.json does not say what it was: set it back by hand, and remove the file"
