@@ -156,3 +156,25 @@ def test_an_entity_that_the_recorder_leaves_out_is_named(connect):
     ]
     with served(exchanges, "TOKEN") as url, pytest.raises(PlantError, match=r"no history of 'sensor.room'"):
         connect(url, columns=["sensor.room"], days=1.0).measurements()
+
+
+def test_a_command_between_two_steps_of_a_device_is_said_once_with_what_to_set(connect, caplog):
+    def hall(holds):
+        attributes = {"temperature": holds, "min_temp": 7, "max_temp": 30, "target_temp_step": 1.0}
+        state = {"entity_id": "climate.hall", "state": "heat", "attributes": attributes}
+        return {"asked": "GET /api/states/climate.hall", "status": 200, "text": json.dumps(state), "at": time.time()}
+
+    told, path = {"entity_id": "climate.hall", "temperature": 20.0}, "/api/services/climate/set_temperature"
+    config = {"unit_system": {"temperature": "°C"}}
+    exchanges = [
+        hall(19.0),
+        {"asked": "GET /api/config", "status": 200, "text": json.dumps(config), "at": time.time()},
+        {"asked": f"POST {path} {json.dumps(told)}", "status": 200, "text": "[]", "at": time.time()},
+        hall(20.0),
+    ]  # fmt: skip
+    with served([*exchanges, *exchanges], "TOKEN") as url:
+        home = connect(url, actuators=HALL)
+        for _ in range(2):
+            home.write({"hall": 20.5}, 900.0)
+    (said,) = caplog.messages
+    assert said == "climate.hall takes steps of 1: 20.5 is set as 20: see resolution of its command in the map"

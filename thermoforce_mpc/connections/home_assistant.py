@@ -9,6 +9,7 @@ is sent, and read back after.
 from __future__ import annotations
 
 import json
+import logging
 import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -31,7 +32,10 @@ from thermoforce_mpc.measurements.tables.raw_table import SWITCH
 from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
 from thermoforce_mpc.scenario.settings import StrictModel
 
+_LOG = logging.getLogger(__name__)
 _TIMEOUT_S = 10.0
+# A command so far from what a device takes, as a share of its step, is of another step; a change of unit brings less.
+_ANOTHER_STEP = 0.2
 # States asked for at once: a meter that reports every second has 86 400 a day.
 _PIECE = timedelta(days=1)
 # States of the last minutes are asked for again: the recorder writes them up to 5 s late.
@@ -128,6 +132,7 @@ class HomeAssistantConnection:
         self._outlook = Outlook(forecast)
         self._columns: tuple[str, ...] = ()
         self._seen: dict[str, _States] = {}
+        self._rounded: set[str] = set()
         self._session = requests.Session()
         self._session.trust_env = False  # no proxy, no .netrc: the token goes to this address alone
 
@@ -289,7 +294,12 @@ class HomeAssistantConnection:
         if not math.isfinite(number):
             raise PlantError(f"{entity}: {number} is no value")
         if step:
-            number = round(number / float(step)) * float(step)
+            steps = number / float(step)
+            number = round(round(steps) * float(step), 6)
+            if level is not None and abs(steps - round(steps)) > _ANOTHER_STEP and entity not in self._rounded:
+                self._rounded.add(entity)
+                told = f"{steps * float(step):g} is set as {number:g}"
+                _LOG.warning("%s takes steps of %g: %s: see resolution of its command in the map", entity, step, told)
         number = round(number, 6)
         if (least is not None and number < float(least) - 1e-6) or (most is not None and number > float(most) + 1e-6):
             raise PlantError(

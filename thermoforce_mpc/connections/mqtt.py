@@ -319,6 +319,8 @@ class MqttConnection:
             while wrong := {key: v for key, v in awaited.items() if not _alike(self._heard.get(key), v)}:
                 if not self._change.wait(max(deadline - time.monotonic(), 0.0)) and time.monotonic() >= deadline:
                     told = ", ".join(f"{key} says {self._heard.get(key)}, not {value}" for key, value in wrong.items())
+                    if wrong.keys() & self._anew_said:
+                        told += ": does it round, or have limits? See resolution, minimum and maximum in the map"
                     for key in wrong.keys() - self._anew_said:  # what it held before may not be what it holds
                         self._heard.pop(key, None)
                     raise PlantError(f"not taken: {told}")
