@@ -128,12 +128,26 @@ class WithContact(SimulatedBuilding):
         return table
 
 
+class WithReedContact(WithContact):
+    """A contact as Zigbee2MQTT tells of it: true while the window is closed."""
+
+    def measurements(self):
+        table = super().measurements()
+        told = table.pop("contact")
+        return table.assign(**{"zigbee2mqtt/window#contact": np.where(told == "open", "0", "1")})
+
+
 WINDOWED = MeasurementMap.model_validate(RULES | {"zones": {"zone": RULES["zones"]["zone"] | {"window": "contact"}}})
 
 
-def test_what_a_controller_reads_and_is_asked_for_while_it_is_open():
-    house = WithContact()
-    building = LiveBuilding(house, WINDOWED, 3600.0)
+REED = "zigbee2mqtt/window#contact"
+
+
+@pytest.mark.parametrize(("made", "window"), [(WithContact, "contact"), (WithReedContact, REED)])
+def test_what_a_controller_reads_and_is_asked_for_while_it_is_open(made, window):
+    house = made()
+    rules = RULES | {"zones": {"zone": RULES["zones"]["zone"] | {"window": window}}}
+    building = LiveBuilding(house, MeasurementMap.model_validate(rules), 3600.0)
     for hours, is_open in ((2, False), (3, True), (4, False)):
         house.wait_until(at := START + pd.Timedelta(hours=hours))
         T_C = building.record(at).T_zone_C[0]
@@ -142,6 +156,12 @@ def test_what_a_controller_reads_and_is_asked_for_while_it_is_open():
         lower_C = building.forecast(6 * 3600.0, 3600.0).lower_C[0]
         assert (lower_C == (16.0 if is_open else 20.0)).all()
         assert any("zone: a window is open; nothing is needed" in note for note in building.left_out) == is_open
+
+
+def test_contacts_of_two_kinds_are_not_summed_in_silence():
+    zone = RULES["zones"]["zone"] | {"window": {"column": ["hall", REED]}}
+    with pytest.raises(ValueError, match="open: say it"):
+        MeasurementMap.model_validate(RULES | {"zones": {"zone": zone}})
 
 
 @pytest.mark.slow

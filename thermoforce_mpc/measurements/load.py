@@ -23,6 +23,7 @@ from thermoforce_mpc.measurements.map.guesses import rooms_beside
 from thermoforce_mpc.measurements.map.mapping import (
     LEAST_STEP_S,
     MOST_STEP_S,
+    Contact,
     Level,
     MappedActuator,
     MeasurementMap,
@@ -371,8 +372,7 @@ def _from_table(
         name: replace(_commanded(reader, where, command), over_K=_over_K(rules.actuators[name], name, reader, rules))
         for name, (where, command) in set_by.items()
     }
-    contacts = {name: _held(z.window) for name, z in zones if z.window}
-    windows = {name: reader.scheduled(f"zones.{name}.window", one, readings.COMMAND) for name, one in contacts.items()}
+    windows = {name: _opened(reader, f"zones.{name}.window", z.window) for name, z in zones if z.window}
     record = Record(
         grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
         np.array(water), meter_W, origin, names,
@@ -497,6 +497,12 @@ def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
 def _held(state: Level) -> Level:
     """A state that holds until the next reading, however long that is."""
     return state.model_copy(update={"hold_h": _COMMAND_HOLDS_H})
+
+
+def _opened(reader: SignalReader, key: str, contact: Contact) -> Array:
+    """Above 0.5 where a window was open, by its contact, at the boundaries (n + 1,)."""
+    says = reader.scheduled(key, _held(contact), readings.COMMAND)
+    return says if contact.open else len(contact.columns) - says
 
 
 def _rule_of(command: Command) -> SignalRule:

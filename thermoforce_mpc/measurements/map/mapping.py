@@ -144,6 +144,28 @@ class Level(Signal):
     unit: LevelUnit = "0-1"
 
 
+class Contact(Level):
+    """The contact of a window; of several columns the contacts of its windows."""
+
+    open: Literal[0, 1] = Field(
+        1,
+        description="what it says while a window is open: 1 (open, on, true), or 0 (default of a column …#contact, as "
+        "Zigbee2MQTT calls what is true while it is closed)",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_its_name_says(cls, given: Any) -> Any:
+        column = given.get("column") if isinstance(given, Mapping) else None
+        names = [column] if isinstance(column, str) else column
+        if not isinstance(names, list | tuple) or "open" in given:
+            return given
+        told = {str(name).endswith("#contact") for name in names}
+        if len(told) > 1:
+            raise ValueError("open: say it: only some of its columns are a contact of Zigbee2MQTT, true while closed")
+        return {**given, "open": 0 if told == {True} else 1}
+
+
 class Irradiance(Signal):
     """Global horizontal irradiance."""
 
@@ -198,6 +220,7 @@ def _in_celsius(bound: float | Temperature) -> float | Temperature:
 OfTemperature = Annotated[Temperature, BeforeValidator(_text_as_column, json_schema_input_type=str | Temperature)]
 OfPower = Annotated[Power, BeforeValidator(_text_as_column, json_schema_input_type=str | Power)]
 OfLevel = Annotated[Level, BeforeValidator(_text_as_column, json_schema_input_type=str | Level)]
+OfContact = Annotated[Contact, BeforeValidator(_text_as_column, json_schema_input_type=str | Contact)]
 Bound = Annotated[
     float | Temperature,
     BeforeValidator(_number_or_column, json_schema_input_type=float | str | Temperature),
@@ -272,7 +295,7 @@ class MappedZone(StrictModel):
     lower: Bound | None = Field(None, description="comfort bound, °C or a column")
     upper: Bound | None = Field(None, description="comfort bound, °C or a column")
     floor_area_m2: float | None = Field(None, gt=0)
-    window: OfLevel | None = Field(None, description="contact of its windows: open, on or 1 while one is open")
+    window: OfContact | None = Field(None, description="contact of its windows")
 
     @model_validator(mode="after")
     def _has_a_band(self) -> MappedZone:
