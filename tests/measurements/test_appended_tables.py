@@ -98,6 +98,18 @@ def test_rows_that_end_with_a_separator_are_rows(path):
     assert not live(path, [*rows[:-1], rows[-1].rstrip("\n")]).left_out
 
 
+def test_a_signal_of_which_every_row_is_left_out_was_not_measured(path):
+    """As of a sensor whose decimal comma makes a cell more."""
+    cells = {"T": "21,3", "out": "2.5", "u": "1", "P": "1000"}
+    rows = [f"{line.partition(',')[0]},{key},{cell}\n" for line in lines(n=20) for key, cell in cells.items()]
+    path.write_text("time,point,value\n" + "".join(rows))
+    rules = RULES | {"table": {"point": "point", "value": "value"}}
+    found = read_measurements(str(path), rules, step_s=900.0, now=NOW)
+    assert np.isnan(found.record.T_zone_C).all()
+    assert np.isfinite(found.record.u).all()
+    assert "4 cells, the header has 3" in found.left_out[0]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "note"),

@@ -431,7 +431,8 @@ def timed(tables: Sequence[RawTable], clock: TimeStampRules, now: pd.Timestamp |
         index = index.tz_localize("UTC").tz_convert(stamps[0].dt.tz) if has[0] else index
         values = np.concatenate([one for _, one in pieces])
         order = np.lexsort((np.isfinite(values), index.asi8))
-        order = order[np.append(np.diff(index.asi8[order]) > 0, True)]  # of two at one instant the later reading counts
+        # Of two at one instant the later reading counts; of a signal all rows may have been left out.
+        order = order[np.append(np.diff(index.asi8[order]) > 0, True)[: order.size]]
         own[name], columns[name] = index[order], values[order]
     outages = [one for table in tables for one in table.outages]
     for begin, end in outages:
