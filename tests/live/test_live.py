@@ -31,9 +31,9 @@ from controllers.rules.thermostat import Thermostat, ThermostatConfig
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.live.control import in_words
 from thermoforce_mpc.connections.sole import set_by, sole_control
-from thermoforce_mpc.data import Block
+from thermoforce_mpc.data import Block, Layout, Plan, PlanStatus
 from thermoforce_mpc.errors import ConfigError, PlantError, Terminated, terminated_by
-from thermoforce_mpc.live import KeptState, LiveBuilding, WallClock, control
+from thermoforce_mpc.live import Decision, KeptState, LiveBuilding, WallClock, control
 from thermoforce_mpc.live.building import Kept
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.report.display import RunDisplay
@@ -96,6 +96,12 @@ def test_a_step_without_a_decision_names_every_actuator():
     control(building, thermostat, clock=house, steps=3, told=told.append)
     assert [decision.plan.status for decision in told] == ["rule", "native", "rule"]
     assert "north own control for 60 min; south own control for 60 min" in in_words(told[1])
+
+
+def test_a_block_that_begins_within_a_step_is_told_in_tenths_of_a_minute():
+    blocks = (Block(0.5, 336.7986), Block(1.0, 563.2014))
+    plan = Plan(blocks, PlanStatus.SOLVED, "cheap", names=Layout.single().names)
+    assert "50 % for 5.6 min" in in_words(Decision(START, plan, blocks))
 
 
 def test_the_last_forecast_stands_in_for_one_that_is_missing():

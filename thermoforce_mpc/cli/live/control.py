@@ -389,7 +389,7 @@ def in_words(decision: Decision, commands: Mapping[str, LearnedCommand] | None =
             for told, blocks in groupby(decision.blocks, key=lambda block: block.told[a])
         ]
         command = commands[name].command if name in commands else None
-        shares = [f"{_set_in_words(told, command)} for {s / 60:g} min" for told, s in turns]
+        shares = [f"{_set_in_words(told, command)} for {round(s / 60, 1):g} min" for told, s in turns]
         parts.append(f"{name} {', '.join(shares)}")
     if (told_tank := _tank_in_words(decision)) is not None:
         parts.append(told_tank)
