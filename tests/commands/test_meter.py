@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from controllers.mpc.commands.costs import spread_of_savings
 from thermoforce_mpc.commands.contacts import SGReady
 from thermoforce_mpc.commands.heating_curve import CurveOffset
 from thermoforce_mpc.commands.meter import MeterRecord, beyond_sd, chance_sd, learn_meter
@@ -124,3 +125,10 @@ def test_what_the_record_does_not_tell_is_not_said(what):
     if what == "no meter":
         seen.power_W[:] = np.nan
     assert learn_meter(CONTACT, seen) is None
+
+
+def test_plans_may_save_of_what_their_commands_move_beside_rooms_too():
+    of_rooms = spread_of_savings(0.4, 0.0, 0.0)
+    assert spread_of_savings(0.4, 0.4, 0.0) == pytest.approx(2.0 * of_rooms), "hot water that costs as much"
+    assert spread_of_savings(0.4, -0.1, 0.0) == of_rooms
+    assert spread_of_savings(0.0, 0.0, 0.2) == 0.2, "what a peak saves is known by the plan alone"

@@ -19,7 +19,13 @@ import numpy as np
 
 from controllers.actuation.actuator import ActuationConfig, ActuationState
 from controllers.actuation.commands import CommandedLoop, CommandState, Turns
-from controllers.mpc.commands.costs import BuildingMeters, MeanCost, MeteredCommand, worth_of_states
+from controllers.mpc.commands.costs import (
+    BuildingMeters,
+    MeanCost,
+    MeteredCommand,
+    spread_of_savings,
+    worth_of_states,
+)
 from controllers.mpc.commands.following import Followed, LoopTables, followed
 from controllers.mpc.commands.search import Knob, better_commands
 from controllers.mpc.config import MPCConfig
@@ -64,11 +70,6 @@ NOT_BETTER = "commands that were found are not better than leaving the building 
 _DRAWS, _SEED = 40, 64
 # Lead time whose error counts of rooms that are not known, h: the longest that is judged.
 _ERROR_H = JUDGED_H[-1]
-# What plans save at all, as a share of what levels cost: root mean square of what came true by set-points, offset and
-# SG-Ready, .16, .09 and .11 of the whole cost (50 houses of `bench commands`, seeds 9530 to 9541 and 9550 to 9554,
-# 2026-11-29), of which levels are .86. With it, what is said is off by .046 of the cost (.058 without). Standard
-# deviations between the quantiles of a band.
-_SAVES = 0.145
 # What a change of a command must save, as a share of what levels cost when the building is left alone. By judgement: a
 # change an hour all day costs as much as 5 %.
 _PER_CHANGE = 0.002
@@ -445,9 +446,8 @@ class CommandedPlan:
         if by_chance is not None:
             sd = beyond_sd(float(moved), float(of_levels[0]), by_chance)
             saved = saved + sd * standard((len(z), 1), rng)[:, 0]
-        # Of peaks no prior is known but what is said.
-        prior = float(np.hypot(_SAVES * of_levels[0], off_peak[0]))
-        expected, low, high = expected_saving(saved, prior)
+        spread = spread_of_savings(float(of_levels[0]), float(beside_alone.cost[0]), float(off_peak[0]))
+        expected, low, high = expected_saving(saved, spread)
         outside = [self.boundary.outside_K(one.T_bounds_C[:, 1:]).sum(axis=1) * step_h for one in (with_plan, alone)]
         comfort = float((problem.weights.comfort * (outside[1] - outside[0])).sum())
         kept_caps = float(alone_meter.cap[0] - with_meter.cap[0])
