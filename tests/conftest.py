@@ -74,9 +74,10 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """What is built is kept in a folder of the run, not among the user's."""
-    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.getbasetemp().parent / "cache")
+def own_folders(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """What is built is kept in a folder of the run, not among the user's; so are logs of Stable-Baselines3."""
+    run = tmp_path_factory.getbasetemp().parent
+    os.environ |= {"XDG_CACHE_HOME": str(run / "cache"), "SB3_LOGDIR": str(run / "agents")}
 
 
 @pytest.fixture

@@ -34,6 +34,8 @@ WEAK_PRIORS = (
     "identification.options.heat_input=identity",
     "--set",
     "identification.options.modulation=linear",
+    "--set",
+    "identification.options.late_sensor=false",
 )
 
 cli_identify = importlib.import_module("thermoforce_mpc.cli.building.identify")

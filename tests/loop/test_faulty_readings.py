@@ -47,7 +47,7 @@ def reads(**values: float) -> Fault:
 @pytest.fixture(scope="module")
 def model() -> ThermalModel:
     testcase = load_testcase("bestest_hydronic_heat_pump")
-    config = IdentificationConfig(order=3, modulation="linear", sun_on_sensor=False)
+    config = IdentificationConfig(order=3, modulation="linear", sun_on_sensor=False, late_sensor=False)
     plant = EmbeddedPlant(synthetic_weather())
     return identify_on(plant, before=PERIOD, days=3.0, testcase=testcase, step_s=HOUR_S, config=config)
 

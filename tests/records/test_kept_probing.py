@@ -34,6 +34,7 @@ SETTINGS = (
     "--days", "0.0625", "--baselines", "thermostat", "--no-equal-comfort", "--set", "identification.days=2",
     "--set", "identification.most_days=2", "--set", "identification.end_early=false",
     "--set", "identification.options.modulation=linear", "--set", "identification.probing.candidates=4",
+    "--set", "identification.options.sun_on_sensor=false", "--set", "identification.options.late_sensor=false",
 )  # fmt: skip
 ON_DAY_2_S = 7.4 * DAY_S
 PROBING = Path("probing/thermoforce_mpc.jsonl")
@@ -188,6 +189,7 @@ def test_the_probing_of_an_earlier_run_is_identified_with_other_options(whole, t
     done = call(
         "identify", "--testcase", TESTCASE, "--probing", whole, "--out", tmp_path / "model",
         "--set", "identification.options.order=1", "--set", "identification.options.modulation=linear",
+        "--set", "identification.options.sun_on_sensor=false", "--set", "identification.options.late_sensor=false",
     )  # fmt: skip
     assert done.exit_code in (0, 4), done.output
     card = json.loads((tmp_path / "model" / "model.json").read_text(encoding="utf-8"))
@@ -207,7 +209,8 @@ def test_a_comparison_takes_the_probing_of_an_earlier_run(whole, tmp_path, compu
         "--days",
         "0.0625",
     )
-    settings = ("--no-equal-comfort", "--set", "identification.options.modulation=linear", "--jobs", "1")
+    options = ("modulation=linear", "sun_on_sensor=false", "late_sensor=false")
+    settings = ("--no-equal-comfort", *(f"--set=identification.options.{one}" for one in options), "--jobs", "1")
     done = call(*words, *settings, "--probing", whole, "--out", tmp_path / "compared")
     assert done.exit_code == 0, done.output
     (model,) = (tmp_path / "compared").rglob("model.json")

@@ -193,7 +193,7 @@ class Deadly(ThermalModel):
 def test_an_episode_whose_process_dies_is_lost_and_the_others_go_on(tmp_path):
     told: list[str] = []
     model = Deadly(**vars(simple_model()), grave=str(tmp_path / "grave"))
-    options = {"episodes": 4, "seed": 3, "days": 0.125, "controller": "thermoforce_paper", "jobs": 2}
+    options = {"episodes": 4, "seed": 3, "days": 0.125, "controller": "thermoforce_paper"}
     found = run_chaos(**options, model=model, progress=told.append)
     lost = [line for line in told if "process died" in line]
     assert len(lost) == 1

@@ -40,7 +40,9 @@ actuators:
 machines:
   meter: {power: {column: kWh, unit: kWh per step}, price: 0.3}
 """.replace("out_F", "{column: out_F, unit: '°F'}")
-LINEAR = ("--set", "identification.options.modulation=linear")
+LINEAR = [
+    f"--set=identification.options.{one}" for one in ("modulation=linear", "sun_on_sensor=false", "late_sensor=false")
+]
 
 
 def tabled(r: Record, path: Path, begin: str = "2025-01-21") -> None:
