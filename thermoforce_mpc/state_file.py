@@ -128,10 +128,12 @@ def _declared(kind: type[Any]) -> dict[str, Any]:
 
 
 def _fits(value: Any, declared: Any) -> bool:
-    """Whether a value is of a declared type: a class, a union, a tuple, list or mapping of these; else any."""
+    """Whether a value is of a declared type: a class, a union, a tuple, list or mapping of these, words; else any."""
     of, inside = typing.get_origin(declared), typing.get_args(declared)
     if of in (typing.Union, types.UnionType):
         return any(_fits(value, one) for one in inside)
+    if of is typing.Literal:
+        return value in inside
     if of is tuple:
         alike = inside[1:] == (...,)
         right = isinstance(value, tuple) and (alike or len(value) == len(inside))

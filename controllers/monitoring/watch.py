@@ -48,7 +48,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -230,8 +230,8 @@ class WatchState:
     `tracks`: the model in use; while standing back also its candidates for return. `blocked`: hours in which nothing
     comes whatever is asked for, by direction; `hours`: what acting does by hour of the day. `asked`: (start s, mean
     level) that the last plans requested. `ratios`: (time s, measured heat or power over modelled). `alarm`: why control
-    was handed back at `since_s`, empty while the model is in use; `of_levels`: for levels that were not followed,
-    `of_machine`: for what its meter showed.
+    was handed back at `since_s`, empty while the model is in use; `shown_by`: predictions, levels that were not
+    followed, or a meter of the machine, which may take it back.
     `wait_h`: shortest time of standing back; `returned_s`: last return, and `news` what to say of it in this step's
     plan. `tried`: (begin s, level) of the hour that was last tried though plans would do without it. `other_W`: what
     another load brought to the meter of power that would else be a fault of the machine; 0 where none does.
@@ -243,8 +243,7 @@ class WatchState:
     asked: tuple[tuple[float, float], ...] = ()
     ratios: tuple[tuple[float, float], ...] = ()
     alarm: str = ""
-    of_levels: bool = False
-    of_machine: bool = False
+    shown_by: Literal["predictions", "levels", "meter"] = "predictions"
     since_s: float = -math.inf
     wait_h: float = 0.0
     returned_s: float = -math.inf
@@ -613,9 +612,9 @@ class Watch:
             state, tracks=tuple(self._validate_due(track, history, levels, state.hours) for track in state.tracks)
         )
         state = self._with_hour_effects(state, now, history.origin)
-        if state.news and state.of_levels and not _not_following(state, history):
+        if state.news and state.shown_by == "levels" and not _not_following(state, history):
             return self._returned(state, state.tracks[0], now, f"{state.news}; control returns")
-        if state.of_machine:
+        if state.shown_by == "meter":
             _, explained, seen = self._machine_fault(state, history)
             if explained:
                 news = f"{seen.news or 'another load explains what the meter of power showed'}; control returns"
@@ -623,8 +622,8 @@ class Watch:
         if state.alarm:
             return self._return_if_holding(self._update_candidate(state, history), history)
         unfollowed = _not_following(state, history)
-        of_machine, _, state = ("", False, state) if unfollowed else self._machine_fault(state, history)
-        fault = unfollowed or of_machine
+        by_meter, _, state = ("", False, state) if unfollowed else self._machine_fault(state, history)
+        fault = unfollowed or by_meter
         shifted = "" if fault else self._shifted(state, now)
         fault = fault or shifted or self._broken_promise(state.tracks[0]) or self._less_effect(state, now)
         if not fault:
@@ -645,8 +644,7 @@ class Watch:
             state,
             tracks=tuple(tracks),
             alarm=fault,
-            of_levels=bool(unfollowed),
-            of_machine=bool(of_machine),
+            shown_by="levels" if unfollowed else "meter" if by_meter else "predictions",
             since_s=now,
             wait_h=wait_h,
         )
@@ -929,8 +927,7 @@ class Watch:
             ratios=(),
             asked=(),
             alarm="",
-            of_levels=False,
-            of_machine=False,
+            shown_by="predictions",
             returned_s=now,
             news=news,
         )

@@ -74,6 +74,7 @@ def stored(path, structure):
         {"is": "controllers.mpc.controller:ThermoForceMPC", "of": {}},
         {"is": "controllers.mpc.state:MPCState", "of": {"first_s": 0.0}},
         {"is": "MPCState", "of": {"first_s": 0.0, "of_another_version": 1}},
+        {"is": "WatchState", "of": {"shown_by": "a neighbour"}},
         {"is": "of_a_newer_release", "of": {}},
         {"is": "", "of": {}},
         {"is": ["MPCState"], "of": {}},
