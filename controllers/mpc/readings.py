@@ -151,7 +151,7 @@ class ReadingsFilter:
             return None
         try:
             return self._predictor.followed(history, state.predictor)
-        except Exception:  # prediction meets the same error and says it; without the state nothing is validated by it
+        except DataError:  # prediction meets the same error and says it; without the state nothing is validated by it
             return None
 
 
@@ -195,7 +195,7 @@ class WatchedPredictions:
             before = now.watch[a]
             try:
                 after = watch.validate(before, record, now.adaptation[a], now.predictor)
-            except Exception as error:  # what watches must not stop what it watches
+            except DataError as error:  # a record that cannot be judged stops no plan
                 news = f"predictions could not be judged ({message_of(error)})"
                 now = replace(now, watch=_with(now.watch, a, replace(before, news=news)))
                 continue
@@ -234,7 +234,7 @@ class WatchedPredictions:
         planner = self._planner(_with(now.adaptation, a, track.adaptation))
         try:
             context = yield from planner.predictor.contexting(observation, track.predictor)
-        except Exception:  # as in planning; without predictions a model does not get control back
+        except Exception:  # as in planning, by any forecaster; without predictions a model does not get control back
             return track
         if context.operator.home[a] in context.unmeasured:
             return track
@@ -319,7 +319,7 @@ class PlanPredictor:
             planner = self._planners.of(state.adaptation)
             contexting = planner.predictor.contexting(self.ahead(readings.observation), state.predictor)
             context = yield from within(self._seconds, contexting)
-        except Exception as error:  # whatever a forecaster raises, there is another way to act
+        except Exception as error:  # a forecaster may be anybody's and raise anything; there is another way to act
             return Failure(f"no prediction ({message_of(error)})", state)
         return Forecast(context, planner, replace(state, predictor=context.state))
 
