@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +93,7 @@ class OtherLoad:
         if time_s.size < 2:
             return believed
         law_W = self.steady(time_s, T_out_C)
-        at = np.flatnonzero(_settled(u, time_s, T_out_C, meter_W) & (law_W >= 0.5 * self.mean_W))
+        at = np.flatnonzero(_steps(u, time_s, T_out_C, meter_W).settled & (law_W >= 0.5 * self.mean_W))
         n = max(round(_JUDGED_S / float(time_s[1] - time_s[0])), 1)
         if at.size < n:
             return believed
@@ -137,12 +138,9 @@ def other_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> Other
     `u` (A, n): levels of all that it feeds; `time_s` (n,): starts of the steps; `meter_W` (n,): of power, or of heat in
     the direction of the machine, NaN where it is missing.
     """
-    off = np.asarray((np.abs(u) <= LEVEL_EDGE).all(axis=0))
-    known = np.isfinite(meter_W) & np.isfinite(T_out_C) & np.isfinite(u).all(axis=0)
-    off_h, settled = _off_h(off, time_s), _settled(u, time_s, T_out_C, meter_W)
-    if settled.sum() < _LEAST_STEPS or not (known & ~off).any():
+    known, on, off_h, settled = _steps(u, time_s, T_out_C, meter_W)
+    if settled.sum() < _LEAST_STEPS or not on.any():
         return None
-    on = known & ~off
     load_W, T, hour = meter_W[settled], T_out_C[settled], whole_hour(time_s)
     mean_W, full_W = float(load_W.mean()), float(np.percentile(meter_W[on], 90.0))
     # A meter against the machine's direction has none, and a machine that never ran tells none.
@@ -214,16 +212,25 @@ def left_while_off(u: Array, time_s: Array, T_out_C: Array, rest_W: Array) -> tu
 
     `u` (A, n), `time_s`, `T_out_C` (n,) as for `other_load`.
     """
-    seen = _settled(u, time_s, T_out_C, rest_W)
-    seen &= time_s >= time_s[-1:] - DAY_S
+    seen = _steps(u, time_s, T_out_C, rest_W).settled & (time_s >= time_s[-1:] - DAY_S)
     return (float(rest_W[seen].min()), float(rest_W[seen].max())) if seen.any() else None
 
 
-def _settled(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> NDArray[np.bool_]:
-    """Whether a step (n,) shows what else is on a meter: all is known, and the machine has been off for a while."""
+class _Steps(NamedTuple):
+    """What is known of steps (n,): whether all is, whether the machine runs, hours since it did (infinite: it never
+    did), and whether a step shows what else is on the meter: all is known, and the machine was off for a while."""
+
+    known: NDArray[np.bool_]
+    on: NDArray[np.bool_]
+    off_h: Array
+    settled: NDArray[np.bool_]
+
+
+def _steps(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> _Steps:
     off = np.asarray((np.abs(u) <= LEVEL_EDGE).all(axis=0))
     known = np.isfinite(meter_W) & np.isfinite(T_out_C) & np.isfinite(u).all(axis=0)
-    return np.asarray(off & known & (_off_h(off, time_s) > _AFTER_H + 1.0 / HOUR_S))
+    off_h = (time_s - np.maximum.accumulate(np.where(off, -np.inf, time_s))) / HOUR_S
+    return _Steps(known, known & ~off, off_h, off & known & (off_h > _AFTER_H + 1.0 / HOUR_S))
 
 
 def _lacking(load: OtherLoad, time_s: Array, T_out_C: Array, meter_W: Array) -> float:
@@ -263,9 +270,3 @@ def _coefficients(design: Array, load_W: Array, error_W: float) -> Array:
     rows = np.vstack([design / error_W, smooth / (_BY_HOUR * mean_W), flat / (_PER_K * mean_W)])
     values = np.concatenate([load_W / error_W, np.zeros(DAY_H + 1)])
     return np.asarray(np.linalg.lstsq(rows, values, rcond=None)[0])
-
-
-def _off_h(off: NDArray[np.bool_], time_s: Array) -> Array:
-    """Hours since each step (n,) began the machine was last on; infinite where it was not yet."""
-    last_on = np.maximum.accumulate(np.where(off, -np.inf, time_s))
-    return np.asarray((time_s - last_on) / HOUR_S)
