@@ -397,6 +397,7 @@ class ThermoForceMPC(ActuatedController):
         guess = self._guess(forecast.state.good, readings.time_s)
         own = self._commands.begin(
             planner.operator,
+            planner.evaluator,
             instance.problem,
             forecast.context.boundary,
             overrides,
@@ -419,12 +420,12 @@ class ThermoForceMPC(ActuatedController):
             if not refused:
                 u = solution.u
                 if own is not None:
-                    commanded = own.realise(u, planner.evaluator)
+                    commanded = own.realise(u)
                     spread, scatter_W = self._power_spread(readings.history), self._power_scatter(readings.history)
-                    saving = own.saving(commanded, planner.evaluator, spread, scatter_W)
+                    saving = own.saving(commanded, spread, scatter_W)
                     if not saving.gain > 0.0:
                         own = own.without
-                        commanded = own.realise(u, planner.evaluator)
+                        commanded = own.realise(u)
                     u = commanded.u
                 brought = planner.evaluator.brings(instance.problem, u, solution.own_values)
                 if planner.evaluator.structure.chosen or own is not None:  # levels become blocks, or are answers

@@ -130,6 +130,7 @@ class BuildingCommands:
     def begin(
         self,
         operator: BuildingOperator,
+        evaluator: Evaluator,
         problem: MPCProblem,
         boundary: Boundary,
         left_alone: Collection[int],
@@ -178,7 +179,7 @@ class BuildingCommands:
         layout = self._layout
         free_K = free_errors_K(self._cards, layout.home, len(layout.names.zones), boundary.time_s)
         acts = loops, now, together, frozenset(alone)
-        plan = CommandedPlan(operator, problem, boundary, *acts, self._spread, free_K, at_s, held, beside)
+        plan = CommandedPlan(operator, evaluator, problem, boundary, *acts, self._spread, free_K, at_s, held, beside)
         return plan.margins_as_left_alone()
 
 
@@ -206,6 +207,7 @@ class CommandedPlan:
     """
 
     operator: BuildingOperator
+    evaluator: Evaluator
     problem: MPCProblem
     boundary: Boundary
     loops: Mapping[int, CommandedLoop]
@@ -279,27 +281,27 @@ class CommandedPlan:
             for a, loop in self.loops.items()
         }
 
-    def realise(self, u: Array, evaluator: Evaluator) -> Commanded:
+    def realise(self, u: Array) -> Commanded:
         """Commands for levels `u` (A, N) from what is set now, and what the loops answer."""
         knobs = self._knobs()
         left = [a for a in self.loops if a in self.left_alone]
         values: dict[int, Array] = {}
         if knobs:
-            dearest = self._meters.mean_cost(evaluator, self._alone.levels)
+            mean = self._mean_cost
 
             def cost(rows: Array) -> Array:
                 held = {a: rows[:, i] for i, (members, _) in enumerate(knobs) for a in members}
                 found = self._brought(u, held | {a: self.loops[a].usual_row[None] for a in left}, len(rows))
-                at_meter = self._meters.at_meter(evaluator, found.levels, held, dearest.per_kWh)
+                at_meter = self._meters.at_meter(found.levels, held, mean.per_kWh)
                 beside = at_meter.beside
                 each = at_meter.cost + beside.after + _CAUTION * beside.sd
                 changes = (np.abs(np.diff(rows, axis=2)) > SAME).sum(axis=(1, 2))
                 # Less heat than there would be is missing after the plan; more of it earns nothing.
                 more_K = found.forced_K - self._alone.forced_K
-                worth = np.minimum(worth_of_states(self.operator, self.problem, more_K, dearest), 0.0)
-                unsure = _SCATTER * dearest.per_used * found.scatter
+                worth = np.minimum(worth_of_states(self.operator, self.problem, more_K, mean), 0.0)
+                unsure = _SCATTER * mean.per_used * found.scatter
                 worse = self._held_cost(found.T_C) + self._worse_cost(found.T_C)
-                return np.asarray(each - worth + unsure + worse + _PER_CHANGE * dearest.of_levels * changes)
+                return np.asarray(each - worth + unsure + worse + _PER_CHANGE * mean.of_levels * changes)
 
             rows, _ = better_commands([knob for _, knob in knobs], self._starts(u, knobs), cost)
             values = {a: rows[i] for i, (members, _) in enumerate(knobs) for a in members}
@@ -390,9 +392,7 @@ class CommandedPlan:
             out.append(tuple(found))
         return tuple(out)
 
-    def saving(
-        self, plan: Commanded, evaluator: Evaluator, power_spread: float, scatter_W: Sequence[Array] = ()
-    ) -> PlannedSaving:
+    def saving(self, plan: Commanded, power_spread: float, scatter_W: Sequence[Array] = ()) -> PlannedSaving:
         """What the commands of a plan save against the usual ones, by the same model.
 
         Both are followed in houses that differ by the uncertainty of effects, maps and free part, with what is stored
@@ -414,9 +414,8 @@ class CommandedPlan:
         with_plan, alone = (self._brought(plan.u, held, len(z), gain, z[:, A], away_K) for held in (own, usual))
         # What commands do on the meter beside levels, by effects that differ too.
         drawn = [one.meter.drawn(standard((len(z), one.meter.mean.size), rng)) for one in self.beside]
-        per_kWh = self._meters.mean_cost(evaluator, self._alone.levels).per_kWh
         with_meter, alone_meter = (
-            self._meters.at_meter(evaluator, one.levels, held, per_kWh, drawn)
+            self._meters.at_meter(one.levels, held, self._mean_cost.per_kWh, drawn)
             for one, held in ((with_plan, own), (alone, usual))
         )
         found = [with_meter.law, alone_meter.law]
@@ -433,11 +432,11 @@ class CommandedPlan:
         by_levels = power_spread * (less * z[:, A + 1] - more * z[:, A + 2])
         # What follows after the plan counts as heat that is stored does.
         beside, beside_alone = with_meter.beside, alone_meter.beside
-        of_levels = cost_alone - self._meters.idle_cost(evaluator)
+        of_levels = cost_alone - self._meters.idle_cost
         cost, energy = cost + beside.cost, energy + beside.kWh
         cost_alone, energy_alone = cost_alone + beside_alone.cost, energy_alone + beside_alone.kWh
-        dearest = MeanCost(cost_alone, of_levels, self._meters.used(alone.levels), energy_alone)
-        worth = worth_of_states(self.operator, problem, with_plan.forced_K - alone.forced_K, dearest)
+        mean = MeanCost(cost_alone, of_levels, self._meters.used(alone.levels), energy_alone)
+        worth = worth_of_states(self.operator, problem, with_plan.forced_K - alone.forced_K, mean)
         worth = worth - beside.after + beside_alone.after
         off_peak = alone_meter.peak - with_meter.peak
         saved = cost_alone - cost + worth + by_levels + off_peak
@@ -504,7 +503,12 @@ class CommandedPlan:
 
     @cached_property
     def _meters(self) -> BuildingMeters:
-        return BuildingMeters(self.problem, self.loops, self.now, self.clock_s, self.beside)
+        return BuildingMeters(self.problem, self.evaluator, self.loops, self.now, self.clock_s, self.beside)
+
+    @cached_property
+    def _mean_cost(self) -> MeanCost:
+        """What the building costs under its usual commands."""
+        return self._meters.mean_cost(self._alone.levels)
 
     @cached_property
     def _tables(self) -> LoopTables:

@@ -108,36 +108,37 @@ class BuildingMeters:
     """
 
     problem: MPCProblem
+    evaluator: Evaluator
     loops: Mapping[int, CommandedLoop]
     now: Mapping[int, CommandState]
     clock_s: Array
     beside: tuple[MeteredCommand, ...]
 
-    def mean_cost(self, evaluator: Evaluator, levels: Array) -> MeanCost:
+    def mean_cost(self, levels: Array) -> MeanCost:
         """What the building costs under its usual commands, of which `levels` (1, A, N) come."""
         usual = {one.first: self.loops[one.first].usual_row[None] for one in self.beside}
-        at_meter = self.at_meter(evaluator, levels, usual, 0.0)
+        at_meter = self.at_meter(levels, usual, 0.0)
         (brought,), more = at_meter.law, at_meter.beside
         kWh = energy_kWh(brought.power_W.sum(), self.problem.step_s) + more.kWh
         cost = brought.energy_cost.sum()
-        of_levels = np.array([cost - self.idle_cost(evaluator)])
+        of_levels = np.array([cost - self.idle_cost])
         return MeanCost(cost + more.cost, of_levels, self.used(levels), kWh)
 
-    def idle_cost(self, evaluator: Evaluator) -> float:
+    @cached_property
+    def idle_cost(self) -> float:
         """What is on the meters at no level, currency: it is no cost of heat."""
         nothing = np.zeros((len(self.problem.power_per_u_W), self.problem.n_steps))
-        return float(evaluator.brings(self.problem, nothing).energy_cost.sum())
+        return float(self.evaluator.evaluate(self._numbers, nothing).energy_cost.sum())
+
+    @cached_property
+    def _numbers(self) -> Array:
+        return self.evaluator.numbers(self.problem)
 
     def at_meter(
-        self,
-        evaluator: Evaluator,
-        levels: Array,
-        held: Mapping[int, Array],
-        per_kWh: Array | float,
-        effects: Sequence[Array] = (),
+        self, levels: Array, held: Mapping[int, Array], per_kWh: Array | float, effects: Sequence[Array] = ()
     ) -> BuildingCost:
         """What levels (S, A, N) under commands `held` cost by the statement, see `_on_meters`."""
-        numbers = evaluator.numbers(self.problem)
+        evaluator, numbers = self.evaluator, self._numbers
         law = whole = [evaluator.evaluate(numbers, u) for u in levels]
         beside = self._on_meters(held, np.stack([one.power_W for one in law]), per_kWh, effects)
         if self.beside and evaluator.sees_the_meter:

@@ -58,7 +58,7 @@ def begun(parts, left_alone=(), unknown=(), **changes):
     commands, boundary, problem, mpc = parts
     problem = replace(problem, **changes)
     boundary = asked(boundary, problem.lower_C, problem.upper_C)
-    return commands.begin(mpc.planning_operator, problem, boundary, left_alone, None, STATES, unknown)
+    return commands.begin(mpc.planning_operator, mpc.evaluator, problem, boundary, left_alone, None, STATES, unknown)
 
 
 def asked(boundary, lower_C, upper_C):
@@ -77,7 +77,7 @@ def brought(parts, u):
 def test_what_is_left_alone_has_its_usual_levels_and_its_zone_is_asked_no_more(parts):
     """The other one, which follows the plan, is asked for its comfort though left alone it would miss it."""
     problem, left = parts[2], begun(parts, [LIVING])
-    usual_u = left.without.realise(np.zeros((2, problem.n_steps)), parts[3].evaluator).u
+    usual_u = left.without.realise(np.zeros((2, problem.n_steps))).u
     alone_C = brought(parts, usual_u)
     too_much = {"lower_C": alone_C + 0.5, "upper_C": alone_C + 1.0}
     within = begun(parts, [LIVING], **too_much).within_reach(None)
@@ -112,8 +112,8 @@ def test_levels_of_the_usual_commands_are_what_loops_answer_to_the_rooms_that_th
     features, T_free_C = problem.features.copy(), problem.T_free_C - 0.1 * np.arange(problem.n_steps)
     features[:, :, ZONE] -= 0.1 * np.arange(problem.n_steps)
     of_building = replace(problem, forced_state_K=forced_K, features=features, T_free_C=T_free_C)
-    plan = commands.begin(coupled, of_building, boundary, [], None, STATES).without
-    u = plan.realise(np.zeros((2, problem.n_steps)), mpc.evaluator).u
+    plan = commands.begin(coupled, mpc.evaluator, of_building, boundary, [], None, STATES).without
+    u = plan.realise(np.zeros((2, problem.n_steps))).u
     brought_K = coupled.rollout(forced_K, u, features).sum(axis=(1, 3))
     T_now_C = features[:, 0, ZONE] + forced_K.sum(axis=(1, 2))
     T_C = np.concatenate([T_now_C[:, None], T_free_C + brought_K], axis=1)
@@ -144,8 +144,8 @@ def test_while_a_machine_is_off_rooms_draw_on_its_water_where_levels_are_made_of
         np.empty((0, 24)),
     )  # fmt: skip
     commands = BuildingCommands(measured.layout, learned, curve_model(home).cards, {"heat_pump": off})
-    plan = commands.begin(mpc.planning_operator, problem, boundary, [], None, STATES).without
-    u = plan.realise(np.zeros((2, problem.n_steps)), mpc.evaluator).u
+    plan = commands.begin(mpc.planning_operator, mpc.evaluator, problem, boundary, [], None, STATES).without
+    u = plan.realise(np.zeros((2, problem.n_steps))).u
     assert (u > 0.05).all() if of_water else (u == 0.0).all()
 
 
@@ -161,8 +161,8 @@ def test_the_water_of_a_room_that_is_shut_is_that_of_the_others(home, parts):
 
     def first_u(last_u):
         begun = replace(problem, last_u=np.array(last_u))
-        plan = commands.begin(mpc.planning_operator, begun, boundary, [], None, STATES).without
-        return plan.realise(np.zeros((2, problem.n_steps)), mpc.evaluator).u[:, 0]
+        plan = commands.begin(mpc.planning_operator, mpc.evaluator, begun, boundary, [], None, STATES).without
+        return plan.realise(np.zeros((2, problem.n_steps))).u[:, 0]
 
     usual = first_u((0.0, 0.0))
     np.testing.assert_allclose(first_u((usual[LIVING], 0.0)), usual, rtol=0.15)
@@ -219,19 +219,18 @@ def test_a_plan_is_beyond_what_commands_bring_where_its_own_temperatures_say_so(
 
 def test_energy_lies_between_the_law_of_power_and_what_the_rooms_ask_for(parts):
     """In the middle where the record tells nothing of it: what is lost to outdoors follows the temperature of rooms."""
-    _, boundary, _, mpc = parts
-    plan = begun(parts)
-    commanded = plan.realise(np.zeros((2, parts[2].n_steps)), mpc.evaluator)
-    usual_u = plan.without.realise(commanded.u, mpc.evaluator).u
+    boundary, plan = parts[1], begun(parts)
+    commanded = plan.realise(np.zeros((2, parts[2].n_steps)))
+    usual_u = plan.without.realise(commanded.u).u
     T_out_C = 0.5 * (boundary.T_out_C[1:] + boundary.T_out_C[:-1])
     lost_K = [float((brought(parts, u) - T_out_C).mean()) for u in (commanded.u, usual_u)]
-    by_law = plan.saving(commanded, mpc.evaluator, 0.0)
+    by_law = plan.saving(commanded, 0.0)
     assert abs(lost_K[0] / lost_K[1] - by_law.energy_kWh / by_law.energy_alone_kWh) > 0.01, "they differ"
     by_demand_kWh = by_law.energy_alone_kWh * lost_K[0] / lost_K[1]
     for spread in (0.1, 1.0):
         share = 0.5 * weight_of_demand(spread)
         expected_kWh = (1.0 - share) * by_law.energy_kWh + share * by_demand_kWh
-        found = plan.saving(commanded, mpc.evaluator, spread)
+        found = plan.saving(commanded, spread)
         assert found.energy_kWh == pytest.approx(expected_kWh, rel=1e-5)
         assert found.energy_alone_kWh == pytest.approx(by_law.energy_alone_kWh)
 
@@ -239,15 +238,15 @@ def test_energy_lies_between_the_law_of_power_and_what_the_rooms_ask_for(parts):
 @pytest.mark.slow
 def test_rooms_are_next_to_never_colder_than_left_alone_for_what_that_saves(parts):
     """Where an hour's heat is dear and discomfort counts little: counted once, 0.25 K·h were worth what they saved."""
-    _, _, problem, mpc = parts
+    problem = parts[2]
     dear = {"price_per_kWh": np.where(np.arange(problem.n_steps) % 8 < 4, 0.1, 2.0)[None]}
-    usual_u = begun(parts, **dear).without.realise(np.zeros((2, problem.n_steps)), mpc.evaluator).u
+    usual_u = begun(parts, **dear).without.realise(np.zeros((2, problem.n_steps))).u
     alone_C = brought(parts, usual_u)
     dear |= {"lower_C": alone_C, "upper_C": alone_C + 3.0, "weights": replace(problem.weights, comfort=0.4)}
     plan = begun(parts, **dear)
-    commanded = plan.realise(np.zeros((2, problem.n_steps)), mpc.evaluator)
+    commanded = plan.realise(np.zeros((2, problem.n_steps)))
     assert np.maximum(alone_C - brought(parts, commanded.u), 0.0).sum() < 0.05
-    assert plan.saving(commanded, mpc.evaluator, 0.0).gain > 0.0
+    assert plan.saving(commanded, 0.0).gain > 0.0
 
 
 def test_what_is_on_the_meter_beside_levels_is_bought_above_a_surplus_and_adds_to_the_peak(home, parts):
@@ -272,10 +271,10 @@ def test_what_is_on_the_meter_beside_levels_is_bought_above_a_surplus_and_adds_t
             np.empty((0, 24)),
         )  # fmt: skip
         of_home = BuildingCommands(mpc.model.layout, learned, mpc.model.cards, {"heat_pump": base})
-        plan = of_home.begin(mpc.planning_operator, at_meter, boundary, [], None, STATES).without
-        levels = plan.realise(np.zeros((2, n)), evaluator)
+        plan = of_home.begin(mpc.planning_operator, evaluator, at_meter, boundary, [], None, STATES).without
+        levels = plan.realise(np.zeros((2, n)))
         assert evaluator.brings(at_meter, levels.u).power_W.sum(axis=0).min() > 200.0
-        saving = plan.saving(levels, evaluator, 0.0)
+        saving = plan.saving(levels, 0.0)
         cost.append(saving.cost_alone - saving.peak_alone)
         peak.append(saving.peak_alone)
     assert cost[1] - cost[0] == pytest.approx(0.30 * n)
@@ -294,8 +293,8 @@ def test_what_a_plan_has_set_goes_on_on_the_meter_as_what_was_read_does(home, pa
     def cost_alone(states, **read):
         learned = {a: replace(commands_of(home)[name], **read) for a, name in enumerate(ROOMS)}
         of_home = BuildingCommands(mpc.model.layout, learned, mpc.model.cards, {"heat_pump": later})
-        plan = of_home.begin(mpc.planning_operator, problem, boundary, [], None, states).without
-        return plan.saving(plan.realise(np.zeros((2, problem.n_steps)), mpc.evaluator), mpc.evaluator, 0.0).cost_alone
+        plan = of_home.begin(mpc.planning_operator, mpc.evaluator, problem, boundary, [], None, states).without
+        return plan.saving(plan.realise(np.zeros((2, problem.n_steps))), 0.0).cost_alone
 
     usual = cost_alone(STATES)
     by_plan = cost_alone([ActuationState(command=3.0, held_s=held_s)] * 2)
@@ -317,7 +316,7 @@ def test_a_margin_inside_the_bounds_is_asked_as_far_as_left_alone_keeps_it(parts
     wide = {"lower_C": alone_C - 9.0, "upper_C": alone_C + 9.0}
     of_person, of_problem = wide | {side: bound_C}, wide | {side: with_margin_C}
     moved = replace(problem, **of_problem), asked(boundary, **of_person)
-    plan = commands.begin(mpc.planning_operator, *moved, [], None, STATES)
+    plan = commands.begin(mpc.planning_operator, mpc.evaluator, *moved, [], None, STATES)
     for name in wide:
         expected = expected_C if name == side else wide[name]
         np.testing.assert_allclose(getattr(plan.problem, name), expected, atol=1e-9)
@@ -330,7 +329,7 @@ def test_of_a_room_without_a_command_margins_are_asked(home):
     problem = parts[2]
     boundary = asked(parts[1], problem.lower_C, problem.upper_C)
     tight = replace(problem, lower_C=problem.lower_C + 3.0, upper_C=problem.upper_C + 3.0)
-    plan = parts[0].begin(parts[3].planning_operator, tight, boundary, [], None, STATES)
+    plan = parts[0].begin(parts[3].planning_operator, parts[3].evaluator, tight, boundary, [], None, STATES)
     np.testing.assert_array_equal(plan.problem.lower_C[BEDROOM], tight.lower_C[BEDROOM])
     assert (plan.problem.lower_C[LIVING] < tight.lower_C[LIVING]).all()
 
@@ -338,9 +337,9 @@ def test_of_a_room_without_a_command_margins_are_asked(home):
 def test_the_less_is_known_the_less_is_promised(parts):
     """The best of many plans by a model that errs saves less than that says: of a wild meter next to nothing is."""
     plan = begun(parts, price_per_kWh=np.where(np.arange(parts[2].n_steps) % 8 < 4, 0.1, 0.5)[None])
-    commanded = plan.realise(np.zeros((2, parts[2].n_steps)), parts[3].evaluator)
+    commanded = plan.realise(np.zeros((2, parts[2].n_steps)))
     wild_W = np.where(np.arange(24) % 8 < 4, -1.0, 1.0) * np.array([[-1.0], [1.0]])
-    calm, wild, wildest = (plan.saving(commanded, parts[3].evaluator, 0.0, [W * wild_W]) for W in (0.0, 300.0, 30000.0))
+    calm, wild, wildest = (plan.saving(commanded, 0.0, [W * wild_W]) for W in (0.0, 300.0, 30000.0))
     assert abs(calm.saved) > 1.2 * abs(wild.saved) > 0.0
     assert abs(wildest.saved) < 0.01 * abs(calm.saved)
     for one in (calm, wild):
@@ -351,14 +350,13 @@ def test_the_less_is_known_the_less_is_promised(parts):
 
 def test_in_a_room_that_is_not_known_discomfort_counts_as_it_is_on_average_over_errors(parts):
     """Where a plan makes it worse than left alone does; by summing over the errors instead of in closed form."""
-    _, _, problem, mpc = parts
-    plan = begun(parts)
-    usual_u = plan.without.realise(np.zeros((2, problem.n_steps)), mpc.evaluator).u
+    problem, plan = parts[2], begun(parts)
+    usual_u = plan.without.realise(np.zeros((2, problem.n_steps))).u
     alone_C = brought(parts, usual_u)
     # Beside a bound, so that errors matter; a night of another bound takes the plan away from what is usual.
     bounds = {"lower_C": alone_C - 0.3, "upper_C": alone_C + 1.5}
     plan, unsure = begun(parts, **bounds), begun(parts, unknown=[BEDROOM], **bounds)
-    commanded = plan.realise(np.zeros((2, problem.n_steps)), mpc.evaluator)
+    commanded = plan.realise(np.zeros((2, problem.n_steps)))
     T_C = brought(parts, commanded.u)[BEDROOM]
     away_K = T_C - alone_C[BEDROOM]
     assert np.abs(away_K).max() > 0.05, "the plan differs"
@@ -374,5 +372,5 @@ def test_in_a_room_that_is_not_known_discomfort_counts_as_it_is_on_average_over_
     worse_K = discomfort_K(T_C, np.hypot(error_K, away_K)) - discomfort_K(alone_C[BEDROOM], error_K)
     cost = problem.comfort_price.max() * np.maximum(worse_K, 0.0).sum()
     assert cost > 0.0
-    gains = [one.saving(commanded, mpc.evaluator, 0.0).gain for one in (plan, unsure)]
+    gains = [one.saving(commanded, 0.0).gain for one in (plan, unsure)]
     assert gains[0] - gains[1] == pytest.approx(cost, rel=1e-2)
