@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.checks import ControllerConfigError
-from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array
+from thermoforce_mpc.data import HOUR_S, Array, cost_per_W
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.parameters import N_FEATURES, ZONE
 
@@ -335,7 +335,7 @@ class MPCProblem:
     @cached_property
     def price_per_W(self) -> Array:
         """Cost of one watt of each machine held over each step, currency/W, shape (M, N)."""
-        return np.asarray(self.price_per_kWh * self.step_s / J_PER_KWH, dtype=np.float64)
+        return np.asarray(cost_per_W(self.price_per_kWh, self.step_s), dtype=np.float64)
 
     @cached_property
     def fixed_cost(self) -> Array:
@@ -356,7 +356,7 @@ class MPCProblem:
         """Energy cost of cooling over each step per unit of −u, currency, shape (A, N); 0 without cooling."""
         if self.cooling is None:
             return np.zeros(self.power_per_u_W.shape)
-        return np.asarray(self.cooling.price_per_kWh * self.cooling.power_per_u_W * self.step_s / J_PER_KWH)
+        return np.asarray(cost_per_W(self.cooling.price_per_kWh * self.cooling.power_per_u_W, self.step_s))
 
     @cached_property
     def comfort_price(self) -> Array:
@@ -366,7 +366,7 @@ class MPCProblem:
     @property
     def cap_price_per_W(self) -> float:
         """Cost of one watt above the power cap over one step, currency/W; 0 without one."""
-        return 0.0 if self.power_cap is None else self.power_cap.price_per_kWh * self.step_s / J_PER_KWH
+        return 0.0 if self.power_cap is None else float(cost_per_W(self.power_cap.price_per_kWh, self.step_s))
 
     def unfit(self, u: Array) -> str:
         """Why `u` are no levels (A, N) to act on: another shape, not finite, or out of bounds; or ''."""

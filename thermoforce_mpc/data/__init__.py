@@ -21,6 +21,7 @@ from thermoforce_mpc.data.clock import (
     YEAR_S,
     ZERO_C_K,
     Array,
+    cost_per_W,
     energy_kWh,
     month_of,
 )
@@ -74,6 +75,7 @@ __all__ = [
     "PlantInfo",
     "Record",
     "commands_of_each",
+    "cost_per_W",
     "energy_kWh",
     "month_of",
 ]  # fmt: skip

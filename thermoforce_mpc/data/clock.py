@@ -47,6 +47,11 @@ def energy_kWh(power_W: Any, duration_s: Any) -> Any:
     return power_W * duration_s / J_PER_KWH
 
 
+def cost_per_W(price_per_kWh: Array | float, duration_s: float) -> Any:
+    """Cost of a watt that lasts so long, s, at prices per kWh of any shape, currency/W."""
+    return price_per_kWh * duration_s / J_PER_KWH
+
+
 def in_fahrenheit(T_C: Any) -> Any:
     """Temperatures of any shape, °C, in °F."""
     return 1.8 * T_C + 32.0

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from controllers.policy.trained import FORECAST, SIGNALS, PolicySpec
-from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Record
+from thermoforce_mpc.data import HOUR_S, Array, Record, cost_per_W
 from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.data.series import interpolated
@@ -98,7 +98,7 @@ class ModelVectorEnv(VectorEnv[Any, Any, Any]):
         bounds = [np.broadcast_to(np.asarray(of, dtype=np.float64), (Z, n + 1)) for of in (lower_C, upper_C)]
         price = np.broadcast_to(np.asarray(price_per_kWh, dtype=np.float64), (M, n + 1))
         self._lower, self._upper = bounds[0].T, bounds[1].T
-        self._cost_per_W = price[self._machine_of].T * step_s / J_PER_KWH / area
+        self._cost_per_W = cost_per_W(price[self._machine_of].T, step_s) / area
         self._features = np.stack(
             [feature_matrix(of, self._T_out, solar, record.time_s) for of in self._T_free.T], axis=1
         )

@@ -9,7 +9,7 @@ import numpy as np
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.statement.algebra import PoleGroup, Structure, difference_equation
 from controllers.optimisation.statement.problem_statement import gain_sizes, parameter_sizes
-from thermoforce_mpc.data import J_PER_KWH, Array
+from thermoforce_mpc.data import Array, cost_per_W
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import ExportedGain, network_of
@@ -135,7 +135,7 @@ class Numbers:
             others_W = self._mean(p.exchange.others_W[None])
             values["reached"] = p.peak_so_far_W - others_W
             values["surplus"] = np.maximum(-others_W, 0.0)
-            values["dearer"] = self._sum(p.exchange.dearer_per_kWh[None] * p.step_s / J_PER_KWH)
+            values["dearer"] = self._sum(cost_per_W(p.exchange.dearer_per_kWh[None], p.step_s))
         if p.power_cap is not None:
             values["limit"] = self._mean(p.power_cap.limit_W[None])
         if p.last_u is not None:
