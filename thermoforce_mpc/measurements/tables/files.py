@@ -446,18 +446,15 @@ def _parquet(path: Path) -> _Part:
     return _Part(path, list(schema.names), frames)
 
 
-def rows_of_sheets(path: Path) -> dict[str, int]:
-    """The number of rows of each sheet of a workbook, in its order; raises `DataError` for one that cannot be read."""
+def longest_sheet(path: Path, most: int) -> tuple[dict[str, int], str, list[str]]:
+    """The number of rows of each sheet of a workbook, in its order, its longest sheet, and the first rows of that one
+    as lines of text, cells parted by tabs; raises `DataError` for one that cannot be read."""
     with _workbook_of(path) as book:
-        return {str(name): book.book.get_sheet_by_name(name).height for name in book.sheet_names}
-
-
-def workbook_lines(path: Path, form: CsvFormat, most: int) -> list[str]:
-    """The first rows of a workbook's sheet as lines of text, cells parted by tabs."""
-    cells = _cells_of_workbook(path, form).iloc[:most]
-    return [
-        "\t".join("" if pd.isna(cell) else str(cell).replace("\n", " ") for cell in row) for row in cells.to_numpy()
-    ]
+        rows = {str(name): book.book.get_sheet_by_name(name).height for name in book.sheet_names}
+        longest = max(rows, key=lambda name: rows[name])
+        cells = _cells_of(book, path, CsvFormat(sheet=longest)).iloc[:most].to_numpy()
+    lines = ["\t".join("" if pd.isna(cell) else str(cell).replace("\n", " ") for cell in row) for row in cells]
+    return rows, longest, lines
 
 
 @contextmanager
@@ -478,14 +475,11 @@ def _workbook_of(path: Path) -> Iterator[pd.ExcelFile]:
         raise DataError(f"{path}: no workbook that can be read ({_short(error)})") from error
 
 
-def _cells_of_workbook(path: Path, form: CsvFormat) -> pd.DataFrame:
-    with _workbook_of(path) as book:
-        names = [str(name) for name in book.sheet_names]
-        if form.sheet is not None and form.sheet not in names:
-            raise DataError(
-                f"{path}: no sheet '{form.sheet}'{suggestion(form.sheet, names)}; there are {', '.join(names)}"
-            )
-        cells = pd.read_excel(book, sheet_name=form.sheet or 0, header=None, dtype=object)
+def _cells_of(book: pd.ExcelFile, path: Path, form: CsvFormat) -> pd.DataFrame:
+    names = [str(name) for name in book.sheet_names]
+    if form.sheet is not None and form.sheet not in names:
+        raise DataError(f"{path}: no sheet '{form.sheet}'{suggestion(form.sheet, names)}; there are {', '.join(names)}")
+    cells = pd.read_excel(book, sheet_name=form.sheet or 0, header=None, dtype=object)
     if len(cells) <= form.skip_lines:
         told = f" (there are {', '.join(names)})" if len(names) > 1 else ""
         raise DataError(f"{path}: the sheet is empty; name another as csv.sheet{told}")
@@ -493,7 +487,8 @@ def _cells_of_workbook(path: Path, form: CsvFormat) -> pd.DataFrame:
 
 
 def _workbook(path: Path, form: CsvFormat) -> _Part:
-    cells = _cells_of_workbook(path, form)
+    with _workbook_of(path) as book:
+        cells = _cells_of(book, path, form)
     groups = [str(cell).strip() for cell in cells.iloc[form.skip_lines - 1].fillna("")] if form.skip_lines else []
     names = _told_apart([str(name).strip() for name in cells.iloc[form.skip_lines].fillna("")], groups)
     first = form.skip_lines + 1 + form.skip_after

@@ -23,11 +23,10 @@ from thermoforce_mpc.measurements.tables.files import (
     head_of,
     header_of,
     is_text,
+    longest_sheet,
     named_after,
     reading,
-    rows_of_sheets,
     sample,
-    workbook_lines,
 )
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import (
@@ -237,7 +236,7 @@ def _same_clock(clock: TimeStampRules, head: pd.DataFrame, stamps: Sequence[str]
 
 def recognised(paths: Sequence[Path]) -> Recognised:
     """What files of one building are taken for; raises `DataError` for one that is no table."""
-    forms = [guessed_form(path) for path in paths]
+    forms, sheets = zip(*map(_guessed, paths), strict=True)
     heads = [head_of(path, ROWS, form) for path, form in zip(paths, forms, strict=True)]
     for path, head in zip(paths, heads, strict=True):
         if head.empty:
@@ -245,7 +244,7 @@ def recognised(paths: Sequence[Path]) -> Recognised:
     form, others = forms[0], [f"{path}" for path, one in zip(paths, forms, strict=True) if one != forms[0]]
     notes = {"csv": f"? {', '.join(others[:3])} seem to be written otherwise" if others else ""}
     notes["names"] = _numbered(paths[0], form)
-    notes["sheets"] = _not_read(paths[0], form)
+    notes["sheets"] = sheets[0]
     head = heads[0]
     for path, one in zip(paths, heads, strict=True):
         _check_layout(path, one)
@@ -302,30 +301,29 @@ def _numbered(path: Path, form: CsvFormat) -> str:
     return f"columns of the same name are numbered from left to right: {', '.join(ours[:6])}" if ours else ""
 
 
-def _not_read(path: Path, form: CsvFormat) -> str:
-    """Which other sheets of a workbook hold a table, in words; it is read one sheet at a time."""
-    if is_text(path) or path.suffix.lower() in PARQUET:
-        return ""
-    sheets = rows_of_sheets(path)
-    read = form.sheet or next(iter(sheets))
-    others = [name for name, rows in sheets.items() if name != read and rows >= _LEAST_ROWS]
-    return f"sheet '{read}' is read; save these as files of their own: {', '.join(others)}" if others else ""
-
-
 def guessed_form(path: Path) -> CsvFormat:
     """How a file seems to be written: encoding, lines above the header, separator, decimal comma, lines of units.
 
     Of a workbook the lines above the header and of units alone, and its longest sheet, where that is not the first.
     """
-    if not is_text(path):
-        if path.suffix.lower() in PARQUET:
-            return CsvFormat()
-        sheets = rows_of_sheets(path)
-        longest = max(sheets, key=lambda name: sheets[name])
-        sheet = None if longest == next(iter(sheets)) else longest
-        lines = workbook_lines(path, CsvFormat(sheet=sheet), _LINES)
-        skip, _, _ = _header_at(lines)
-        return CsvFormat(sheet=sheet, skip_lines=skip, skip_after=_after_header(lines, skip, "\t", None))
+    return _guessed(path)[0]
+
+
+def _guessed(path: Path) -> tuple[CsvFormat, str]:
+    """See `guessed_form`; and which other sheets of a workbook hold a table, in words: one sheet is read."""
+    if is_text(path):
+        return _guessed_of_text(path), ""
+    if path.suffix.lower() in PARQUET:
+        return CsvFormat(), ""
+    rows_of, longest, lines = longest_sheet(path, _LINES)
+    skip, _, _ = _header_at(lines)
+    sheet = None if longest == next(iter(rows_of)) else longest
+    others = [name for name, rows in rows_of.items() if name != longest and rows >= _LEAST_ROWS]
+    told = f"sheet '{longest}' is read; save these as files of their own: {', '.join(others)}" if others else ""
+    return CsvFormat(sheet=sheet, skip_lines=skip, skip_after=_after_header(lines, skip, "\t", None)), told
+
+
+def _guessed_of_text(path: Path) -> CsvFormat:
     encoding, text = sample(path)
     lines = text[:_LINES]
     if next((line for line in lines if line.strip() and not line.startswith("#")), "") and all(
