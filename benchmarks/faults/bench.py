@@ -14,8 +14,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from benchmarks.faults.faulty_plant import FaultyPlant
 from controllers.monitoring.watch import Judged
 from controllers.mpc.state import MPCState
@@ -23,6 +21,7 @@ from controllers.registry import build_controller
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, Plan, PlanStatus
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.experiment.identifying import identify_on
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.card import JUDGED_H
@@ -81,7 +80,7 @@ class RecordedController:
         """RMS error of predictions 6 h ahead that came due after `from_s`, until `to_s`, K; NaN if there were none."""
         longest = len(JUDGED_H) - 1
         errors = [v.error_K for v in self.judged.values() if v.lead == longest and from_s < v.time_s <= to_s]
-        return float(np.sqrt(np.mean(np.square(errors)))) if errors else math.nan
+        return rms(errors)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from scipy.stats import wilcoxon
 
 from benchmarks.interventions.dataset import Window
 from benchmarks.interventions.methods.base import Predictor, plans, signs_right, true_effect
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.errors import DataError
 
 LEVELS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
@@ -84,19 +84,15 @@ def score_cell(name: str, predictor: Predictor, windows: Sequence[Window], days:
         window=window_name,
         days=days,
         pairs=len(windows),
-        factual_rmse_K=_rms(np.array(factual)),
-        effect_rmse_K=_rms(stacked),
-        up_rmse_K=_rms(stacked[mask]),
-        down_rmse_K=_rms(stacked[~mask]),
+        factual_rmse_K=rms(np.array(factual)),
+        effect_rmse_K=rms(stacked),
+        up_rmse_K=rms(stacked[mask]),
+        down_rmse_K=rms(stacked[~mask]),
         sign_accuracy=float(np.mean(np.concatenate(signs))),
         violations=violations,
         comparisons=comparisons,
         note=predictor.note,
     )
-
-
-def _rms(errors: Array) -> float:
-    return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
 
 
 def one_sided_wilcoxon(ours: Sequence[CellScore], other: Sequence[CellScore]) -> tuple[float, int]:

@@ -18,6 +18,7 @@ from benchmarks.cases import run_all
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Measurement, Record
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification import IdentificationConfig, identify
@@ -121,7 +122,7 @@ def score(model: ThermalModel, pairs: list[tuple[Record, Record]]) -> tuple[floa
         true = one.T_zone_C - other.T_zone_C
         errors.append(predicted - true)
         effects.append(true)
-    return float(np.sqrt(np.mean(np.square(errors)))), float(np.sqrt(np.mean(np.square(effects))))
+    return rms(errors), rms(effects)
 
 
 def summary(found: list[Row]) -> list[Row]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.operator.data import ReferencePair
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.model.forced_state import forced_history
 from thermoforce_mpc.model.operator.building import forced_rollout, single
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, feature_matrix
@@ -68,10 +69,10 @@ def score_pairs(
     left += [x - y for x, y in zip(predicted, measured, strict=True) if np.abs(x).max() <= SIGN_FROM_K]
     strong = np.abs(m) > SIGN_FROM_K
     return PairScores(
-        rmse_K=float(np.sqrt(np.mean((p - m) ** 2))),
+        rmse_K=rms(p - m),
         sign_accuracy=float(np.mean(np.sign(p[strong]) == np.sign(m[strong]))) if strong.any() else float("nan"),
-        effect_K=float(np.sqrt(np.mean(m**2))),
+        effect_K=rms(m),
         n=int(p.size),
-        own_factor_rmse_K=float(np.sqrt(np.mean(np.concatenate(left) ** 2))),
+        own_factor_rmse_K=rms(np.concatenate(left)),
         own_factor_sd=float(np.std(factors)) if factors.size else float("nan"),
     )

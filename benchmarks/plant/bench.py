@@ -14,6 +14,7 @@ from thermoforce_mpc.boundary.periods import published_windows
 from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
@@ -96,7 +97,7 @@ def _heat_pump(
         rows += native_rows
         targets += native_targets
     for what, effect in _effects(plant, reference / "pairs", progress).items():
-        rmse = float(np.sqrt(np.mean(np.concatenate(effect) ** 2)))
+        rmse = rms(np.concatenate(effect))
         rows.append({"what": f"effect of {len(effect)} {what}", "T_rmse_K": rmse})
         targets.append(Target(f"{what}: effect RMSE, K", rmse, 0.03))
     if not rows:

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from benchmarks.plant.scores import SCORED_S, STEP_S, WINDOW_WARMUP_S, Row, read, recorded_tariff, rms
+from benchmarks.plant.scores import SCORED_S, STEP_S, WINDOW_WARMUP_S, Row, read, recorded_tariff
 from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.comparison.outcome import Target
 from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, energy_kWh
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded import PointEmulator
 from thermoforce_mpc.plants.embedded.cases import CASES, EmulatedCase

@@ -13,6 +13,7 @@ import pandas as pd
 from thermoforce_mpc.boundary.tariffs import Tariff, held_prices
 from thermoforce_mpc.comparison.outcome import Target
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
@@ -163,11 +164,6 @@ def recorded_tariff(path: Path) -> Tariff | None:
     if _HIGHLY_DYNAMIC not in table:
         return None
     return held_prices(table.time.to_numpy(dtype=np.float64), table[_HIGHLY_DYNAMIC].to_numpy(dtype=np.float64))
-
-
-def rms(values: Array) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _relative(value: float, truth: float) -> float:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -93,8 +94,8 @@ def _score(model: ThermalModel, z: int, a: int, true: Array, predicted: Array) -
         model.operator.zones[z],
         model.operator.actuators[a],
         model.operator.home[a] == z,
-        float(np.sqrt(np.mean(true**2))),
-        float(np.sqrt(np.mean((predicted - true) ** 2))),
+        rms(true),
+        rms(predicted - true),
         float(right.mean()) if counts.any() else float("nan"),
     )
 

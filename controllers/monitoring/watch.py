@@ -58,6 +58,7 @@ from controllers.monitoring.single_actuator import SingleActuatorContext
 from controllers.monitoring.zone_sensors import SensorConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_90, Array, Record
 from thermoforce_mpc.data.limits import SENSOR_STEP_K
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.model.card import JUDGED_H
 from thermoforce_mpc.model.machine.blocked_hours import (
     FORGETS_S,
@@ -307,7 +308,7 @@ def effect_fault(error_K: Array, effect_K: Array, promise_K: Array, false_alarm:
         return ""
     return (
         f"acting has less effect than predicted: {share:.0%} of it is missing in the last {WINDOW_H:g} h ({z:.1f}"
-        f" standard deviations; RMS error {np.sqrt(np.mean(error_K**2)):.2f} K 1 h ahead)"
+        f" standard deviations; RMS error {rms(error_K):.2f} K 1 h ahead)"
     )
 
 

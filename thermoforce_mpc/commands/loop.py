@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.commands.command import SAME, Command, StepwiseCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Plan, PlannedSaving, Record
-from thermoforce_mpc.data.series import step_means
+from thermoforce_mpc.data.series import rms, step_means
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables are read
@@ -415,7 +415,7 @@ def _learn_loop(command: Command, seen: _Signals, step_s: float, time_s: Array, 
         others = told[np.isin(day[told], groups[-1])]
         told = others if others.size >= _LEAST_OPEN else told
     courses = [_followed(loop, rows, seen, measured, behind) for loop in candidates]
-    rmse = [float(np.sqrt(np.mean((behind - course)[told] ** 2))) for course in courses]
+    rmse = [rms((behind - course)[told]) for course in courses]
     chosen = next(i for i, one in enumerate(rmse) if one <= _AS_GOOD * min(rmse[: len(_CARRIES)]))
     least = min(rmse)
     if _AS_GOOD * least < rmse[chosen]:
@@ -433,7 +433,7 @@ def _learn_loop(command: Command, seen: _Signals, step_s: float, time_s: Array, 
     uncertain = np.std([_at(one, loop) for one in drawn], axis=0)
     untold = _untold(command, loop, drawn, value[rows], seen.T_zone_C[rows], seen.T_out_C[rows], r2, where)
     spread = _by_bins(s, error**2, loop.knots) ** 0.5
-    seen_for = {"rmse": float(np.sqrt(np.mean(error**2))), "days": hours * HOUR_S / DAY_S}
+    seen_for = {"rmse": rms(error), "days": hours * HOUR_S / DAY_S}
     loop = replace(loop, spread=spread, uncertain=uncertain, r2=r2, of_water=seen.over_K is not None, **seen_for)
     return loop, untold
 

@@ -22,7 +22,7 @@ from thermoforce_mpc.commands.command import SAME, Command, StepwiseCommand
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.data.clock import whole_hour
-from thermoforce_mpc.data.series import first_order
+from thermoforce_mpc.data.series import first_order, rms
 
 # How fast what follows a command follows, s: water and buffers; a tank from one charge to the next.
 _LAGS_S = (1.5 * HOUR_S, 8.0 * HOUR_S)
@@ -360,7 +360,7 @@ def _lagged(signals: Array, step_s: float, lag_s: float, before: Array) -> tuple
 
 def _of_a_step(error: Array) -> float:
     """Standard deviation that a step counts with, whose errors (n,) follow one another (first-order autoregression)."""
-    sd = max(float(np.sqrt(np.mean(error**2))), 1e-3)
+    sd = max(rms(error), 1e-3)
     correlation = float(np.clip(np.mean(error[1:] * error[:-1]) / sd**2, 0.0, _MOST_CORRELATED))
     return sd * float(np.sqrt((1.0 + correlation) / (1.0 - correlation)))
 

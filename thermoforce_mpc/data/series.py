@@ -18,7 +18,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, BRIDGED_LEVEL_H, LEVELS_AROUND_H
@@ -69,6 +69,12 @@ def step_means(values: Array) -> Array:
     """Means (..., n) over n steps of what is sampled at their ends (..., n + 1) and goes straight between."""
     values = np.asarray(values)
     return np.asarray(0.5 * (values[..., :-1] + values[..., 1:]))
+
+
+def rms(values: ArrayLike) -> float:
+    """Root mean square of values of any shape; NaN of none."""
+    values = np.asarray(values, dtype=np.float64)
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else float("nan")
 
 
 def means_of(values: Array, n: int) -> Array:

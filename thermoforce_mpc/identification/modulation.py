@@ -17,7 +17,7 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.data.clock import PLAN_H, PLAN_STEP_S
-from thermoforce_mpc.data.series import interpolated
+from thermoforce_mpc.data.series import interpolated, rms
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import RegressionData
@@ -26,7 +26,6 @@ from thermoforce_mpc.identification.validation.errors_ahead import (
     Fold,
     block_numbers,
     is_significant,
-    rms,
     standard_errors_saved,
 )
 from thermoforce_mpc.model.forced_state import forced_history

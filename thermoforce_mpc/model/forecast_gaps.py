@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import AT_THE_METER, CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S, whole_hour
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, RULES, outside
-from thermoforce_mpc.data.series import WEATHER, at_instants, gap_s
+from thermoforce_mpc.data.series import WEATHER, at_instants, gap_s, rms
 
 # How a source of data fills what follows a schedule.
 BY_DAYS = "the same hour of the days before"
@@ -137,7 +137,7 @@ def weather_spread(name: str, boundary: Boundary, history: Record) -> Array:
 
 def _rms(off: Array, otherwise: float) -> float:
     off = off[np.isfinite(off)]
-    return float(np.sqrt(np.mean(off**2))) if off.size else otherwise
+    return rms(off) if off.size else otherwise
 
 
 def whole(boundary: Boundary) -> bool:

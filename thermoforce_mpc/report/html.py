@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Layout, PlanStatus
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.errors import ArtifactError, InputError
 from thermoforce_mpc.files import check_plain, read_bounded, write_plain, write_whole
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
@@ -153,7 +154,7 @@ def forecast_errors(result: RunResult) -> list[dict[str, Any]]:
         finite = error[np.isfinite(error)]  # NaN where the zone's sensor was silent
         if not finite.size:
             return {}
-        return {"bias_K": float(np.mean(finite)), "rmse_K": float(np.sqrt(np.mean(finite**2))), "n": finite.size}
+        return {"bias_K": float(np.mean(finite)), "rmse_K": rms(finite), "n": finite.size}
 
     return _scored(result, result.steps, measured, (1.0, 6.0, 12.0, 24.0), ("T_zone_C",), figures)
 

@@ -32,7 +32,7 @@ from thermoforce_mpc.data import (
 )
 from thermoforce_mpc.data.dataframes import seconds_at, table
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.data.series import WEATHER, bridged, interpolated, lagged
+from thermoforce_mpc.data.series import WEATHER, bridged, interpolated, lagged, rms
 from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
@@ -528,7 +528,7 @@ def _beside_law(model: ThermalModel, m: int, record: Record, stretch: Record) ->
     if len(starts) < _LEAST_DAYS or not law.sum() > 0.0 or not meter.sum() > 0.0:
         return metered, 1.0, _FEW_DAYS_SD
     usual = float(meter.sum() / law.sum())
-    return metered, usual, float(np.sqrt(np.mean((meter - usual * law) ** 2)) / meter.mean())
+    return metered, usual, float(rms(meter - usual * law) / meter.mean())
 
 
 def _beside_kWh(model: ThermalModel, stretch: Record) -> Array:

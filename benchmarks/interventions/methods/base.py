@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks.interventions.dataset import Probe, Window
 from thermoforce_mpc.data import ACTING, SAMPLED, Array, Record
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.plants.energyplus.zone import Climate
 
 # Smallest true effect whose sign is scored, K.
@@ -88,14 +89,12 @@ def predicted_effect(predictor: Predictor, window: Window) -> Array:
 
 def effect_rmse(predictor: Predictor, windows: Sequence[Window]) -> float:
     """RMSE of the effect over all steps of all windows, K."""
-    errors = [predicted_effect(predictor, w) - true_effect(w) for w in windows]
-    return float(np.sqrt(np.mean(np.square(errors))))
+    return rms([predicted_effect(predictor, w) - true_effect(w) for w in windows])
 
 
 def factual_rmse(predictor: Predictor, windows: Sequence[Window]) -> float:
     """RMSE of the temperature under the applied control, K."""
-    errors = [predictor.respond(w, w.factual.u)[0] - w.factual.T_zone_C[0, 1:] for w in windows]
-    return float(np.sqrt(np.mean(np.square(errors))))
+    return rms([predictor.respond(w, w.factual.u)[0] - w.factual.T_zone_C[0, 1:] for w in windows])
 
 
 def sign_accuracy(predictor: Predictor, windows: Sequence[Window]) -> float:

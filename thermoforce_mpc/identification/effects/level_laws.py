@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
-from thermoforce_mpc.data.series import lagged, step_means
+from thermoforce_mpc.data.series import lagged, rms, step_means
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import EFFECT_H
 from thermoforce_mpc.model.machine.heat_capacity import kinds_for
@@ -210,7 +210,7 @@ def weather_of(runs: Sequence[Record], a: int) -> LevelWeather | None:
         return None
     T_out_C = np.concatenate([run.T_out_C[:-1] for run in runs])
     mean_C = float(level @ T_out_C / level.sum())
-    spread_K = float(np.sqrt(np.mean((T_out_C - mean_C) ** 2)))
+    spread_K = rms(T_out_C - mean_C)
     return LevelWeather(mean_C, (float(T_out_C.min()), float(T_out_C.max())), spread_K)
 
 

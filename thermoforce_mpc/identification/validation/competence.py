@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, NORMAL_95, Array, Record
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
 from thermoforce_mpc.identification.estimation.regression import EFFECT_H, STEP_RESPONSE_H
 from thermoforce_mpc.identification.network.room import EMITTER, ROOM, RoomNetwork
@@ -29,7 +30,6 @@ from thermoforce_mpc.identification.validation.errors_ahead import (
     errors_of,
     is_significant,
     quantile,
-    rms,
     standard_errors_saved,
 )
 from thermoforce_mpc.model.card import JUDGED_H, MOST_ERROR_K, MOST_RELATIVE_SD, Competence, HorizonScore

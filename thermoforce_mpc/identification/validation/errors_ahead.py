@@ -54,11 +54,6 @@ _FIXED_B: dict[float, tuple[float, float, float, float]] = {
 }
 
 
-def rms(errors: Array) -> float:
-    """Root mean square; NaN where there are none."""
-    return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
-
-
 def block_numbers(regression: int, rows: NDArray[np.intp], step_s: float) -> NDArray[np.intp]:
     """Return the block number of each of `rows` (n,) of regression number `regression`, shape (n,)."""
     return np.asarray(regression * PER_REGRESSION + (rows * step_s / HOUR_S // BLOCK_H), dtype=np.intp)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
-from thermoforce_mpc.data.series import step_means
+from thermoforce_mpc.data.series import rms, step_means
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H, Effect, RegressionData
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
@@ -138,7 +138,7 @@ def fit_two_stage(
         g=clipped,
         g_sd=error_of_a_step(residual[on] - gain * drive[on], 0.0) / math.sqrt(power),
         n_on=int(on.sum()),
-        rmse_K=float(np.sqrt(np.mean((residual - clipped * drive) ** 2))),
+        rmse_K=rms(residual - clipped * drive),
         sign=sign,
         heat_input=heat_input,
     )

@@ -45,6 +45,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.errors import DataError
 
 # A level in (LEVEL_EDGE, 1 − LEVEL_EDGE) is intermediate; outside it is off or full.
@@ -244,7 +245,7 @@ def error_of_a_step(error: Array, least: float) -> float:
     Of n steps whose errors go on with correlation ρ from one to the next, n (1 − ρ) / (1 + ρ) tell anew (first-order
     autoregression). Taken as independent, steps of a few hours outvote any prior.
     """
-    sd = float(np.sqrt(np.mean(error**2))) if error.size else 0.0
+    sd = rms(error) if error.size else 0.0
     if not sd > 0.0 or error.size < _MIN_STEPS:
         return max(sd, least)
     correlation = float(np.clip(np.mean(error[1:] * error[:-1]) / sd**2, 0.0, _MOST_CORRELATED))
@@ -273,7 +274,7 @@ class Quality:
         of_running = error[steps.running]
         variance = float(np.var(steps.load_W))
         return cls(
-            rmse_W=float(np.sqrt(np.mean(of_running**2))),
+            rmse_W=rms(of_running),
             r2=1.0 - float(np.mean(error**2)) / variance if variance > 0 else float("nan"),
             n_samples=int(steps.u.size),
             n_running=int(steps.running.sum()),

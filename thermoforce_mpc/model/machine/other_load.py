@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.data.clock import DAY_H, whole_hour
+from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE, MEASURED, error_of_a_step
 
@@ -165,7 +166,7 @@ def other_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> Other
     for one in at_times:
         of_hour = design[:, one] > 0.0
         found[one] = float(np.mean(load_W[of_hour] - found[DAY_H] * design[of_hour, DAY_H]))
-    rmse_W = float(np.sqrt(np.mean((design @ found - load_W) ** 2)))
+    rmse_W = rms(design @ found - load_W)
     load = OtherLoad(
         tuple(np.maximum(found[:DAY_H], 0.0).tolist()),
         float(found[DAY_H]),
