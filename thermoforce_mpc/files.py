@@ -75,6 +75,12 @@ def write_whole(path: Path, content: str | bytes, *, follow: bool = True) -> Non
         aside.write_bytes(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 
+def write_json(path: Path, content: Any, *, follow: bool = False) -> None:
+    """Write standard JSON: NaN and infinities become null; `follow` as of `written`."""
+    text = json.dumps(plain_json(content), indent=2, ensure_ascii=False, allow_nan=False)
+    write_whole(path, text + "\n", follow=follow)
+
+
 def write_folder(folder: Path, files: Mapping[str, bytes], *, keep: bool = False) -> None:
     """Write a folder with the content of `files` by name; whole or absent. Raises `StorageError`.
 
@@ -248,6 +254,11 @@ def parse_json(content: bytes, where: str, error: type[InputError]) -> dict[str,
     if not isinstance(document, dict):
         raise error(f"{where}: holds a {type(document).__name__}, expected an object")
     return document
+
+
+def read_json(path: Path, most_bytes: int, error: type[InputError] = InputError) -> dict[str, Any]:
+    """The object of a JSON file; raises `error` as `read_bounded` and `parse_json`."""
+    return parse_json(read_bounded(path, most_bytes, error), str(path), error)
 
 
 def _not_finite(text: str) -> NoReturn:

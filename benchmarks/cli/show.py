@@ -23,7 +23,7 @@ def show(result: Mapping[str, Any], json_file: Path | None) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from thermoforce_mpc.records.run_folder import write_json
+    from thermoforce_mpc.files import write_json
 
     console = Console(highlight=False)
     if not console.is_terminal:  # do not wrap tables in files

@@ -412,7 +412,7 @@ def _line(outcome: Outcome) -> str:
 
 def _write_outcomes(path: Path, outcomes: Sequence[Outcome]) -> None:
     """Write every figure of every case as JSON."""
-    from thermoforce_mpc.records.run_folder import write_json
+    from thermoforce_mpc.files import write_json
 
     cases = [
         {

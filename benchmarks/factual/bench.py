@@ -56,7 +56,7 @@ def run_factual_bench(
     from benchmarks.factual import plots, tables
     from benchmarks.interventions.page import write_page
     from benchmarks.interventions.plots import save
-    from thermoforce_mpc.records.run_folder import write_json
+    from thermoforce_mpc.files import write_json
 
     began = time.perf_counter()
     protocol = QUICK if quick else Protocol()

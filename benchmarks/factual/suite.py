@@ -17,8 +17,8 @@ from benchmarks.free_response.scales import backbone_of
 from thermoforce_mpc.comparison.cells import Inputs
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine, source_fingerprint
+from thermoforce_mpc.files import write_json
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED, shipped_folder
-from thermoforce_mpc.records.run_folder import write_json
 
 Say = Callable[[str], None]
 

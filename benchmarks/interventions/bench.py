@@ -72,7 +72,7 @@ def run_interventions_bench(
     """
     from benchmarks.interventions.page import write_page
     from benchmarks.interventions.plots import fan_figure, save, scatter_figure
-    from thermoforce_mpc.records.run_folder import write_json
+    from thermoforce_mpc.files import write_json
 
     days = tuple(days) or ((1,) if quick else (3,))
     if not all(1 <= k <= max(PROBE_DAYS) for k in days):

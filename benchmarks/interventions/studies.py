@@ -28,8 +28,8 @@ from benchmarks.paper.printed import OPERATOR_ABLATION
 from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
+from thermoforce_mpc.files import write_json
 from thermoforce_mpc.protocols import FreeResponse
-from thermoforce_mpc.records.run_folder import write_json
 
 Row = dict[str, Any]
 Say = Callable[[str], None]

@@ -17,8 +17,7 @@ from benchmarks.paper.parts import NOT_MEASURED, PARTS, Setting, Table
 from benchmarks.paper.tables import Rows
 from thermoforce_mpc.comparison.outcome import results_json
 from thermoforce_mpc.errors import ThermoForceError
-from thermoforce_mpc.files import write_whole
-from thermoforce_mpc.records.run_folder import write_json
+from thermoforce_mpc.files import write_json, write_whole
 
 _COLUMNS = ("table", "row", "quantity", "paper", "here", "low", "high", "seeds")
 

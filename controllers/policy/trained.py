@@ -19,7 +19,7 @@ from controllers.entries.entry import Entry
 from thermoforce_mpc.data import DAY_S, Array, Block, Layout, Names, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError, suggestion
-from thermoforce_mpc.files import parse_json, read_bounded
+from thermoforce_mpc.files import read_json
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.scenario.own_code import policy_settings
 from thermoforce_mpc.scenario.settings import StrictModel, validate
@@ -247,9 +247,7 @@ def _spec(path: Path) -> PolicySpec:
             raise ControllerConfigError(
                 f"controller '{path}': no file {file}; `thermoforce_mpc.gym.save(agent, env, '{path}')` writes both"
             )
-    content = parse_json(
-        read_bounded(settings, _MOST_BYTES, ControllerConfigError), str(settings), ControllerConfigError
-    )
+    content = read_json(settings, _MOST_BYTES, ControllerConfigError)
     spec = validate(PolicySpec, content, str(settings))
     spec.check()
     if spec.algorithm not in ALGORITHMS:

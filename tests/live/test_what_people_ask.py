@@ -19,7 +19,7 @@ from simulated_building import SimulatedBuilding, mpc
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Block, Boundary, Plan, PlanStatus
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.files import write_json
 from thermoforce_mpc.live import Decision, LiveBuilding, People, control
 from thermoforce_mpc.live.shared import shared_with
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
@@ -127,13 +127,13 @@ def test_a_damaged_file_may_hold_that_nothing_is_set_and_nothing_is_until_it_is_
 
 def test_what_two_ask_at_once_is_both_kept(tmp_path, monkeypatch):
     """Such as the controller, which notes what is set by hand, and the page."""
-    both, whole = threading.Barrier(2), write_whole
+    both, whole = threading.Barrier(2), write_json
 
-    def slowly(path, text):
+    def slowly(path, content, **options):
         time.sleep(0.1)
-        whole(path, text)
+        whole(path, content, **options)
 
-    monkeypatch.setattr("thermoforce_mpc.records.people.write_whole", slowly)
+    monkeypatch.setattr("thermoforce_mpc.records.people.write_json", slowly)
 
     def by_hand():
         both.wait()

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from thermoforce_mpc.errors import ConfigError, StorageError
-from thermoforce_mpc.files import file_sha256
-from thermoforce_mpc.records.run_folder import create_run_folder, write_json
+from thermoforce_mpc.files import file_sha256, write_json
+from thermoforce_mpc.records.run_folder import create_run_folder
 
 
 def test_folders_are_numbered_and_never_reused(tmp_path):

@@ -10,7 +10,6 @@ and cooling, each by its highest mean over that of its peak day.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
@@ -20,7 +19,7 @@ from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import DAY_S, Array, Period
 from thermoforce_mpc.dependencies import cache_folder
 from thermoforce_mpc.errors import InputError, StorageError
-from thermoforce_mpc.files import parse_json, read_bounded, write_whole
+from thermoforce_mpc.files import read_json, write_json
 
 NAMES = ("peak_heat_day", "typical_heat_day")
 BOTH_NAMES = (*NAMES, "peak_cool_day", "typical_cool_day", "mix_day")
@@ -85,7 +84,7 @@ def kept_windows(
     key = hashlib.sha256(" ".join(depends_on).encode()).hexdigest()[:32]
     with suppress(RuntimeError, InputError):  # RuntimeError: who runs this has no home
         file = cache_folder() / "windows" / f"{key}.json"
-        kept = parse_json(read_bounded(file, _MOST_BYTES, InputError), str(file), InputError)
+        kept = read_json(file, _MOST_BYTES)
         if tuple(kept) == names and all(isinstance(day, int) and day in _AVAILABLE for day in kept.values()):
             return {name: centred_window(name, day) for name, day in kept.items()}
     found = find()
@@ -93,7 +92,7 @@ def kept_windows(
         file = cache_folder() / "windows" / f"{key}.json"
         file.parent.mkdir(parents=True, exist_ok=True)
         days = {name: round(window.start_s / DAY_S) + _HALF_WINDOW_D for name, window in found.items()}
-        write_whole(file, json.dumps(days))
+        write_json(file, days, follow=True)
     return found
 
 

@@ -28,8 +28,7 @@ from thermoforce_mpc.comparison.outcome import (
     tariff_title,
     verdicts,
 )
-from thermoforce_mpc.files import write_plain
-from thermoforce_mpc.records.run_folder import write_json
+from thermoforce_mpc.files import write_json, write_plain
 from thermoforce_mpc.report.findings import COST, DISCOMFORT
 from thermoforce_mpc.report.page import rendered
 

@@ -17,10 +17,9 @@ from thermoforce_mpc.comparison.cells import FORMAT, Cell
 from thermoforce_mpc.comparison.input_files import InputFiles
 from thermoforce_mpc.errors import ArtifactError
 from thermoforce_mpc.execution import Task
-from thermoforce_mpc.files import check_plain, storage_errors, write_folder, write_plain, write_whole
+from thermoforce_mpc.files import check_plain, storage_errors, write_folder, write_json, write_plain, write_whole
 from thermoforce_mpc.model.saved import read_model_file
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.records.run_folder import write_json
 
 DONE, FAILED = "done", "failed"
 

@@ -36,7 +36,7 @@ from thermoforce_mpc.experiment.run_models import (
     origins_of,
     weight_hash,
 )
-from thermoforce_mpc.files import file_sha256, write_plain
+from thermoforce_mpc.files import file_sha256, write_json, write_plain
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.loop.loop import KeptSteps
 from thermoforce_mpc.plants.boptest.plant import allow_token
@@ -58,7 +58,6 @@ from thermoforce_mpc.records.run_folder import (
     times_frame,
     trajectory_frame,
     with_own_kpis,
-    write_json,
 )
 from thermoforce_mpc.report.display import RunDisplay
 from thermoforce_mpc.report.findings import (

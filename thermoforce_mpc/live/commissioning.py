@@ -5,7 +5,6 @@ What was found is kept in a file, so that it goes on where it was interrupted; w
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import shlex
@@ -22,7 +21,7 @@ from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError, InputError, PlantError, ThermoForceError, counted
 from thermoforce_mpc.execution.keys import digest
 from thermoforce_mpc.execution.progress import duration, figure
-from thermoforce_mpc.files import plain_json, read_bounded, write_whole
+from thermoforce_mpc.files import plain_json, read_json, write_json
 from thermoforce_mpc.identification.probing.operation import findings, telling_part
 from thermoforce_mpc.live.building import LiveBuilding
 from thermoforce_mpc.live.trial import Answered, TrialOutcome, TrialPlan
@@ -183,13 +182,13 @@ class CommissioningBook:
         if not path.exists():
             return
         try:
-            told = json.loads(read_bounded(path, MOST_BYTES, InputError))
+            told = read_json(path, MOST_BYTES)
             self.under_way = dict(told.get("under_way") or {})
             if (told["format"], told["of"]) != (_FORMAT, self._of):
                 self.begun_anew = "the map or the connection changed since: its commands are tried anew"
                 return
             self.trials = {key: _outcome(one) for key, one in told["trials"].items()}
-        except (InputError, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        except (InputError, ValueError, KeyError, TypeError, AttributeError) as error:
             self.begun_anew = f"{path} cannot be read ({error}): begun anew"
 
     def begin(self, plan: TrialPlan, now: pd.Timestamp) -> None:
@@ -211,7 +210,7 @@ class CommissioningBook:
         """Write the file; raises `StorageError`."""
         trials = {key: asdict(one) for key, one in self.trials.items()}
         content = {"format": _FORMAT, "of": self._of, "trials": trials, "under_way": self.under_way}
-        write_whole(self._path, json.dumps(plain_json(content), indent=2, ensure_ascii=False) + "\n")
+        write_json(self._path, content, follow=True)
 
 
 def _outcome(told: Mapping[str, Any]) -> TrialOutcome:
@@ -315,9 +314,9 @@ def _of_model(found: PointsFound, files: CommissioningFiles) -> tuple[Commission
 def _of_shadow(files: CommissioningFiles, of_model: str) -> CommissioningStage:
     command = files.control("--model {} --out {} --mode shadow", files.model, files.control_out)
     try:
-        told = json.loads(read_bounded(Path(files.control_out) / SHADOW, MOST_BYTES, InputError))
+        told = read_json(Path(files.control_out) / SHADOW, MOST_BYTES)
         days, said, of = len(told["days"]), str(told["said"]), str(told["model"])
-    except (OSError, InputError, ValueError, KeyError, TypeError):
+    except (InputError, KeyError, TypeError):
         return CommissioningStage("shadow", "open", f"{_SHADOW_DAYS} days in which nothing is set", command)
     if of != of_model:
         words = f"{_SHADOW_DAYS} days in which nothing is set; those in {files.control_out} are of another model"

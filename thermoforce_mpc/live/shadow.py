@@ -9,7 +9,6 @@ saving`, a saving is claimed only where all of the band lies above 0.
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -37,11 +36,11 @@ from thermoforce_mpc.experiment.worth import (
     planned_share,
     without_tank,
 )
-from thermoforce_mpc.files import read_bounded
+from thermoforce_mpc.files import read_json, write_json
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.records.journal import NAME, making_sense, read_run
-from thermoforce_mpc.records.run_folder import MOST_BYTES, SHADOW, write_json
+from thermoforce_mpc.records.run_folder import MOST_BYTES, SHADOW
 from thermoforce_mpc.records.told_steps import (
     forecast_of,
     history_before,
@@ -133,7 +132,7 @@ class ShadowBook:
         self._over: pd.Timestamp | None = None
         if (folder / SHADOW).exists():
             try:
-                told = json.loads(read_bounded(folder / SHADOW, MOST_BYTES, InputError))
+                told = read_json(folder / SHADOW, MOST_BYTES)
                 if told.get("of") != key:
                     raise ValueError("its days are of another model or other options")
                 self.days = [_day_told(day) for day in told["days"]]

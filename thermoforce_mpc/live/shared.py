@@ -4,7 +4,6 @@ through the connection is heard.
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,7 +15,7 @@ from thermoforce_mpc.commands.command import Command
 from thermoforce_mpc.commands.loop import LearnedCommand, command_rows
 from thermoforce_mpc.commands.tank import tank_rows
 from thermoforce_mpc.errors import StorageError
-from thermoforce_mpc.files import plain_json, write_whole
+from thermoforce_mpc.files import write_json
 from thermoforce_mpc.live.control import Decision
 from thermoforce_mpc.protocols import Connection
 from thermoforce_mpc.records.people import SHOWN, People
@@ -48,7 +47,7 @@ def shared_with(
 
     def keep(said: dict[str, Any]) -> None:
         try:
-            write_whole(folder / SHOWN, json.dumps(plain_json(said | {"mode": mode, "asks": asks})) + "\n")
+            write_json(folder / SHOWN, said | {"mode": mode, "asks": asks}, follow=True)
         except (StorageError, ValueError) as error:
             _LOG.warning("the page does not know of it: %s", error)
 

@@ -23,7 +23,7 @@ from safetensors.numpy import save as save_tensors
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ArtifactError
-from thermoforce_mpc.files import parse_json, plain_json, read_bounded, write_folder
+from thermoforce_mpc.files import plain_json, read_bounded, read_json, write_folder
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -263,7 +263,7 @@ def _read_json(folder: Path) -> dict[str, Any]:
         raise ArtifactError(f"{folder}: no such folder; `tf-mpc identify` makes one")
     if not path.exists():
         raise ArtifactError(f"{folder}: holds no model, {JSON_NAME} is not there; `tf-mpc identify` makes one")
-    document = parse_json(read_bounded(path, _MOST_JSON_BYTES, ArtifactError), str(path), ArtifactError)
+    document = read_json(path, _MOST_JSON_BYTES, ArtifactError)
     if document.get("format") != FORMAT:
         raise ArtifactError(f"{path}: not a model of thermoforce-mpc (its 'format' is not '{FORMAT}')")
     return document

@@ -5,7 +5,6 @@ One small file holds it, so that a command, a message and a restart see the same
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import re
@@ -23,7 +22,7 @@ from thermoforce_mpc.connections.discovery import MODES
 from thermoforce_mpc.data import Boundary
 from thermoforce_mpc.data.dataframes import stamps
 from thermoforce_mpc.errors import ConfigError, StorageError
-from thermoforce_mpc.files import read_bounded, write_whole
+from thermoforce_mpc.files import read_json, write_json
 
 _LOG = logging.getLogger(__name__)
 # How long bounds that somebody asks for hold, as a thermostat's until its next change; and what was set by hand, h.
@@ -81,7 +80,7 @@ class People:
         try:
             if not self._path.exists():
                 return Wishes(), ""
-            wishes = Wishes(**json.loads(read_bounded(self._path, _MOST_BYTES, ConfigError)))
+            wishes = Wishes(**read_json(self._path, _MOST_BYTES, ConfigError))
             for one in (wishes.comfort_until, wishes.away_until, wishes.boost_until):
                 _passed(one, pd.Timestamp(0, tz="UTC"))
             for bound in (wishes.lower_C, wishes.upper_C):
@@ -93,7 +92,7 @@ class People:
                     raise ConfigError(f"by_hand: {name}: {value} is no value")
                 _passed(until, pd.Timestamp(0, tz="UTC"))
             return wishes, ""
-        except (OSError, ValueError, TypeError, AttributeError, RecursionError, ConfigError) as error:
+        except (OSError, ValueError, TypeError, AttributeError, ConfigError) as error:
             why = f"{self._path} cannot be used ({error}): nothing is set until mode control or advise is asked"
             if why != self._failed:
                 self._failed = why
@@ -244,7 +243,7 @@ class People:
             lock.release()
 
     def _keep(self, wishes: Wishes) -> None:
-        write_whole(self._path, json.dumps(asdict(wishes)) + "\n")
+        write_json(self._path, asdict(wishes), follow=True)
 
 
 def _number(key: str, word: str) -> float:

@@ -31,12 +31,10 @@ from thermoforce_mpc.files import (
     DoubtfulInput,
     check_plain,
     open_plain,
-    plain_json,
-    read_bounded,
+    read_json,
     storage_errors,
     sweep,
     write_plain,
-    write_whole,
 )
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.registry import plugins
@@ -232,12 +230,6 @@ def is_complete(folder: Path) -> bool:
     return (folder / "manifest.json").is_file() and (folder / "report.html").is_file()
 
 
-def write_json(path: Path, content: Mapping[str, Any], *, follow: bool = False) -> None:
-    """Write standard JSON: NaN and infinities become null; `follow` as of `written`."""
-    text = json.dumps(plain_json(content), indent=2, ensure_ascii=False, allow_nan=False)
-    write_whole(path, text + "\n", follow=follow)
-
-
 _LOGGERS = ("thermoforce_mpc", "controllers", "boptest_client")
 # A message of ours may name many keys; what it quotes is cut where it enters.
 _MOST_SAID = 20_000
@@ -397,10 +389,10 @@ def saving_so_far(folder: Path) -> dict[str, Any]:
     """The account in `folder`: `said` in a sentence, and numbers, where there are some."""
     for name in (VERIFIED, SHADOW):
         try:
-            told = json.loads(read_bounded(folder / name, MOST_BYTES, InputError))
+            told = read_json(folder / name, MOST_BYTES)
             return {key: one for key, one in told.items() if isinstance(one, str | int | float)} | {
                 "said": str(told["said"])
             }
-        except (OSError, InputError, ValueError, KeyError, AttributeError, TypeError):
+        except (InputError, KeyError):
             continue
     return {"said": _NOT_KNOWN}

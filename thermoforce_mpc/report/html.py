@@ -16,10 +16,10 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Layout, PlanStatus
 from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.errors import ArtifactError, InputError
-from thermoforce_mpc.files import check_plain, read_bounded, write_plain, write_whole
+from thermoforce_mpc.files import check_plain, read_bounded, read_json, write_json, write_plain, write_whole
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.plants.kpis import zone_kpis
-from thermoforce_mpc.records.run_folder import is_complete, kept_model, own_of, write_json
+from thermoforce_mpc.records.run_folder import is_complete, kept_model, own_of
 from thermoforce_mpc.records.told_steps import ToldBuilding, ToldRun, told_run
 from thermoforce_mpc.report.findings import (
     Capped,
@@ -463,4 +463,4 @@ def _so_far(result: RunResult, building: ToldBuilding, told: Mapping[str, Any]) 
 
 
 def _json(path: Path) -> dict[str, Any]:
-    return dict(json.loads(read_bounded(path, _MOST_BYTES, InputError))) if path.is_file() else {}
+    return read_json(path, _MOST_BYTES) if path.is_file() else {}

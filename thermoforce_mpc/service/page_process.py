@@ -24,7 +24,7 @@ import pandas as pd
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError, ThermoForceError
 from thermoforce_mpc.execution.progress import duration
-from thermoforce_mpc.files import is_loopback, parse_json, read_bounded, secret_from
+from thermoforce_mpc.files import is_loopback, read_json, secret_from
 from thermoforce_mpc.records.journal import NAME
 from thermoforce_mpc.records.people import KEYS, SHOWN, People
 from thermoforce_mpc.records.run_folder import MOST_BYTES, saving_so_far
@@ -208,10 +208,9 @@ class _Shows:
     def _decided(self) -> dict[str, Any]:
         """Mode and commands of what was decided last, and what may be asked, as the controller wrote it."""
         try:
-            told = parse_json(read_bounded(self._folder / SHOWN, MOST_BYTES, InputError), SHOWN, InputError)
-        except (OSError, InputError):
-            told = {}
-        of = told if isinstance(told, dict) else {}
+            of = read_json(self._folder / SHOWN, MOST_BYTES)
+        except InputError:
+            of = {}
         plan, asks = of.get("plan"), of.get("asks")
         rows = plan.get("commands") if isinstance(plan, dict) else None
         return {

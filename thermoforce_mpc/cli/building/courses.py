@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +13,7 @@ from rich.console import Console
 from thermoforce_mpc.data import Array, Names
 from thermoforce_mpc.data.dataframes import column, seconds_at
 from thermoforce_mpc.errors import DataError, InputError
-from thermoforce_mpc.files import read_bounded, write_whole, written
+from thermoforce_mpc.files import read_bounded, write_json, write_whole, written
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,7 +77,7 @@ def write_table(path: Path, table: pd.DataFrame, console: Console, what: str, **
 
 def write_json_file(path: Path, content: Any, console: Console, what: str) -> None:
     """Write a result as JSON; raises `StorageError`."""
-    write_whole(path, json.dumps(content, indent=1, ensure_ascii=False))
+    write_json(path, content, follow=True)
     console.print(f"{what}: {path}", soft_wrap=True)
 
 

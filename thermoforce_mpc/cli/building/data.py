@@ -5,7 +5,6 @@ Its picture has temperatures, weather and what acts; gaps are shaded, flagged re
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -23,7 +22,7 @@ from thermoforce_mpc.data.dataframes import time_told
 from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import DataError, counted
 from thermoforce_mpc.execution.progress import figure
-from thermoforce_mpc.files import written
+from thermoforce_mpc.files import write_json, written
 from thermoforce_mpc.measurements.load import Measurements
 from thermoforce_mpc.measurements.signals import Understood
 from thermoforce_mpc.report.display import RunDisplay
@@ -104,8 +103,7 @@ def check(files: tuple[str, ...], map_file: Path, plot: Path, fit: bool, json_fi
     display.say(f"Picture: {plot}")
     if json_file is not None:
         content = {"understood": measured.understood.to_json(), "remarks": doubts, "tells": tells}
-        with written(json_file) as aside:
-            aside.write_text(json.dumps(content, indent=2, ensure_ascii=False), encoding="utf-8")
+        write_json(json_file, content, follow=True)
 
 
 def _hours(context: click.Context, parameter: click.Parameter, value: str) -> tuple[int, int]:

@@ -36,7 +36,8 @@ def doctor(url: str | None, testcase: str, out: Path, only: str | None, json_fil
     from rich.console import Console
 
     from thermoforce_mpc.cli.inside.installation import Finding, examine
-    from thermoforce_mpc.records.run_folder import environment, write_json
+    from thermoforce_mpc.files import write_json
+    from thermoforce_mpc.records.run_folder import environment
 
     console = Console(highlight=False, markup=False, soft_wrap=True)
     findings: list[Finding] = []

@@ -24,8 +24,8 @@ from thermoforce_mpc.experiment.explaining import (
     decision_at,
     hour_ends,
 )
-from thermoforce_mpc.files import plain_json
-from thermoforce_mpc.records.run_folder import in_use, write_json
+from thermoforce_mpc.files import plain_json, write_json
+from thermoforce_mpc.records.run_folder import in_use
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 
 if TYPE_CHECKING:

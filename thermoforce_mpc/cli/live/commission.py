@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -88,7 +87,7 @@ def commission(
     """
     from thermoforce_mpc.connections.registry import build_connection, connection_settings
     from thermoforce_mpc.connections.sole import set_by
-    from thermoforce_mpc.files import storage_errors, write_whole, written
+    from thermoforce_mpc.files import storage_errors, write_json, write_whole
     from thermoforce_mpc.live import LiveBuilding, WallClock
     from thermoforce_mpc.live.commissioning import CommissioningBook, CommissioningReport, stages
     from thermoforce_mpc.live.trial import planned_trials
@@ -151,8 +150,7 @@ def commission(
             write_whole(out / "report.md", report.to_markdown())
             say(f"Report: {out / 'report.md'}")
         if json_file is not None:
-            with written(json_file) as aside:
-                aside.write_text(json.dumps(report.to_json(), indent=2, ensure_ascii=False), encoding="utf-8")
+            write_json(json_file, report.to_json(), follow=True)
     if refused:
         raise ConfigError(refused)
     if not report.is_well:

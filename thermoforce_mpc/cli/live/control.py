@@ -304,7 +304,7 @@ def _advised(
 ) -> Callable[[Decision], None]:
     """Says each decision that is not set, writes it to a file, and once a day what the days so far would have saved."""
 
-    from thermoforce_mpc.records.run_folder import write_json
+    from thermoforce_mpc.files import write_json
 
     def advised(decision: Decision) -> None:
         told(decision)
