@@ -23,10 +23,10 @@ from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.commands.tank import TankRecord, TankTarget, learn_tank
 from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Block, Observation, Record, energy_kWh
+from thermoforce_mpc.data.series import means_between
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.plants.points import means_between
 from thermoforce_mpc.plants.rooms import physics
 from thermoforce_mpc.plants.rooms.device import TANK_BAND
 from thermoforce_mpc.scenario.comfort import TankComfort
@@ -125,7 +125,7 @@ def _tank_record(home: Home) -> TankRecord:
         T_C=np.round(np.interp(at_s, time_s, rows[:, physics.TANK]) / _SENSOR_K) * _SENSOR_K,
         T_out_C=np.interp(at_s, time_s, rows[:, physics.OUTDOOR]),
         command=np.full(at_s.size, target),
-        power_W=means_between(time_s, rows[:, [physics.POWER]].T, at_s)[0],
+        power_W=means_between(time_s, rows[1:, physics.POWER], at_s),
         charging=np.full(at_s.size - 1, np.nan),
         clock_s=at_s,
     )

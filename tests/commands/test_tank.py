@@ -10,9 +10,9 @@ import pytest
 
 from thermoforce_mpc.commands.tank import follow_tank
 from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.data.series import means_between
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.load import learned_tank, read_measurements
-from thermoforce_mpc.plants.points import means_between
 from thermoforce_mpc.plants.rooms import house_of_rooms, physics
 from thermoforce_mpc.plants.rooms.device import TANK_J_K, TANK_LOSS, draw_device
 
@@ -39,8 +39,8 @@ def table(plant, minutes: float = 5.0) -> pd.DataFrame:
     sampled = {
         name: np.interp(at_s, time_s, rows[:, k]) for name, k in (("tank", physics.TANK), ("out", physics.OUTDOOR))
     }
-    power = means_between(time_s, rows[:, [physics.POWER]].T, at_s)[0]
-    valve = means_between(time_s, rows[:, [physics.ROOMS + 2]].T, at_s)[0]
+    power = means_between(time_s, rows[1:, physics.POWER], at_s)
+    valve = means_between(time_s, rows[1:, physics.ROOMS + 2], at_s)
     charged = np.interp(at_s, time_s[1:], (np.diff(rows[:, physics.TANK]) > 0.02).astype(float))
     return pd.DataFrame(
         {

@@ -24,7 +24,7 @@ from thermoforce_mpc.commands.kinds import told_apart
 from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, HotWaterPlan, Plan
 from thermoforce_mpc.data.clock import hour_of_day, whole_hour
 from thermoforce_mpc.data.compiled import njit
-from thermoforce_mpc.data.series import stretches
+from thermoforce_mpc.data.series import means_between, stretches
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.scenario.comfort import TankComfort
 
@@ -155,8 +155,7 @@ class TankRecord:
 
     def share_of(self, grid_s: Array) -> Array:
         """Share of the steps between `grid_s` (m + 1,), s, that the tank was charged (m,); not known counts as not."""
-        s = np.concatenate([[0.0], np.cumsum(np.nan_to_num(self.charges()) * self.step_s)])
-        return np.asarray(np.clip(np.diff(np.interp(grid_s, self.time_s, s)) / np.diff(grid_s), 0.0, 1.0))
+        return np.asarray(np.clip(means_between(self.time_s, np.nan_to_num(self.charges()), grid_s), 0.0, 1.0))
 
     @property
     def step_s(self) -> float:

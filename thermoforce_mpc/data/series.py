@@ -77,6 +77,14 @@ def rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else float("nan")
 
 
+def means_between(time_s: Array, means: Array, edges_s: Array) -> Array:
+    """Means (..., m) between `edges_s` (m + 1,) of what has `means` (..., n) between `time_s` (n + 1,), s."""
+    amount = np.zeros((*means.shape[:-1], time_s.size))
+    np.cumsum(np.diff(time_s) * means, axis=-1, out=amount[..., 1:])
+    at_edges = [np.interp(edges_s, time_s, row) for row in amount.reshape(-1, time_s.size)]
+    return np.asarray(np.diff(np.reshape(at_edges, (*means.shape[:-1], edges_s.size))) / np.diff(edges_s))
+
+
 def means_of(values: Array, n: int) -> Array:
     """Means (m // n,) of `n` values (m,) each, a rest left out; NaN where one is."""
     return np.asarray(values[: values.size // n * n].reshape(-1, n).mean(axis=1))

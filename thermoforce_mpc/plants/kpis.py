@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data.series import means_between
 from thermoforce_mpc.errors import DataError
 
 PEAK_WINDOW_S = 900.0
@@ -202,8 +203,4 @@ def peak_power(time_s: Array, power_W: Array, *, of_steps: bool = False, open_en
 
 def window_means(time_s: Array, means: Array, window_s: float) -> Array:
     """Return means over consecutive windows of `window_s`; `means` (n − 1,) are those between `time_s` (n,), s."""
-    integral = np.zeros(time_s.size)
-    np.cumsum((time_s[1:] - time_s[:-1]) * means, out=integral[1:])
-    edges = np.arange(time_s[0], time_s[-1] + _CLOCK_S, window_s)
-    at_edges = np.interp(edges, time_s, integral)
-    return np.asarray(np.diff(at_edges) / np.diff(edges))
+    return means_between(time_s, means, np.arange(time_s[0], time_s[-1] + _CLOCK_S, window_s))

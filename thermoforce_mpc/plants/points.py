@@ -13,6 +13,7 @@ import numpy as np
 
 from boptest_client import Point
 from thermoforce_mpc.data import ACTING, ZERO_C_K, Array, Block, Boundary, Measurement, Record
+from thermoforce_mpc.data.series import means_between
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.shell import plant_inputs
 from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
@@ -157,14 +158,7 @@ def interval_means(record: Mapping[str, Array], points: Sequence[str] | Mapping[
     """
     if not points or edges.size < 2:
         return np.full(edges.size - 1, math.nan)
-    return means_between(record["time"], weighted_sum(record, points)[None], edges)[0]
-
-
-def means_between(time_s: Array, values: Array, edges: Array) -> Array:
-    """Return time means as `interval_means` of each row of `values` (k, m), sampled at `time_s` (m,); (k, n)."""
-    integral = np.concatenate([np.zeros((len(values), 1)), np.cumsum(np.diff(time_s) * values[:, 1:], axis=1)], axis=1)
-    at_edges = np.array([np.interp(edges, time_s, row) for row in integral]).reshape(len(values), edges.size)
-    return np.asarray(np.diff(at_edges, axis=1) / np.diff(edges))
+    return means_between(record["time"], weighted_sum(record, points)[1:], edges)
 
 
 def recorded_levels(record: Mapping[str, Array], points: BuildingPoints, applied: Mapping[str, Array]) -> Array:
@@ -190,14 +184,14 @@ def recorded_levels(record: Mapping[str, Array], points: BuildingPoints, applied
 def mean_levels(record: Mapping[str, Array], points: BuildingPoints, edges: Array, suffix: str) -> Array:
     """Return mean levels (A, n) between `edges` (n + 1,); `suffix`: of the points that `record` has as applied."""
     applied = {name: record[f"{name}{suffix}"] for name in points.sensed}
-    return means_between(record["time"], recorded_levels(record, points, applied), edges)
+    return means_between(record["time"], recorded_levels(record, points, applied)[:, 1:], edges)
 
 
 def heat_means(record: Mapping[str, Array], meter: HeatMeter, edges: Array) -> Array:
     """Return the mean heat between `edges` (n + 1,), W, shape (n,); NaN where it is not measured."""
     if not meter.units or edges.size < 2:
         return np.full(edges.size - 1, math.nan)
-    return means_between(record["time"], meter.heat_W(record)[None], edges)[0]
+    return means_between(record["time"], meter.heat_W(record)[1:], edges)
 
 
 def acting_means(record: Mapping[str, Array], points: BuildingPoints, u: Array, edges: Array) -> dict[str, Array]:

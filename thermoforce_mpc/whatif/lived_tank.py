@@ -17,6 +17,7 @@ from thermoforce_mpc.commands.tank import CELLAR_C, LearnedTank, TankRecord, Tan
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.data.clock import whole_hour
 from thermoforce_mpc.data.dataframes import clock_s, stamps
+from thermoforce_mpc.data.series import means_between
 from thermoforce_mpc.errors import DataError
 
 # Least share of the time in which the temperature of a tank was measured; without, nobody knows what was drawn.
@@ -141,11 +142,9 @@ def _held(logged: TankRecord, at_s: Array) -> Array:
 def _means(time_s: Array, values: Array, grid_s: Array) -> Array:
     """Means of `values` between `time_s` over the steps of `grid_s`; NaN where a part of one is not known."""
     known = np.isfinite(values)
-    total = np.append(0.0, np.cumsum(np.where(known, values, 0.0) * np.diff(time_s)))
-    gaps = np.append(0.0, np.cumsum(~known * np.diff(time_s)))
     covered = (grid_s[:-1] >= time_s[0] - 1e-6) & (grid_s[1:] <= time_s[-1] + 1e-6)
-    whole = (np.diff(np.interp(grid_s, time_s, gaps)) < 1e-6) & covered
-    return np.where(whole, np.diff(np.interp(grid_s, time_s, total)) / np.diff(grid_s), np.nan)
+    whole = (means_between(time_s, ~known, grid_s) * np.diff(grid_s) < 1e-6) & covered
+    return np.where(whole, means_between(time_s, np.where(known, values, 0.0), grid_s), np.nan)
 
 
 def _wanted_C(tank: LearnedTank, time_s: Array, origin: Any) -> Array:

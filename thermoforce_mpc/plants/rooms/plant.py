@@ -15,6 +15,7 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather as WeatherYear
 from thermoforce_mpc.data import HOUR_S, Array, Commands, Levels, Measurement, Record
+from thermoforce_mpc.data.series import means_between
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.drawn_houses import (
     GRID_S,
@@ -24,7 +25,6 @@ from thermoforce_mpc.plants.drawn_houses import (
     year,
 )
 from thermoforce_mpc.plants.people import PERSON_W, at_home, hour_of_day, live, set_back, varying
-from thermoforce_mpc.plants.points import means_between
 from thermoforce_mpc.plants.random_houses.plant import PREHEAT_H, SET_BACK_K
 from thermoforce_mpc.plants.rooms import physics
 from thermoforce_mpc.plants.rooms.device import BLOCKED, N_STATES, NORMAL, Device
@@ -264,9 +264,9 @@ class HouseOfRooms(DrawnHousePlant):
             T_zone_C=np.array([sampled(column) for column in rooms]),
             T_out_C=sampled(physics.OUTDOOR),
             solar_W_m2=sampled(physics.SOLAR),
-            u=means_between(times, rows[:, valves].T, edges),
-            heat_W=means_between(times, rows[:, heats].T, edges),
-            power_W=means_between(times, rows[:, [physics.POWER]].T, edges),
+            u=means_between(times, rows[1:, valves].T, edges),
+            heat_W=means_between(times, rows[1:, heats].T, edges),
+            power_W=means_between(times, rows[1:, [physics.POWER]].T, edges),
         )
 
     def recorded(self, start_s: float, final_s: float) -> tuple[Array, Array]:
@@ -276,7 +276,7 @@ class HouseOfRooms(DrawnHousePlant):
     def flow_C(self, edges: Array) -> Array:
         """Mean temperature between `edges` (n + 1,), s, of the water that flows into each circuit: (Z, n), °C."""
         times, rows, n = self._samples.times, self._samples.rows, len(self.zones)
-        return means_between(times, rows[:, physics.ROOMS + 3 * n : physics.ROOMS + 4 * n].T, edges)
+        return means_between(times, rows[1:, physics.ROOMS + 3 * n : physics.ROOMS + 4 * n].T, edges)
 
     def tank_C(self, start_s: float, final_s: float) -> tuple[Array, Array]:
         """Times (n,), s, and temperature of the tank of hot water (n,), °C, NaN without one; as `recorded`."""
@@ -342,7 +342,7 @@ class HouseOfRooms(DrawnHousePlant):
         means = np.full(len(columns), math.nan)
         if before_s < self._now_s:
             time_s, rows = self.recorded(before_s, self._now_s)
-            means = means_between(time_s, rows[:, columns].T, np.array([before_s, self._now_s]))[:, 0]
+            means = means_between(time_s, rows[1:, columns].T, np.array([before_s, self._now_s]))[:, 0]
         n = len(self.actuators)
         return Measurement(
             names=self.layout.names,
