@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.cli.options import FOLDER, JSON, QUICK, say
+from benchmarks.cli.options import FILE, FOLDER, JSON, KEEP, NEW_FOLDER, QUICK, say
 from benchmarks.cli.show import show
 from benchmarks.detectors import KEPT
 from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
@@ -21,10 +21,10 @@ from thermoforce_mpc.errors import ConfigError
 @execution_options()
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=NEW_FOLDER,
     help="Folder for a plot of each window and outcomes.json with every figure.",
 )
-@click.option("--keep", type=click.Path(path_type=Path, file_okay=False), help="Folder of finished windows, to go on.")
+@KEEP
 @QUICK
 @JSON
 def buildings_command(
@@ -87,7 +87,7 @@ def boptest_command(fmus: Path, price: str, engine: Opening, quick: bool, json_f
     show_default=True,
     help="Weather forecast errors of the heat pump case.",
 )
-@click.option("--keep", type=click.Path(path_type=Path, file_okay=False), help="Folder of finished cases, to go on.")
+@KEEP
 @execution_options()
 @JSON
 def worth_command(
@@ -173,18 +173,14 @@ def fallback_command(quick: bool, json_file: Path | None) -> None:
 @click.option("--seed", type=click.IntRange(0), help="Seed of the plants that are drawn.  [default: 62]")
 @click.option(
     "--against",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    type=FILE,
     is_flag=False,
     flag_value=KEPT,
     help="JSON of an earlier run: tell the weeks of the same kind, number, seed and fault that got dearer by more than "
     "0.3 %, less comfortable by 0.1 K·h, have more steps without a plan, or fail. Without a file: "
     "benchmarks/detectors/weeks.json. Without --weeks, --faults and --seed: all weeks of that run, and no others.",
 )
-@click.option(
-    "--keep",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Folder in which finished weeks are kept: a run that was cut off goes on.",
-)
+@KEEP
 @execution_options()
 @QUICK
 @JSON
@@ -237,7 +233,7 @@ def detectors_command(
         ["set-points", "curve offset", "SG-Ready", "flow temperature", "enable", "set-point of the house"]
     ),
 )  # fmt: skip
-@click.option("--keep", type=click.Path(path_type=Path, file_okay=False), help="Folder of finished cases, to go on.")
+@KEEP
 @execution_options()
 @QUICK
 @JSON
@@ -341,9 +337,9 @@ def mqtt_command(
 @click.option("--houses", type=click.IntRange(0), default=30, show_default=True, help="Number of generated houses.")
 @click.option("--seed", type=click.IntRange(0), default=66, show_default=True, help="Seed of the population.")
 @click.option("--windows", default="16,44,108", show_default=True, help="Start days of the heat pump case.")
-@click.option("--weather", type=click.Path(path_type=Path, exists=True, dir_okay=False), help="Its weather.")
+@click.option("--weather", type=FILE, help="Its weather.")
 @click.option("--days", type=FiniteRange(0, min_open=True), default=7.0, show_default=True, help="Days a window.")
-@click.option("--keep", type=click.Path(path_type=Path, file_okay=False), help="Folder of finished cases, to go on.")
+@KEEP
 @execution_options()
 @JSON
 def contest_command(

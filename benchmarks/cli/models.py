@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.cli.options import FOLDER, JSON, QUICK, say
+from benchmarks.cli.options import FILE, FOLDER, JSON, NEW_FOLDER, QUICK, say
 from benchmarks.cli.show import show
 from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
 
@@ -65,7 +65,7 @@ def operation_command(engine: Opening, quick: bool, json_file: Path | None) -> N
     help="Days of probing, 1 to 10, repeatable; of operation, 7 to 35.  [default: 3 and 7; 28]",
 )
 @execution_options()
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for the plot.")
+@click.option("--out", type=NEW_FOLDER, help="Folder for the plot.")
 @QUICK
 @JSON
 def effects_command(
@@ -193,7 +193,7 @@ def saving_command(
 @click.option("--only", multiple=True, metavar="NAME", help="Only the record of this name; repeatable.")
 @click.option(
     "--against",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    type=FILE,
     help="JSON of an earlier run: compare with it.",
 )
 @execution_options()

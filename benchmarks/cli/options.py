@@ -24,7 +24,10 @@ class ResultFile(click.Path):
         return path
 
 
+FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
+NEW_FOLDER = click.Path(path_type=Path, file_okay=False)
+KEEP = click.option("--keep", type=NEW_FOLDER, help="Folder of finished cases: a run that was cut off goes on.")
 JSON = click.option("--json", "json_file", type=ResultFile(), help="Write the result to this JSON file.")
 QUICK = click.option("--quick", is_flag=True, help="Smaller and faster version of the benchmark.")
 

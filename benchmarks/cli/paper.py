@@ -6,19 +6,17 @@ from pathlib import Path
 
 import click
 
-from benchmarks.cli.options import FOLDER, QUICK, say
+from benchmarks.cli.options import FILE, FOLDER, NEW_FOLDER, QUICK, say
 from thermoforce_mpc.cli.options import Opening, execution_options
 
 
 @click.command()
 @click.option("--only", multiple=True, metavar="TABLE", help="Only this part; repeatable.  [default: all]")
 @click.option("--records", multiple=True, type=FOLDER, help="Folder with measured homes, as for bench factual.")
-@click.option(
-    "--weather", type=click.Path(path_type=Path, exists=True, dir_okay=False), help="Weather of the closed loop."
-)
+@click.option("--weather", type=FILE, help="Weather of the closed loop.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=NEW_FOLDER,
     default=Path("runs/paper"),
     show_default=True,
     help="Folder.",

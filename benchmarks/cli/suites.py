@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from benchmarks.cli.options import FOLDER, JSON, QUICK, say
+from benchmarks.cli.options import FOLDER, JSON, NEW_FOLDER, QUICK, say
 from benchmarks.cli.show import show
 from thermoforce_mpc.cli.options import Opening, execution_options
 
@@ -39,7 +39,7 @@ from thermoforce_mpc.cli.options import Opening, execution_options
 @execution_options("--workers")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=NEW_FOLDER,
     default=Path("runs/factual"),
     show_default=True,
     help="Folder for tables, figures, JSON and HTML page; a stopped run goes on from it.",
@@ -125,14 +125,14 @@ def factual_command(
 @click.option(
     "--data",
     "data_folder",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=NEW_FOLDER,
     default=Path("runs/interventions-data"),
     show_default=True,
     help="Folder in which simulated pairs are cached.",
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=NEW_FOLDER,
     default=Path("runs/interventions"),
     show_default=True,
     help="Folder for figures, JSON and HTML page.",
