@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import socket
 import time
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -238,6 +240,52 @@ def test_a_record_that_is_written_to_for_months_keeps_its_days_and_what_comes_me
     first = int(table["value"].iloc[0])
     assert 5 <= first <= 10, "ten days, and a fourth of these at the most beyond"
     assert table["value"].tolist() == list(range(first, 20))
+    other.disconnect()
+    other.loop_stop()
+
+
+@needs_broker
+def test_a_disk_that_is_full_is_said_once_and_stops_no_control(connect, broker, monkeypatch, tmp_path, caplog):
+    """The line that it had no room for is ended, so that no reading is lost behind it."""
+    other, now = broker.client(), [pd.Timestamp("2026-01-01 12:00", tz="UTC").to_pydatetime()]
+    monkeypatch.setattr("thermoforce_mpc.connections.mqtt.utc_now", lambda: now[0])
+    file, heard, full = tmp_path / "mqtt.csv", [], [True]
+    home = connect(days=1, every_s=0)
+    home.reads(["z/out"])
+    home.listen({"seen": heard.append})
+    home.begin()
+    wait_for("the broker", lambda: home.connected)
+    time.sleep(0.2)
+
+    def say(*values):
+        for value in values:
+            other.publish("z/out", value, qos=1).wait_for_publish(5)
+            other.publish("t0/set/seen", value, qos=1).wait_for_publish(5)
+            wait_for("the message", lambda value=value: heard[-1:] == [value])
+
+    opened = Path.open
+
+    def no_room(path, mode="r", *args, **more):
+        if full[0] and path.parent == tmp_path and mode != "rb":
+            if path == file:
+                with opened(path, "a") as torn:
+                    torn.write("2026-01-01T12:0")
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return opened(path, mode, *args, **more)
+
+    say("1", "2")
+    now[0] += pd.Timedelta("3D")
+    monkeypatch.setattr(Path, "open", no_room)
+    assert home.measurements() == file  # though what is old cannot be left out
+    say("3", "4")
+    full[0] = False
+    say("5")
+    lines = file.read_text().splitlines()
+    assert [line.rpartition(",")[2] for line in lines[1:]] == ["1", "2", "2026-01-01T12:0" * 2, "5"]
+    assert [message for message in caplog.messages if "record" in message] == [
+        f"{file}: what comes is not recorded (No space left on device)", f"{file}: what comes is recorded again"
+    ]  # fmt: skip
+    assert any("No space left" in message and "recorded" not in message for message in caplog.messages)
     other.disconnect()
     other.loop_stop()
 

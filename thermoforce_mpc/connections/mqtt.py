@@ -29,7 +29,7 @@ import pandas as pd
 from pydantic import Field
 
 from thermoforce_mpc.connections.discovery import device_message
-from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.errors import ConfigError, PlantError, StorageError
 from thermoforce_mpc.files import no_secret_in, secret_from, storage_errors, written
 from thermoforce_mpc.measurements.tables.raw_table import SWITCH
 from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
@@ -147,6 +147,7 @@ class MqttConnection:
         self._heard: dict[str, str] = {}
         self._anew_said = set[str]()  # what a device said since it was last told something
         self._writing, self._kept_at = threading.Lock(), utc_now()
+        self._unrecorded = False
         self._change = threading.Condition()
         self._asks: dict[str, Callable[[str], None]] = {}
         self._said: dict[str, str] = {}
@@ -207,7 +208,11 @@ class MqttConnection:
                 raise PlantError(problem)
             time.sleep(0.05)
         if utc_now() - self._kept_at > _KEEP_EVERY:
-            self._keep_lately()
+            try:
+                self._keep_lately()
+            except StorageError as error:  # a disk that is full: what was recorded can be read, and is kept longer
+                self._kept_at = utc_now()
+                _LOG.warning("%s", error)
         self._append({}, all_of_it=True)
         if not self._record.exists():
             raise PlantError(f"nothing was recorded in {self._record} yet of {', '.join(self._columns)}")
@@ -515,11 +520,17 @@ class MqttConnection:
             if not rows:
                 return
             try:
-                new = not self._record.exists()
+                begin = _begin_of_line(self._record) if self._unrecorded or not self._record.exists() else ""
                 with self._record.open("a", encoding="utf-8") as file:
-                    file.write((_HEADER if new else "") + lines.getvalue())
+                    file.write(begin + lines.getvalue())
             except OSError as error:
-                _LOG.warning("%s: what came is not recorded (%s)", self._record, error.strerror or error)
+                if not self._unrecorded:  # of a disk that is full once, and not with each message
+                    _LOG.warning("%s: what comes is not recorded (%s)", self._record, error.strerror or error)
+                self._unrecorded = True
+                return
+            if self._unrecorded:
+                _LOG.warning("%s: what comes is recorded again", self._record)
+            self._unrecorded = False
 
 
 def utc_now() -> datetime:
@@ -574,6 +585,15 @@ def _alike(heard: str | None, wanted: str) -> bool:
         except ValueError:
             return heard == wanted
     return abs(numbers[0] - numbers[1]) <= 0.05
+
+
+def _begin_of_line(record: Path) -> str:
+    """What comes before the next line of a record: its header, or the end of a line that the disk had no room for."""
+    if not record.exists() or not record.stat().st_size:
+        return _HEADER
+    with record.open("rb") as file:
+        file.seek(-1, 2)
+        return "" if file.read() == b"\n" else "\n"
 
 
 def _break_off(client: Any) -> None:
