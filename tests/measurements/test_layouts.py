@@ -13,6 +13,7 @@ import yaml
 import thermoforce_mpc as tf
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.map.starting_map import doubt_of_zone, starting_map
+from thermoforce_mpc.scenario.comfort import Comfort
 
 ZONE = "Europe/Berlin"
 N = 4 * 96
@@ -794,6 +795,29 @@ def test_set_points_that_are_lowered_each_night_are_bounds_by_the_hour(tmp_path,
     found = tf.read_measurements(tmp_path / "house.csv", tmp_path / "map.yaml")
     lower = found.conditions.lower_C[0]
     np.testing.assert_array_equal(lower, np.where(np.isin(at.hour, hour), 20.5, 17.5)[: lower.size])
+
+
+@pytest.mark.parametrize(
+    ("weekend", "days", "expected"),
+    [
+        ((8, 23), 14, "weekdays 6-22 20.5-24, weekend 8-23 20.5-24, else 17.5-24"),
+        ((0, 0), 14, "weekdays 6-22 20.5-24, else 17.5-24"),  # an office
+        ((6, 22), 14, "6-22 20.5-24, else 17.5-24"),
+        ((8, 23), 7, "6-22 20.5-24, else 17.5-24"),  # one weekend is none yet
+    ],
+)
+def test_weekends_have_hours_of_their_own_where_people_set_other_ones(tmp_path, weekend, days, expected):
+    at = pd.date_range("2026-01-12", periods=48 * days, freq="30min")
+    begin, end = (np.where(at.day_of_week >= 5, *both) for both in zip(weekend, (6, 22), strict=True))
+    asked = np.where((at.hour >= begin) & (at.hour < end), 21.0, 18.0)
+    table = pd.DataFrame({"time": at.strftime("%Y-%m-%d %H:%M"), "room setpoint": asked})
+    table["room temperature"], table["outdoor"] = 20 + np.arange(len(at)) % 9 / 5, np.arange(len(at)) % 50 / 9
+    table.to_csv(tmp_path / "house.csv", index=False)
+    schedule = yaml.safe_load(starting_map(tmp_path / "house.csv"))["comfort"]["schedule"]
+    assert schedule == {"room": expected}
+    (lower,), _ = Comfort(schedule=schedule).bounds_at(at, ["room"])
+    if days > 7:
+        np.testing.assert_array_equal(lower, asked - 0.5)
 
 
 HOURS_IN_UTC = {"offsets": "%Y-%m-%dT%H:%M:%SZ", "header": "%Y-%m-%d %H:%M", "other offsets": "%Y-%m-%dT%H:%M:%S%z"}

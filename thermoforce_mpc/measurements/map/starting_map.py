@@ -447,7 +447,7 @@ class _Text:
         for name, habit in habits.items():
             if habit is not None:
                 by_day, by_night = (bounds_around(one) for one in (habit.high_C, habit.low_C))
-                spans = [f"{begin}-{end} {by_day[0]:g}-{by_day[1]:g}" for begin, end in habit.spans]
+                spans = [f"{days}{begin}-{end} {by_day[0]:g}-{by_day[1]:g}" for days, begin, end in habit.spans]
                 lines.append(f"    {_value(name)}: {', '.join(spans)}, else {by_night[0]:g}-{by_day[1]:g}")
             else:
                 low, high = self._usual_bounds(name)[:2]
