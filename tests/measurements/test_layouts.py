@@ -1060,3 +1060,20 @@ def test_a_counter_that_began_anew_is_one(tmp_path):
     df["energy Wh"] = counted.where(np.arange(N) < 150, counted - counted.iloc[149])
     df.to_csv(tmp_path / "house.csv", index_label="time")
     assert "power: {column: energy Wh, unit: 'Wh counter'}" in starting_map(tmp_path / "house.csv")
+
+
+def test_signals_that_influx_writes_one_after_the_other_are_told_apart_by_their_field(tmp_path):
+    """The first 2000 rows are of one signal: asked and measured, of one entity of a thermostat, were one column."""
+    at = pd.date_range("2026-01-12", periods=2100, freq="5min").strftime("%Y-%m-%dT%H:%M:%SZ")
+    k = np.arange(2100)
+    values = {"current_temperature": 20 + np.sin(k / 30), "temperature": 18 + 3.0 * (k // 144 % 2)}
+    series = [
+        pd.DataFrame({"_time": at, "_value": value, "_field": name, "_measurement": "climate", "entity_id": "hall"})
+        for name, value in values.items()
+    ]
+    series.append(series[0].assign(_value=3 + k % 50 / 9, _field="value", entity_id="outdoor"))
+    pd.concat(series).to_csv(tmp_path / "influx.csv", index=False)
+    rules = yaml.safe_load(starting_map(tmp_path / "influx.csv"))
+    assert rules["table"]["point"] == ["entity_id", "_field"]
+    assert [one["temperature"]["column"] for one in rules["zones"].values()] == ["hall current_temperature"]
+    assert rules["outdoor"]["column"] == "outdoor value"

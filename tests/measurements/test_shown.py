@@ -294,3 +294,44 @@ def test_every_panel_of_the_picture_has_labels_on_both_axes_that_do_not_overlap(
             spans = sorted((box.intervalx if side == 0 else box.intervaly).tolist() for box in boxes)
             assert len(spans) >= 2
             assert all(one[1] < other[0] for one, other in pairwise(spans)), spans
+
+
+# Names of the room, of what is set, and of other set-points beside; in °F where they say so.
+THERMOSTATS = {
+    "ecobee": "Current Temp (F);Heat Set Temp (F);Cool Set Temp (F)=78",
+    "netatmo": "therm_measured_temperature;therm_setpoint_temperature",
+    "tado": "insideTemperature.celsius;setting.temperature.celsius",
+    "honeywell": "Indoor Temperature (F);Heat Setpoint (F);Cool Setpoint (F)=78",
+    "nest": "ambient_temperature_c;target_temperature_c",
+    "nest of two": "indoor_c;target_temperature_low_c;target_temperature_high_c=25.5",
+    "home assistant": "climate.hall.current_temperature;climate.hall.temperature",
+    "home assistant's export": "hall current_temperature;hall temperature",
+    "zigbee": "hall local_temperature;hall occupied_heating_setpoint;hall unoccupied_heating_setpoint=16",
+    "energyplus": "HALL:Zone Mean Air Temperature [C];HALL:Zone Thermostat Heating Setpoint Temperature [C];"
+    "HALL:Zone Thermostat Cooling Setpoint Temperature [C]=25.5",
+    "point list": "RM1 ZN-T;RM1 Eff Htg SP;RM1 Occ Htg SP=21;RM1 Unocc Htg SP=16;RM1 Eff Clg SP=25.5",
+}
+
+
+@pytest.mark.parametrize("names", THERMOSTATS.values(), ids=THERMOSTATS)
+def test_the_set_point_of_heating_is_the_command_of_its_room_and_no_bound(tmp_path, names):
+    """As a bound it would fall with each command that is lowered."""
+    room, asked, *beside = names.split(";")
+    at = pd.date_range("2026-01-12", periods=672, freq="15min")
+    k = np.arange(672)
+    in_fahrenheit = (lambda T_C: (1.8 * T_C + 32).round(1)) if "(F)" in room else (lambda T_C: T_C)
+    df = pd.DataFrame({"time": at.strftime("%Y-%m-%d %H:%M"), room: in_fahrenheit(20 + np.sin(k / 9))})
+    df[asked] = in_fahrenheit(np.where((at.hour >= 6) & (at.hour < 22), 21.0, 18.0)).round()
+    for name, value in (one.split("=") for one in beside):
+        df[name] = float(value)
+    df["outside temperature"], df["heating valve"] = in_fahrenheit(3 + k % 50 / 9), k // 8 % 2
+    df.to_csv(tmp_path / "home.csv", index=False)
+    rules = yaml.safe_load(starting_map(tmp_path / "home.csv"))
+    ((name, zone),) = rules["zones"].items()
+    assert zone["temperature"]["column"] == room
+    assert not {"lower", "upper"} & set(zone)
+    (command,) = (one["command"] for one in rules["actuators"].values())
+    assert command == {"kind": "setpoint", "column": asked} | ({"unit": "°F"} if "(F)" in room else {})
+    warmest = {"78": "26", "25.5": "25.5"}.get(beside[-1].partition("=")[2] if beside else "", "24")
+    low = "17.5" if "(F)" not in room else "17"
+    assert rules["comfort"]["schedule"][name] == f"6-22 20.5-{warmest}, else {low}-{warmest}"

@@ -76,11 +76,11 @@ _WORDS: dict[str, tuple[str, str]] = {
         "onsket asetusarv tavoit settpunkt saetpunkt",
     ),
     "lower": (
-        "lower min minimum tmin unten untere hsp htgsp htsp thset occhtgsp minima minimo inferiore inferior",
+        "lower min minimum tmin unten untere minima minimo inferiore inferior",
         "lower minimal",
     ),
     "upper": (
-        "upper max maximum tmax obere csp clgsp clsp tcset occclgsp massima massimo superiore superior maxima maximo",
+        "upper max maximum tmax obere massima massimo superiore superior maxima maximo",
         "upper maximal",
     ),
     "supply": (
@@ -181,7 +181,8 @@ _WORDS: dict[str, tuple[str, str]] = {
         "varmepump lampopump varmpump",
     ),
     "cooling": (
-        "cool cooling clg chw kuhlung kuehlung kuehlen kuhlen kuhl kalte kaelte froid climatisation clim koeling "
+        "cool cooling clg csp clgsp clsp tcset occclgsp "
+        "chw kuhlung kuehlung kuehlen kuhlen kuhl kalte kaelte froid climatisation clim koeling "
         "koel airco ac chiller klima clgvlv "
         "raffrescamento raffreddamento refrigeracion freddo climatizzatore "
         "kyla kylning koling kjoling jaahdytys",
@@ -264,7 +265,7 @@ _GENERAL = frozenset(
         *("reading", "ist", "istwert", "actual", "current", "av", "ai", "ao", "bi", "bo", "bv", "pv", "act", "avg"),
         *("mean", "average", "trend", "log", "point", "data", "present", "analog", "device", "temp", "celsius"),
         *("fahrenheit", "the", "of", "de", "la", "le", "les", "des", "du", "d", "l", "het", "een", "der", "die", "das"),
-        *("deg", "c", "f", "k", "w", "kw", "pct", "in", "o", "air", "rate"),
+        *("deg", "c", "f", "k", "w", "kw", "pct", "in", "o", "air", "rate", "low", "high", "therm"),
     )
 )
 _UNITS = {
@@ -398,6 +399,8 @@ _ROOM_C, _WEATHER_C = (12.0, 31.0), (-40.0, 48.0)
 _SETPOINTS_C = (4.0, 32.0)
 # Correlation of what moves together, hour by hour.
 _TOGETHER = 0.9
+# A room is warmer by so much, K, than what is outdoors.
+_APART_K = 3.0
 # Two names have one sensor where their readings are so near for this share of a day or more, K: one may be rounded to
 # tenths, and be stored some seconds later. Thermometers of two rooms at one set-point are further apart more often.
 _ROUNDED_K, _SAME_SHARE = 0.051, 0.99
@@ -424,6 +427,14 @@ _MADE_OF_OTHERS = re.compile(
 _IDS = frozenset(("id", "idx", "row", "uuid", "epoch", "unix"))
 _SHORT = ("znt", "spt", "rmt", "sat", "rat", "mat", "dat", "oat", "lwt", "ewt", "degc", "degf")
 _LEAST, _PERCENT = 8, 100.5
+# Set-points of a thermostat that it does not follow as a rule, or that are none: of the unoccupied, of frost, a step.
+_NOT_IN_FORCE = frozenset(("unoccupied", "unocc", "standby", "emergency", "frost", "step", "offset", "default"))
+# Set-points for cooling; an air conditioner's own (AC, Klima) is for all that it does.
+_COOLS = re.compile(r"cool|clg|^clsp|^csp$|^tcset|kuh?l|kuehl|koel|froid|refriger|raffre|^kyl|kjol|^jaahd")
+# Words of what is measured where its thermostat has another temperature too, and entities of such in Home Assistant.
+_CURRENT = frozenset(("current", "measured", "actual", "ist", "local"))
+_CLIMATE = re.compile(r"climate\.\w+[. ]temperature")
+_OCCUPIED = frozenset(("occupied", "occ"))
 # Contacts of windows, in the languages above; a contact is 0 or 1.
 _WINDOW = re.compile(r"window|fenster|fenetre|raam|finestra|ventana|fonster|vindu|ikkuna")
 # Rooms that are inside whatever else their names hold, such as "indoor ambient", unless these say outdoors.
@@ -475,8 +486,27 @@ def guesses(columns: Sequence[Column]) -> list[Guess]:
     looks = {column.name: _Look(column) for column in columns}
     fahrenheit = _fahrenheit(looks)
     found = [_guess(look, fahrenheit) for look in looks.values()]
+    found = _targets_of_thermostats(found, looks, fahrenheit)
     found = [_with_place(guess) for guess in _outdoor_apart(found, looks)]
     return _rooms_once(found, looks)
+
+
+def _targets_of_thermostats(found: Sequence[Guess], looks: Mapping[str, _Look], fahrenheit: bool) -> list[Guess]:
+    """Guesses with the set-points of thermostats that call them a mere temperature, beside the current one.
+
+    So does Home Assistant: `climate.hall.temperature` is asked for, `climate.hall.current_temperature` measured.
+    """
+    current = {
+        tuple(w for w in words_of(g.name) if w not in _CURRENT)
+        for g in found if g.role == "zone" and _CURRENT & set(words_of(g.name))
+    }  # fmt: skip
+    return [
+        Guess(g.name, "setpoint", g.unit)
+        if g.role == "zone" and (words_of(g.name) in current or _CLIMATE.fullmatch(g.name))
+        and _setpoint(looks[g.name], fahrenheit)
+        else g
+        for g in found
+    ]  # fmt: skip
 
 
 class _Look:
@@ -574,7 +604,7 @@ def _guess(look: _Look, fahrenheit: bool) -> Guess:
         return Guess(look.name, "window", "0-1")
     if look.text and any("hot water" in tags(word) for word in look.words):
         return Guess(look.name, "mode")
-    if _of_no_use(look):
+    if _of_no_use(look, fahrenheit):
         return Guess(look.name, "")
     for asked in (_of_weather_and_price, _of_setpoints, _of_what_acts):
         if (found := asked(look, fahrenheit)) is not None:
@@ -592,7 +622,7 @@ def _guess(look: _Look, fahrenheit: bool) -> Guess:
     return _by_values(look, fahrenheit)
 
 
-def _of_no_use(look: _Look) -> bool:
+def _of_no_use(look: _Look, fahrenheit: bool) -> bool:
     """Whether a signal is words, the number of a row, or one that no map has a place for."""
     t, words = look.tags, set(words_of(look.name))
     if look.text or look.is_row or (words & _IDS and look.whole):
@@ -604,6 +634,8 @@ def _of_no_use(look: _Look) -> bool:
     if look.unit in _OTHER_UNITS and not (look.unit in _TURNS and t & {"level", "valve"}):
         return True
     other = "other" in t and look.unit not in _LOADS and not look.is_temperature
+    if "setpoint" in t and _OCCUPIED & words and not look.unit:
+        other = not _setpoint(look, fahrenheit)  # as occupied_heating_setpoint of Zigbee
     # A window is on or off, where a room's temperature may be named by its window.
     if other and not ("temperature" in t and not _shares(look)):
         return True
@@ -637,12 +669,12 @@ def _of_setpoints(look: _Look, fahrenheit: bool) -> Guess | None:
     if "setpoint" not in t or look.unit in _LOADS or (t & {"power", "energy"} and look.most > 60.0):
         return None
     if _setpoint(look, fahrenheit) or not _shares(look) or look.is_temperature:
-        return Guess(look.name, _bound(t), look.celsius(fahrenheit)[0])
+        return Guess(look.name, _asked_for(look), look.celsius(fahrenheit)[0])
     if "valve" in t:
         return Guess(look.name, "level", _share_unit(look), "its name says set-point")
     unit, celsius = look.celsius(fahrenheit)
     warm = look.unit != "%" and celsius.min() > 4.0 and 10.0 < float(np.median(celsius)) < 32.0
-    return Guess(look.name, _bound(t), unit) if warm else Guess(look.name, "")
+    return Guess(look.name, _asked_for(look), unit) if warm else Guess(look.name, "")
 
 
 def _of_what_acts(look: _Look, fahrenheit: bool) -> Guess | None:
@@ -704,12 +736,15 @@ def _setpoint(look: _Look, fahrenheit: bool) -> bool:
     )
 
 
-def _bound(t: frozenset[str]) -> str:
-    if "lower" in t or (("heating machine" in t or "heat" in t) and "upper" not in t and "cooling" not in t):
-        return "lower" if "lower" in t or (t & {"heat", "heating machine"} and "cooling" not in t) else "setpoint"
-    if "upper" in t or "cooling" in t:
-        return "upper"
-    return "setpoint"
+def _asked_for(look: _Look) -> str:
+    """What a set-point is for: heating or all, cooling, a bound of comfort; '' for one that is not in force."""
+    words = set(words_of(look.name))
+    if words & _NOT_IN_FORCE:
+        return ""
+    for bound in ("lower", "upper"):
+        if bound in look.tags:
+            return bound
+    return "cooling setpoint" if "high" in words or any(_COOLS.search(word) for word in words) else "setpoint"
 
 
 def _load(look: _Look) -> Guess:
@@ -826,6 +861,13 @@ def _outdoor_apart(found: list[Guess], looks: Mapping[str, _Look]) -> list[Guess
         return look.time_s, converted(look.values, guess.unit or "°C")
 
     changed: dict[str, Guess] = {}
+    medians = {guess.name: float(np.median(celsius(guess)[1])) for guess in outdoors}
+    if not rooms and len(outdoors) > 1:  # Nest calls what it measures of the room ambient
+        warmest = max(outdoors, key=lambda guess: medians[guess.name])
+        next_C = max(medians[guess.name] for guess in outdoors if guess is not warmest)
+        if _ROOM_C[0] <= medians[warmest.name] <= _ROOM_C[1] and medians[warmest.name] > next_C + _APART_K:
+            why = "its name says outdoors, and it is as warm as a room"
+            changed[warmest.name] = Guess(warmest.name, "zone", warmest.unit, why)
     for guess in outdoors:
         time_s, values = celsius(guess)
         if not rooms:

@@ -13,6 +13,8 @@ from thermoforce_mpc.measurements.map.mapping import converted
 # Comfort bounds of a room of which nothing is known, °C: the least of EN 16798-1's category II for dwellings in winter,
 # and 4 K above it.
 COMFORT_C = (20.0, 24.0)
+# The upper bound of EN 16798-1's category II in summer, °C: who sets cooling higher does not ask for a warmer room.
+WARMEST_C = 26.0
 # A set-point that is lowered by this, K, tells of hours in which less is asked for.
 SETBACK_K = 1.0
 # Of a habit: so many days, and hours in which it is followed, at least; and times a day at which it is warm, at most.
@@ -23,10 +25,11 @@ _LEAST_DAYS, _DIFFER = 4, 0.075
 _WEEK = {"weekdays ": False, "weekend ": True}
 
 
-def bounds_around(asked_C: float) -> tuple[float, float]:
-    """Comfort bounds around a set-point, °C: a band of 3 K at least, in half degrees."""
+def bounds_around(asked_C: float, cool_from_C: float | None = None) -> tuple[float, float]:
+    """Comfort bounds around a set-point, °C, in half degrees, 3 K apart at least; cooling is from `cool_from_C` on."""
     low = float(np.floor(2.0 * asked_C) / 2.0 - 0.5)
-    return low, max(COMFORT_C[1], low + 3.0)
+    high = COMFORT_C[1] if cool_from_C is None else min(float(np.ceil(2.0 * cool_from_C) / 2.0), WARMEST_C)
+    return low, max(high, low + 3.0)
 
 
 @dataclass(frozen=True)

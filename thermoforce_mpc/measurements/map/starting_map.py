@@ -60,6 +60,7 @@ _LANGUAGES = {
 }
 # Words of what a meter tells of an interval beside its mean, and of what is not billed.
 _OF_INTERVALS = frozenset(("max", "min", "peak", "aprt", "apparent", "reactive", "react", "fund", "ret", "returned"))
+_IN_FORCE = frozenset(("eff", "effective", "active"))
 _PUT_LAST = re.compile(r"pump|pomp|fan|relay|switch|status|stat$|enable", re.I)
 
 
@@ -446,7 +447,8 @@ class _Text:
         lines = [f"comfort:  # {note}", "  schedule:"]
         for name, habit in habits.items():
             if habit is not None:
-                by_day, by_night = (bounds_around(one) for one in (habit.high_C, habit.low_C))
+                cool_C = self._cooled_from_C(name)
+                by_day, by_night = (bounds_around(one, cool_C) for one in (habit.high_C, habit.low_C))
                 spans = [f"{days}{begin}-{end} {by_day[0]:g}-{by_day[1]:g}" for days, begin, end in habit.spans]
                 lines.append(f"    {_value(name)}: {', '.join(spans)}, else {by_night[0]:g}-{by_day[1]:g}")
             else:
@@ -465,7 +467,12 @@ class _Text:
         if (asked := self._only_one("setpoint", name)) is None:
             return *COMFORT_C, None
         low_set, usual, high_set = _over_time(self.column[asked.name], asked.unit, (0.1, 0.5, 0.9))
-        return *bounds_around(usual), np.array([low_set, high_set])
+        return *bounds_around(usual, self._cooled_from_C(name)), np.array([low_set, high_set])
+
+    def _cooled_from_C(self, name: str) -> float | None:
+        """The usual set-point of a zone's cooling, °C; None without one."""
+        cooling = self._only_one("cooling setpoint", name)
+        return None if cooling is None else _over_time(self.column[cooling.name], cooling.unit, (0.5,))[0]
 
     def _comfort(self, name: str, zone: Guess, note: str) -> list[str]:
         """Both bounds of a zone: columns that say so, else numbers below and above what people usually set there."""
@@ -529,13 +536,15 @@ class _Text:
         return lines
 
     def _only_one(self, role: str, zone: str) -> Guess | None:
-        """The one sure guess of a role at a zone; None without one, or of several."""
+        """The one sure guess of a role at a zone, of several the one in force; None without one."""
         alone = len(self.zones) == 1
 
         def of_it(guess: Guess) -> bool:
             return self._match(guess, zone) or (alone and not (guess.place and self.zones[zone].place))
 
         ours = self._there([g for g in self.of(role) if g.sure and of_it(g)], zone)
+        if len(ours) > 1:  # of a building automation's, the one in force
+            ours = [g for g in ours if not _IN_FORCE.isdisjoint(words_of(g.name))]
         return ours[0] if len(ours) == 1 else None
 
     def _command(self, asked: Guess) -> str:

@@ -41,6 +41,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
 ROWS = 2000
 """Rows of a table that are looked at."""
 _LINES, _MOST_HEAD, _MOST_PAIRS = 400, 60, 50
+_OF_INFLUX = 1_000_000
 # From so many columns on that are called as times are, these are the times of a table.
 _LEAST_TIMES_ASIDE = 4
 # Headers of columns, by what they hold, in the languages of the maps.
@@ -237,7 +238,7 @@ def _same_clock(clock: TimeStampRules, head: pd.DataFrame, stamps: Sequence[str]
 def recognised(paths: Sequence[Path]) -> Recognised:
     """What files of one building are taken for; raises `DataError` for one that is no table."""
     forms, sheets = zip(*map(_guessed, paths), strict=True)
-    heads = [head_of(path, ROWS, form) for path, form in zip(paths, forms, strict=True)]
+    heads = [_head(path, form) for path, form in zip(paths, forms, strict=True)]
     for path, head in zip(paths, heads, strict=True):
         if head.empty:
             raise DataError(f"{path}: the table has no rows")
@@ -258,6 +259,12 @@ def recognised(paths: Sequence[Path]) -> Recognised:
     of_stamps = set(column or [str(head.columns[0])])
     table, words = _form_of(paths, heads, of_stamps, form)
     return Recognised(tuple(paths), form, table, clock, words, notes)
+
+
+def _head(path: Path, form: CsvFormat) -> pd.DataFrame:
+    """Rows of a table that are looked at; of InfluxDB's more, which writes one signal after the other."""
+    head = head_of(path, ROWS, form)
+    return head_of(path, _OF_INFLUX, form) if {"_value", "_field"} <= set(head.columns) and len(head) == ROWS else head
 
 
 def _check_layout(path: Path, head: pd.DataFrame) -> None:
