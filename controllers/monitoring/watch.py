@@ -307,8 +307,8 @@ def effect_fault(error_K: Array, effect_K: Array, promise_K: Array, false_alarm:
     if share < _LEAST_SHARE or z < -ndtri(false_alarm * EVERY_H * HOUR_S / _MONTH_S):
         return ""
     return (
-        f"acting has less effect than predicted: {share:.0%} of it is missing in the last {WINDOW_H:g} h ({z:.1f}"
-        f" standard deviations; RMS error {rms(error_K):.2f} K 1 h ahead)"
+        f"acting has less effect than predicted: {100.0 * share:.0f} % of it is missing in the last {WINDOW_H:g} h "
+        f"({z:.1f} standard deviations; RMS error {rms(error_K):.2f} K 1 h ahead)"
     )
 
 
@@ -822,7 +822,8 @@ class Watch:
         # A map that never fitted this machine is no change of the machine.
         differs = len(before) >= _LEAST_RATIOS and not fits(ratio)
         fault = (
-            f"the machine's {meter} was {ratio:.0%} of the model's in the last hours ({ratio / usual:.0%} of before)"
+            f"the machine's {meter} was {100.0 * ratio:.0f} % of the model's in the last hours "
+            f"({100.0 * ratio / usual:.0f} % of before)"
         )
         # Of another load nothing is new but where it may explain what differs, or have ended.
         looks = meter == "power" and (differs or state.other_W != 0.0)

@@ -495,7 +495,8 @@ class ThermoForceMPC(ActuatedController):
             return alone, instance
         told = (
             f"what is believed of hours of the day makes the plan {cost - least:.3g} dearer by the same model "
-            f"({cost:.3g} over the horizon): {abs(level):.0%} is asked for in this hour, to see whether it holds"
+            f"({cost:.3g} over the horizon): {100.0 * abs(level):.0f} % is asked for in this hour, "
+            "to see whether it holds"
         )
         planned = tried.plan.state
         assert isinstance(planned, MPCState)

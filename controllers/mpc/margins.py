@@ -532,9 +532,10 @@ class MarginRules:
             if (side := _side(share)) == _side(was):
                 continue
             gave = (
-                f"it gave {-share:.0%} more than the capacity of the record: plans count on that"
+                f"it gave {-100.0 * share:.0f} % more than the capacity of the record: plans count on that"
                 if side < 0
-                else f"it did not give all that was asked for at its limit: plans leave {share:.0%} of it unused"
+                else "it did not give all that was asked for at its limit: "
+                f"plans leave {100.0 * share:.0f} % of it unused"
                 if side > 0
                 else "it gives what is asked for again: plans count on all of it"
                 if _side(was) > 0

@@ -132,8 +132,8 @@ def test_cells_beside_thermostats_are_searched_once(tmp_path, monkeypatch):
 
 def test_a_thermostat_that_was_not_moved_is_at_its_set_point():
     moved, still = (AsComfortable(K, {"cost_tot": 0.5, "tdis_tot": 0.1}, True) for K in (-0.1, 0.0))
-    assert moved.in_words(0.4, "EUR").startswith("20.0% less than a thermostat -0.10 K from its set-point (0.5000 EUR")
-    assert still.in_words(0.4, "EUR").startswith("20.0% less than a thermostat at its set-point (0.5000 EUR")
+    assert moved.in_words(0.4, "EUR").startswith("20.0 % less than a thermostat -0.10 K from its set-point (0.5000 EUR")
+    assert still.in_words(0.4, "EUR").startswith("20.0 % less than a thermostat at its set-point (0.5000 EUR")
 
 
 @pytest.mark.slow

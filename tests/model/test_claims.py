@@ -41,7 +41,7 @@ def test_each_claim_is_said_with_what_it_changes():
     assert power.startswith("power of boiler: the meter holds another load: 500 W on average")
     assert heat.startswith("heat of radiator: the meter holds another load")
     assert hours.startswith("radiator: nothing comes from 2:00 to 4:00, whatever is asked for")
-    assert neighbour == "hall: what radiator does to it is known to ± 75% only: plans count on 50% of it"
+    assert neighbour == "hall: what radiator does to it is known to ± 75 % only: plans count on 50 % of it"
     assert two_model().claims == ()
 
 

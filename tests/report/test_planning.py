@@ -109,7 +109,7 @@ def test_discomfort_that_plans_accept_is_told():
     told, quiet = (planning_of(accepting(found, plans), model) for plans in (3, 0))
     assert (told.uncomfortable, quiet.uncomfortable) == (3, 0)
     assert told.in_words().endswith(
-        "; in 25% of the steps discomfort in the next 6 h cannot be avoided economically "
+        "; in 25 % of the steps discomfort in the next 6 h cannot be avoided economically "
         "(controller.options.objective.comfort_weight_per_m2)"
     )
     assert "discomfort" not in quiet.in_words()
@@ -121,7 +121,7 @@ def test_discomfort_that_plans_accept_is_told():
 def test_a_hundredth_of_the_steps_is_not_worth_telling():
     some = replace(planning_of(closed_loop(simple_model()), None), steps=200)
     assert "discomfort" not in replace(some, uncomfortable=2).in_words()
-    assert "in 2% of the steps discomfort" in replace(some, uncomfortable=3).in_words()
+    assert "in 2 % of the steps discomfort" in replace(some, uncomfortable=3).in_words()
 
 
 def test_steps_without_a_decision_are_told_in_capitals(monkeypatch):

@@ -49,7 +49,7 @@ class AsComfortable:
         at = f"{self.shift_K:+.2f} K from" if self.shift_K else "at"
         figures = f"{self.kpis[COST]:.4f} {currency}/m², {self.kpis[DISCOMFORT]:.2f} K·h"
         saving = self.saving(cost)
-        less = f"{abs(saving):.1%} {'less' if saving >= 0.0 else 'more'} than a thermostat {at} its set-point"
+        less = f"{100.0 * abs(saving):.1f} % {'less' if saving >= 0.0 else 'more'} than a thermostat {at} its set-point"
         return f"{less} ({figures}){' at equal comfort' if self.comparable else '; no set-point is as comfortable'}"
 
     def to_json(self, cost: float, currency: str) -> dict[str, Any]:

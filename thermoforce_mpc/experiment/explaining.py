@@ -120,15 +120,19 @@ class ExplainedStep:
                 parts.append(f"{whole_K:.2f} K inside the {bound} bound" + (f" ({listed})" if listed else ""))
                 held_K = float(np.mean(self.plan["T_forced_K"][z])) * (1.0 if bound == "lower" else -1.0)
                 if whole_K and held_K > _HELD_K:
-                    parts[-1] += f", about {whole_K / held_K:.1%} of the plan's energy"
+                    parts[-1] += f", about {100.0 * whole_K / held_K:.1f} % of the plan's energy"
             if round(offset_K := float(margins["offset"][z]), 2):
                 parts.append(f"prediction moved by {offset_K:+.2f} K")
             lines.append(of + ", ".join(parts))
         for machine, unused in zip(self.step.names.machines, margins.get("unused_capacity", ()), strict=False):
             if round(unused, 2) > 0.0:
-                lines.append(f"{machine}: {unused:.0%} of its capacity left unused, which it did not give when asked")
+                lines.append(
+                    f"{machine}: {100.0 * unused:.0f} % of its capacity left unused, which it did not give when asked"
+                )
             elif round(unused, 2):
-                lines.append(f"{machine}: {-unused:.0%} more than the capacity of the record, which it gave since")
+                lines.append(
+                    f"{machine}: {-100.0 * unused:.0f} % more than the capacity of the record, which it gave since"
+                )
         return lines
 
 

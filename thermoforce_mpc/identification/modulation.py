@@ -238,7 +238,7 @@ def _held_levels(heat: MachineLoad, everything: Fold, power: PowerModel | None) 
         for colder, warmer in zip(heat.parts(middle_C - 1.0), heat.parts(middle_C), strict=True)
     )
     if abs(slope) > _STEEP_1_K * (fixed + per_u):
-        return f"that of full level changes by {abs(slope) / (fixed + per_u):.0%} per K outdoors"
+        return f"that of full level changes by {100.0 * abs(slope) / (fixed + per_u):.0f} % per K outdoors"
     if not heat.levels_seen or fixed <= _PROPORTIONAL * (fixed + per_u):
         return ""
     u = np.concatenate([h.u[0] for e in everything.regressions for h in e.histories])

@@ -225,8 +225,8 @@ class ThermalModel:
             for a, actuator in enumerate(names.actuators):
                 if self.operator.pairs[z][a] is not None and (share := self.counted_on(z, a)) < 1.0:
                     told.append(
-                        f"{zone}: what {actuator} does to it is known to ± {self.relative_sd(z, a):.0%} only: plans "
-                        f"count on {share:.0%} of it"
+                        f"{zone}: what {actuator} does to it is known to ± {100.0 * self.relative_sd(z, a):.0f} % "
+                        f"only: plans count on {100.0 * share:.0f} % of it"
                     )
         return tuple(told)
 

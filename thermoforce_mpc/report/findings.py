@@ -90,8 +90,8 @@ class Planning:
             words = f"{alarm} ({self.why_undecided}); {words}"
         words += f"; {counted(self.failed, 'solve')} without a plan" if self.failed else ""
         if self.uncomfortable > _WORTH_TELLING * self.steps:
-            words += f"; in {self.uncomfortable / self.steps:.0%} of the steps discomfort in the next {_SOON_H:g} h "
-            words += f"{NOT_ECONOMICAL} (controller.options.objective.comfort_weight_per_m2)"
+            words += f"; in {100.0 * self.uncomfortable / self.steps:.0f} % of the steps discomfort in the next "
+            words += f"{_SOON_H:g} h {NOT_ECONOMICAL} (controller.options.objective.comfort_weight_per_m2)"
         return words
 
 
@@ -306,7 +306,7 @@ def _difference(own: float, other: float, currency: str) -> str:
         share = own / other - 1.0
         if abs(share) < _SAME:
             return "as much as"
-        return f"{abs(share):.0%} {'less' if share < 0 else 'more'} than".replace("%", " %")
+        return f"{100.0 * abs(share):.0f} % {'less' if share < 0 else 'more'} than"
     return f"{abs(own - other):.3g} {currency}/m² {'less' if own < other else 'more'} than"
 
 

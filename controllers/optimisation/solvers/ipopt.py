@@ -134,7 +134,7 @@ class IpoptSolver(StatementSolver):
         gap = max(found.claimed - begin.claimed, 0.0) / max(abs(found.claimed), 1e-9)
         if gap <= GAP:
             return replace(found, gap=gap)
-        why = f"its choices are rounded, {gap:.1%} above what they cost where they need not be whole"
+        why = f"its choices are rounded, {100.0 * gap:.1f} % above what they cost where they need not be whole"
         return replace(found, why=why, gap=gap)
 
     def _ipopt(

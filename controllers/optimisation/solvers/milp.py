@@ -75,7 +75,11 @@ class MilpSolver(StatementSolver):
         linear, bound = programme.objective(x, with_quadratic=False), programme.constant + programme.unit * found.bound
         gap = max(linear - bound, 0.0) / max(abs(linear), 1e-9) if self.model.choices.size else 0.0
         if why:
-            why += f", at most {gap:.1%} above the optimum" if np.isfinite(gap) else ", before any bound of the optimum"
+            why += (
+                f", at most {100.0 * gap:.1f} % above the optimum"
+                if np.isfinite(gap)
+                else ", before any bound of the optimum"
+            )
         said = SolverAnswer(
             x, programme.objective(x), f"highs:{found.status}, gap {gap:.2g}", found.iterations, why, gap
         )

@@ -84,7 +84,7 @@ def test_a_wrong_belief_that_costs_is_put_to_the_test(monkeypatch):
     told = [(step.time_s % DAY_S / HOUR_S, step.plan.news) for step in steps if "to see whether" in step.plan.news]
     assert told[0][0] == 2.0
     assert "dearer by the same model (" in told[0][1]
-    assert ": 30% is asked for in this hour" in told[0][1]
+    assert ": 30 % is asked for in this hour" in told[0][1]
     assert steps[2].plan.u[0, 0] == pytest.approx(0.3, abs=1e-3), "no more than tells"
     assert "nothing comes from 3:00 to 6:00" in steps[3].plan.news, "heat came in that one"
 

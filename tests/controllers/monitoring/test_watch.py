@@ -554,7 +554,7 @@ def test_meters_may_differ_by_more_where_the_model_was_not_identified(ranges, al
     history = Record(hours, zone, out, 0.0 * out, np.ones(n), power_W, np.nan * power_W)
     state = WatchState(asked=tuple((float(at), 1.0) for at in hours[:-1]), ratios=before)
     found = watch_of(ranges).validate(state, history, None, None).alarm
-    assert found.startswith("the machine's power was 160%") if alarm else found == ""
+    assert found.startswith("the machine's power was 160 %") if alarm else found == ""
 
 
 @pytest.mark.slow

@@ -111,7 +111,7 @@ def test_the_limit_follows_the_outdoor_temperature_and_what_was_lacking():
     limited = mpc.plan(observation, first.state)
     kept = limited.state.margins.unused
     assert kept.tolist() == pytest.approx([0.12])
-    assert limited.news == "boiler: it did not give all that was asked for at its limit: plans leave 12% of it unused"
+    assert limited.news == "boiler: it did not give all that was asked for at its limit: plans leave 12 % of it unused"
     enough = [0.9 * most_W - 0.7 * full_W, 0.7 * full_W]
     whole = mpc.plan(seen(plant, mpc, [1.0, 0.7], enough), first.state)
     assert whole.state.margins.unused.tolist() == [0.0]
@@ -128,7 +128,7 @@ def test_the_limit_follows_the_outdoor_temperature_and_what_was_lacking():
     [
         (0.01, 0.9, "boiler: it gives what is asked for again: plans count on all of it"),
         (0.05, 0.9, ""),
-        (0.0, 1.2, "boiler: it gave 10% more than the capacity of the record: plans count on that"),
+        (0.0, 1.2, "boiler: it gave 10 % more than the capacity of the record: plans count on that"),
         (-0.1, 1.2, ""),
     ],
 )

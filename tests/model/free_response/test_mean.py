@@ -44,7 +44,7 @@ def run(
 
 def shares_of(forecast: FreeForecast) -> tuple[float, float]:
     """Least and largest of the first, over lead times."""
-    least, largest = re.findall(r"(\d+)%", forecast.note)
+    least, largest = re.findall(r"(\d+) %", forecast.note)
     return int(least) / 100, int(largest) / 100
 
 
@@ -63,7 +63,7 @@ def test_shares_begin_even_and_go_to_what_errs_less(first_errs: float) -> None:
         forecasts[0].quantiles_C,
         0.5 * (first.told_C + second.told_C)[FIRST + 1 :][:AHEAD] + LEVELS[:, None] - 0.5,
     )
-    assert forecasts[0].note == "mean of first (50% to 50%) and second"
+    assert forecasts[0].note == "mean of first (50 % to 50 %) and second"
     found = np.abs(error_K(forecasts, series)[-48:]).mean()
     assert found < 0.11, "as the better one, 0.08, where the mean by halves errs by 0.32"
 
@@ -98,12 +98,12 @@ def test_errors_that_cancel_keep_even_shares() -> None:
 def test_two_that_say_the_same_and_silent_sensors_teach_nothing() -> None:
     series = course()
     alike = MeanFreeResponse(Wrong("a", series, np.full(400, 0.3)), Wrong("b", series, np.full(400, 0.3)))
-    assert "(50% to 50%)" in run(alike, series, 150)[0][-1].note
+    assert "(50 % to 50 %)" in run(alike, series, 150)[0][-1].note
     silent = series.copy()
     silent[FIRST:] = np.nan
     apart = MeanFreeResponse(Wrong("a", series, np.zeros(400)), Wrong("b", series, np.ones(400)))
-    assert "(50% to 50%)" in run(apart, silent, 100)[0][-1].note
-    assert "(50% to 50%)" not in run(apart, series, 100)[0][-1].note
+    assert "(50 % to 50 %)" in run(apart, silent, 100)[0][-1].note
+    assert "(50 % to 50 %)" not in run(apart, series, 100)[0][-1].note
 
 
 def test_what_was_better_long_ago_counts_less_than_what_is_better_since() -> None:
@@ -129,8 +129,8 @@ def test_a_run_that_is_gone_on_with_and_another_one() -> None:
     assert state.time_s.size <= AHEAD
     earlier, _ = mean.follow(series[:61], history_of(series[:61]), boundary_of(60, AHEAD), state)
     longer, _ = mean.follow(series[:121], history_of(series[:121]), boundary_of(120, AHEAD + 1), state)
-    assert "(50% to 50%)" in earlier.note, "a step back in time is another run"
-    assert "(50% to 50%)" in longer.note, "so is another horizon"
+    assert "(50 % to 50 %)" in earlier.note, "a step back in time is another run"
+    assert "(50 % to 50 %)" in longer.note, "so is another horizon"
 
 
 def test_what_another_method_erred_in_its_place_does_not_count() -> None:
@@ -138,9 +138,9 @@ def test_what_another_method_erred_in_its_place_does_not_count() -> None:
     series = course()
     mean = MeanFreeResponse(Wrong("stands in", series, np.ones(400)), right := Wrong("b", series, np.zeros(400)))
     forecasts, state = run(mean, series, 120)
-    assert "(50% to 50%)" not in forecasts[-1].note
+    assert "(50 % to 50 %)" not in forecasts[-1].note
     itself = MeanFreeResponse(Wrong("a", series, np.ones(400)), right)
-    assert "(50% to 50%)" in run(itself, series, 121, state, 120)[0][-1].note
+    assert "(50 % to 50 %)" in run(itself, series, 121, state, 120)[0][-1].note
 
 
 def test_a_horizon_of_less_than_an_hour() -> None:

@@ -128,7 +128,7 @@ class MeanFreeResponse(Computed):
                 time_s=np.append(kept.time_s, now),
                 medians_C=np.concatenate([kept.medians_C, medians_C[None]]),
             )
-        note = f"mean of {first.note} ({shares.min():.0%} to {shares.max():.0%}) and {second.note}"
+        note = f"mean of {first.note} ({100.0 * shares.min():.0f} % to {100.0 * shares.max():.0f} %) and {second.note}"
         share = np.interp(boundary.time_s[1:] - boundary.time_s[0], lead_s, shares)
         quantiles_C = share * first.quantiles_C + (1.0 - share) * second.quantiles_C
         return FreeForecast(first.levels, quantiles_C, note), kept

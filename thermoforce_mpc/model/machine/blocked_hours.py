@@ -390,9 +390,9 @@ class HourEffects:
             came_K = last.effect_K + last.error_K
             besides = f", and {law.dip_K:+.1f} K besides" if abs(law.dip_K) > 0.05 else ""
             told.append(
-                f"from {hour}:00 to {(hour + 1) % DAY_H}:00 acting does {law.share:.0%} of what it does else{besides} "
-                f"({last.effect_K:+.1f} K were expected of it and {came_K:+.1f} K came, where ±{last.promise_K:.1f} K "
-                "was promised, and the day before likewise)"
+                f"from {hour}:00 to {(hour + 1) % DAY_H}:00 acting does {100.0 * law.share:.0f} % of what it does "
+                f"else{besides} ({last.effect_K:+.1f} K were expected of it and {came_K:+.1f} K came, "
+                f"where ±{last.promise_K:.1f} K was promised, and the day before likewise)"
             )
         if not told:
             return ""
