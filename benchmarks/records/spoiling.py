@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.records.drawing import STEP_S, Drawn
-from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data import HOUR_S, Array, Record, steps_in
 from thermoforce_mpc.measurements.checks.common import Kind
 
 Spoil = Callable[[Drawn, np.random.Generator], Record | None]
@@ -118,7 +118,7 @@ def _household(share: float) -> Spoil:
     def spoil(drawn: Drawn, rng: np.random.Generator) -> Record:
         r = drawn.record
         full = np.nanpercentile(r.power_W, 99.0, axis=1, keepdims=True)
-        long = max(1, round(_HOUSEHOLD_H * HOUR_S / r.step_s))
+        long = steps_in(_HOUSEHOLD_H * HOUR_S, r.step_s)
         load = np.repeat(rng.exponential(share, -(-r.n_steps // long)), long)[: r.n_steps]
         return replace(r, power_W=r.power_W + full * load)
 

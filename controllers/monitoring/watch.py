@@ -56,7 +56,7 @@ from pydantic import Field
 
 from controllers.monitoring.single_actuator import SingleActuatorContext
 from controllers.monitoring.zone_sensors import SensorConfig
-from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_90, Array, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_90, Array, Record, steps_in
 from thermoforce_mpc.data.limits import SENSOR_STEP_K
 from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.model.card import JUDGED_H
@@ -534,9 +534,9 @@ class Watch:
         self._signed, self._shared = model.operator.heat_input.u_min < 0.0, shared
         self._machine_factor = config.machine_factor ** (2 if shared else 1)
         self.step_s = model.operator.step_s
-        leads = [max(1, round(lead * HOUR_S / self.step_s)) for lead in JUDGED_H]
+        leads = [steps_in(lead * HOUR_S, self.step_s) for lead in JUDGED_H]
         self.leads = tuple(n for n in dict.fromkeys(leads) if n <= n_steps)
-        self.every = max(1, round(HOUR_S / self.step_s))
+        self.every = steps_in(HOUR_S, self.step_s)
         per_month = _MONTH_S / (self.every * self.step_s)
         # Two sides for each lead; the phases of a lead share its predictions.
         self._share = 0.5 * config.false_alarm
@@ -776,7 +776,7 @@ class Watch:
 
     def _less_effect(self, state: WatchState, now: float) -> str:
         """What the shortest predictions of the last day, all since the last return, say of the effect of acting."""
-        every = max(1, round(EVERY_H * HOUR_S / self.step_s))
+        every = steps_in(EVERY_H * HOUR_S, self.step_s)
         if round(now / self.step_s) % every:
             return ""
         since = max(now - WINDOW_H * HOUR_S, state.returned_s) + 1.0

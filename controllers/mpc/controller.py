@@ -72,7 +72,7 @@ from controllers.safety.overrides import (
 from thermoforce_mpc.commands.loop import LearnedCommand, left_alone
 from thermoforce_mpc.commands.meter import scatter_of_days
 from thermoforce_mpc.commands.tank import LearnedTank
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, Record
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, Record, steps_in
 from thermoforce_mpc.data.dataframes import clock_s
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
@@ -375,7 +375,7 @@ class ThermoForceMPC(ActuatedController):
             for a, watch in enumerate(state.watch):
                 if (level := watch.trial(readings.time_s)) and a not in overrides:
                     left_s = watch.tried[0] + HOUR_S - readings.time_s
-                    instance = instance.asking(a, level, max(1, round(left_s / self.step_s)))
+                    instance = instance.asking(a, level, steps_in(left_s, self.step_s))
             return instance
         except Exception as error:  # of a forecast that lacks what the problem needs
             return Failure(f"no prediction ({message_of(error)})", state)
@@ -448,7 +448,7 @@ class ThermoForceMPC(ActuatedController):
         if self.config.whole_runs and not overrides.keys() >= set(self._in_runs):
             solution, brought = self._with_runs(instance, solution, brought, broken, forecast, list(overrides))
         limit = power_limit(instance, solution, brought, planner.evaluator)
-        free_steps = max(1, round(self.config.move_blocking.free_h * HOUR_S / self.step_s))
+        free_steps = steps_in(self.config.move_blocking.free_h * HOUR_S, self.step_s)
         plan = solved_plan(instance, solution, brought, seconds, forecast, readings, free_steps)
         if own is not None and commanded is not None:
             plan = replace(plan, settings=own.settings(commanded, plan.time_s), saving=saving)

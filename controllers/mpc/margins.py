@@ -41,7 +41,7 @@ from controllers.actuation.actuator import Actuation
 from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
 from controllers.safety.fallback_policy import GoodPlan
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Observation, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Observation, Record, steps_in
 from thermoforce_mpc.data.boundary import SET_BACK_K
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.machine.load import LACKING, LEVEL_EDGE
@@ -69,7 +69,7 @@ def _normal() -> tuple[float, Array, Array]:
 
 def steps_soon(step_s: float) -> int:
     """Number of steps of `step_s` seconds in the averaging window, at least one."""
-    return max(1, round(_AHEAD_H * HOUR_S / step_s))
+    return steps_in(_AHEAD_H * HOUR_S, step_s)
 
 
 def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: float | None, *, below: bool) -> Array:
@@ -123,7 +123,7 @@ _ERROR_SHARE = 0.5
 
 def is_fast(operator: OperatorParameters) -> bool:
     """Whether an hour at full level moves the zone by more than 0.6 K."""
-    steps = max(1, round(HOUR_S / operator.step_s))
+    steps = steps_in(HOUR_S, operator.step_s)
     of_longer_step = min(1.0, HOUR_S / operator.step_s)
     return float(_rise_K(operator, steps)[-1]) * of_longer_step > _FAST_K
 

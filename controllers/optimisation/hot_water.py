@@ -25,7 +25,7 @@ from controllers.optimisation.plan_model import Evaluator
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.commands.command import SAME, StepwiseCommand
 from thermoforce_mpc.commands.tank import LearnedTank, TankCourse, TankTarget, follow_tank
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, HotWaterPlan, Layout, energy_kWh
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, HotWaterPlan, Layout, energy_kWh, steps_in
 from thermoforce_mpc.data.clock import whole_hour
 from thermoforce_mpc.data.dataframes import clock_s, stamps
 from thermoforce_mpc.data.series import step_means
@@ -169,7 +169,7 @@ class TankWays:
         reach_K = float(most_C.max() - self.wanted_C.min()) if by_target else tank.band_K
         longest_h = min(reach_K / max(tank.rise_K_h, 0.1), _LONGEST_H)
         each = math.ceil(max(60.0 * command.hold_min, longest_h * HOUR_S, step_s) / step_s)
-        every, per_day = max(1, round(HOUR_S / step_s)), round(DAY_S / step_s)
+        every, per_day = steps_in(HOUR_S, step_s), round(DAY_S / step_s)
         of_day = np.round(self.clock_s % DAY_S / step_s).astype(np.intp)
         # Where charges may begin, each hour of the first day, and again the day after.
         windows = np.array([((of_day - of_day[k]) % per_day) < each for k in range(0, min(N, per_day), every)])

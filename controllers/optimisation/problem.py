@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.checks import ControllerConfigError
-from thermoforce_mpc.data import HOUR_S, Array, cost_per_W
+from thermoforce_mpc.data import HOUR_S, Array, cost_per_W, steps_in
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.parameters import N_FEATURES, ZONE
 
@@ -214,8 +214,8 @@ def every_step(n_steps: int) -> NDArray[np.intp]:
 
 def blocked_moves(n_steps: int, step_s: float, free_h: float, hold_h: float) -> NDArray[np.intp]:
     """`ProblemShape.move_of_step`: every step of the first `free_h` hours is a move, later ones hold for `hold_h`."""
-    free = min(n_steps, max(1, round(free_h * HOUR_S / step_s)))
-    hold = max(1, round(hold_h * HOUR_S / step_s))
+    free = min(n_steps, steps_in(free_h * HOUR_S, step_s))
+    hold = steps_in(hold_h * HOUR_S, step_s)
     later = free + np.arange(n_steps - free) // hold
     return np.concatenate([np.arange(free), later]).astype(np.intp)
 

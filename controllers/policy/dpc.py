@@ -26,7 +26,7 @@ from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, SolverAnswer, checked, failed
 from controllers.policy.config import DPCConfig, PolicyConfig
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record, steps_in
 from thermoforce_mpc.data.clock import hour_of_day
 from thermoforce_mpc.model.free_response.backbones.base import one_thread
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -106,7 +106,7 @@ class DPC(ThermoForceMPC):
         upper_C = np.tile(low_C + wide_K + back_K * away, (Z, 1))
         price = 0.25 * np.ones(n + 1)
         if rng.uniform() < 0.5:
-            price = np.repeat(0.05 + 0.4 * rng.uniform(size=n // 4 + 2), max(1, round(HOUR_S / step_s)))[: n + 1]
+            price = np.repeat(0.05 + 0.4 * rng.uniform(size=n // 4 + 2), steps_in(HOUR_S, step_s))[: n + 1]
             price = np.resize(price, n + 1)
         # Levels that would do, from a day before until the end: by weather and sun, with a drift.
         u_min = np.array(self._layout.u_min)

@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.commands.command import SAME, Command, StepwiseCommand
-from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Plan, PlannedSaving, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Plan, PlannedSaving, Record, steps_in
 from thermoforce_mpc.data.series import rms, step_means
 from thermoforce_mpc.errors import DataError
 
@@ -677,7 +677,7 @@ def _untold(
 def _usual(value: Array, time_s: Array) -> Array:
     """What a command usually is at the times of a week: the median of the same times of weeks, else of days."""
     step_s = float(time_s[1] - time_s[0])
-    per_day = max(1, round(DAY_S / step_s))
+    per_day = steps_in(DAY_S, step_s)
     place = np.floor(time_s / step_s + 1e-6).astype(np.intp)
     out = np.full(7 * per_day, np.nan)
     for of_week in range(7 * per_day):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.commands.command import SAME, Command, StepwiseCommand
 from thermoforce_mpc.commands.loop import LearnedCommand
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, steps_in
 from thermoforce_mpc.data.clock import whole_hour
 from thermoforce_mpc.data.series import first_order, rms
 
@@ -368,7 +368,7 @@ def _of_a_step(error: Array) -> float:
 def scatter_of_days(error: Array, clock_s: Array, step_s: float) -> Array:
     """Errors (n,) of steps that begin at `clock_s` (n,) as means of the hours of whole days (days, 24), each day's mean
     taken away; of days with an hour without any that is known (NaN) none."""
-    of_hour, day = whole_hour(clock_s), np.arange(error.size) // max(1, round(DAY_S / step_s))
+    of_hour, day = whole_hour(clock_s), np.arange(error.size) // steps_in(DAY_S, step_s)
     out = []
     for one in np.unique(day):
         rows = (day == one) & np.isfinite(error)

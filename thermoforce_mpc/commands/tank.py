@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.commands.command import Command, SwitchCommand, TemperatureCommand
 from thermoforce_mpc.commands.kinds import told_apart
-from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, HotWaterPlan, Plan
+from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, HotWaterPlan, Plan, steps_in
 from thermoforce_mpc.data.clock import hour_of_day, whole_hour
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.data.series import means_between, stretches
@@ -544,7 +544,7 @@ def _standing(record: TankRecord, charging: Array) -> tuple[float, float]:
 
     Of too few days nothing but the most is known: hours of one day err together.
     """
-    n = max(1, round(_STILL_H * HOUR_S / record.step_s))
+    n = steps_in(_STILL_H * HOUR_S, record.step_s)
     first = np.arange(0, record.T_C.size - n, max(1, n // 4))
     still = np.array([bool((charging[k : k + n] == 0.0).all()) for k in first])
     first = first[still]

@@ -24,6 +24,7 @@ from thermoforce_mpc.data.clock import (
     cost_per_W,
     energy_kWh,
     month_of,
+    steps_in,
 )
 from thermoforce_mpc.data.layout import Layout, Period, PlantInfo
 from thermoforce_mpc.data.names import SINGLE, Names
@@ -78,4 +79,5 @@ __all__ = [
     "cost_per_W",
     "energy_kWh",
     "month_of",
+    "steps_in",
 ]  # fmt: skip

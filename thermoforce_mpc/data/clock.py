@@ -47,6 +47,11 @@ def energy_kWh(power_W: Any, duration_s: Any) -> Any:
     return power_W * duration_s / J_PER_KWH
 
 
+def steps_in(seconds: float, step_s: float) -> int:
+    """How many steps of `step_s` a time has, to the nearest, one at least."""
+    return max(1, round(seconds / step_s))
+
+
 def cost_per_W(price_per_kWh: Array | float, duration_s: float) -> Any:
     """Cost of a watt that lasts so long, s, at prices per kWh of any shape, currency/W."""
     return price_per_kWh * duration_s / J_PER_KWH

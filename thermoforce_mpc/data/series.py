@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record, steps_in
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, BRIDGED_LEVEL_H, LEVELS_AROUND_H
 from thermoforce_mpc.errors import DataError, counted
 
@@ -234,7 +234,7 @@ def _levels(u: Array, step_s: float) -> Array:
         known = np.flatnonzero(finite)
         u = np.where(short, np.interp(np.arange(u.size), known, u[known]), u)
         finite = finite | short
-    reach = max(1, round(LEVELS_AROUND_H * HOUR_S / step_s))
+    reach = steps_in(LEVELS_AROUND_H * HOUR_S, step_s)
     total = np.concatenate([[0.0], np.cumsum(np.where(finite, u, 0.0))])
     count = np.concatenate([[0], np.cumsum(finite)])
     steps = np.arange(u.size)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, steps_in
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import ArtifactError, DataError, InputError
 from thermoforce_mpc.experiment.experiment import Experiment
@@ -173,7 +173,7 @@ def decision_at(folder: Path, at: str | None = None, controller: str | None = No
 
 def hour_ends(n: int, step_s: float, hours: float) -> range:
     """Number of steps at the end of each of the first `hours` of a plan of `n` steps; of less than one hour its end."""
-    every = max(1, round(min(hours, 1.0) * HOUR_S / step_s))
+    every = steps_in(min(hours, 1.0) * HOUR_S, step_s)
     return range(every, min(n, max(every, round(hours * HOUR_S / step_s))) + 1, every)
 
 

@@ -26,7 +26,7 @@ from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.commands.command import Command, TemperatureCommand
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.tank import TANK_NAME, LearnedTank, TankRecord
-from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Names, Record
+from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Names, Record, steps_in
 from thermoforce_mpc.data.clock import in_celsius
 from thermoforce_mpc.errors import DataError, InputError, NoForecast, PlantError, StorageError
 from thermoforce_mpc.execution.progress import duration
@@ -485,7 +485,7 @@ def _last_command(measured: Measurements, name: str) -> float:
 
 def _doubt_of_outdoors(record: Record, ahead: Boundary) -> tuple[str, ...]:
     """A note where the outdoor temperature is far from its forecast for now: another unit, place or column."""
-    measured = record.T_out_C[-max(1, round(_LATELY_S / record.step_s)) :]
+    measured = record.T_out_C[-steps_in(_LATELY_S, record.step_s) :]
     known, given = measured[np.isfinite(measured)], float(ahead.T_out_C[0])
     if not known.size or not math.isfinite(given):
         return ()

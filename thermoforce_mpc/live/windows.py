@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, Layout, Record
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Layout, Record, steps_in
 from thermoforce_mpc.records.people import AWAY_C
 
 # What thermostats of radiators pause for, and for how long an open contact counts, s.
@@ -49,7 +49,7 @@ def steep_falls(T_C: Array, T_out_C: Array, u: Array, step_s: float) -> tuple[ND
     `T_C`, `T_out_C` (n + 1,), °C; `u` (A, n): levels of what acts there, those that cool below 0.
     """
     fall = -np.diff(T_C)
-    hour, back = max(2, round(HOUR_S / step_s)), max(1, round(_BEFORE_H * HOUR_S / step_s))
+    hour, back = max(2, round(HOUR_S / step_s)), steps_in(_BEFORE_H * HOUR_S, step_s)
     if fall.size <= max(hour, back):
         return np.zeros(fall.size, dtype=bool), float("inf")
     below = np.full(fall.size, np.nan)  # what was the coldest of the last hour until now

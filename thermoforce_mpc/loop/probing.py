@@ -21,6 +21,7 @@ from thermoforce_mpc.data import (
     Period,
     PlantInfo,
     Record,
+    steps_in,
 )
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.loop.closed_loop import PlantDriver, advanced
@@ -429,7 +430,7 @@ def probe_until_known(
         before=ahead,
         end_early=end_early,
     )
-    hourly = max(1, round(HOUR_S / run.config.step_s))
+    hourly = steps_in(HOUR_S, run.config.step_s)
 
     def progress() -> None:
         if on_progress and run.record.n_steps % hourly == 0:

@@ -16,7 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.boundary.tariffs import Tariff, by_name, currency_of, price_doubt, price_unit_of, tariff_from_file
-from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array, Boundary, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array, Boundary, Record, steps_in
 from thermoforce_mpc.data.clock import in_celsius, in_fahrenheit
 from thermoforce_mpc.data.dataframes import clock_s, days_before_s, new_year, seconds_since, stamps
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H
@@ -150,7 +150,7 @@ def billed_over_steps(
 
 def billed(bill: Bill, energy: Array, time_s: Array, origin: pd.Timestamp, step_s: float) -> Array:
     """What a kWh costs (n,) in the mean of steps that begin at `time_s` (n,), with `energy` (n,) per kWh."""
-    parts = np.arange(max(1, round(step_s / _QUARTER_S))) * _QUARTER_S
+    parts = np.arange(steps_in(step_s, _QUARTER_S)) * _QUARTER_S
     each = [bill.at(energy, pd.DatetimeIndex(stamps(time_s + part, origin))) for part in parts]
     return np.asarray(np.mean(each, axis=0))
 
@@ -363,7 +363,7 @@ def _unit_doubt(outdoor_C: Array, signal: Temperature, record: Record) -> str:
     fahrenheit = signal.unit.endswith("F")
     unit, past, ahead, otherwise = ("°C" if fahrenheit else "°F"), np.nan, np.nan, np.nan
     for while_s in _WHILES_S:
-        n = max(1, round(while_s / record.step_s))
+        n = steps_in(while_s, record.step_s)
         past_C, ahead_C = (values[np.isfinite(values)] for values in (record.T_out_C[-n:], outdoor_C[:n]))
         if not past_C.size or not ahead_C.size:
             return ""

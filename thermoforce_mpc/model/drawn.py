@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, NORMAL_95, Array
+from thermoforce_mpc.data import HOUR_S, NORMAL_95, Array, steps_in
 from thermoforce_mpc.data.series import first_order
 from thermoforce_mpc.model.card import JUDGED_H, MOST_ERROR_K, ModelCard
 from thermoforce_mpc.model.machine.change import COMPARED_H
@@ -59,7 +59,7 @@ def more_and_less(change: Array, step_s: float) -> tuple[float, float]:
 
     They are at other levels and other hours, so that each errs by itself.
     """
-    of_parts = np.add.reduceat(change, np.arange(0, change.size, max(1, round(COMPARED_H * HOUR_S / step_s))))
+    of_parts = np.add.reduceat(change, np.arange(0, change.size, steps_in(COMPARED_H * HOUR_S, step_s)))
     return float(np.maximum(of_parts, 0.0).sum()), float(np.maximum(-of_parts, 0.0).sum())
 
 

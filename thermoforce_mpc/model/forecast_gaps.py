@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import AT_THE_METER, CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.data import AT_THE_METER, CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record, steps_in
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S, whole_hour
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, RULES, outside
 from thermoforce_mpc.data.series import WEATHER, at_instants, gap_s, rms
@@ -124,7 +124,7 @@ def weather_spread(name: str, boundary: Boundary, history: Record) -> Array:
     for begin, end in edges.reshape(-1, 2):
         lasts_s = (end - begin + 1) * boundary.step_s
         if end < guessed.size and lasts_s <= BRIDGED_GAP_H * HOUR_S:
-            half = max(1, round(0.5 * lasts_s / step_s))
+            half = steps_in(0.5 * lasts_s, step_s)
             off = values[half:-half] - 0.5 * (values[: -2 * half] + values[2 * half :])
             spread[begin:end] = _rms(off, whole_sd)
         else:

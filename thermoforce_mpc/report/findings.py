@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, PlanStatus, steps_in
 from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL, UNDECIDED
 from thermoforce_mpc.errors import counted
@@ -98,7 +98,7 @@ class Planning:
 def _beyond_K(step: StepRecord) -> float:
     """How far a plan lets a zone leave its comfort bounds in the next hours, K; later plans see to what comes after."""
     plan, boundary = step.plan, step.boundary
-    n = min(plan.u.shape[1], max(1, round(_SOON_H * HOUR_S / boundary.step_s)))
+    n = min(plan.u.shape[1], steps_in(_SOON_H * HOUR_S, boundary.step_s))
     lower_C, upper_C = boundary.lower_C[:, 1 : n + 1], boundary.upper_C[:, 1 : n + 1]
     T_C = plan.T_zone_C[:, : lower_C.shape[1]]
     return float(np.nanmax(excess(T_C, lower_C, upper_C), initial=0.0))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Layout, PlanStatus, Record, energy_kWh
+from thermoforce_mpc.data import DAY_S, HOUR_S, NORMAL_95, Array, Layout, PlanStatus, Record, energy_kWh, steps_in
 from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
@@ -376,7 +376,7 @@ def _instants(record: Record, levels: int) -> list[float]:
         return []
     per_instant = 2 * 2 * levels * len(record.names.zones) * LENGTH_H * HOUR_S / record.step_s
     most = max(1, int(_MOST_ANSWERS_BYTES / per_instant))
-    every = max(round(EVERY_H * HOUR_S / record.step_s), 1)
+    every = steps_in(EVERY_H * HOUR_S, record.step_s)
     first, n = round(BEFORE_H * HOUR_S / record.step_s), round(LENGTH_H * HOUR_S / record.step_s)
     at = np.arange(max(first, 1), record.n_steps - n + 1, every)
     # Hours whose levels nobody measured have nothing to compare with.

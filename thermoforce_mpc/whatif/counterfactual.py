@@ -29,6 +29,7 @@ from thermoforce_mpc.data import (
     Observation,
     Record,
     energy_kWh,
+    steps_in,
 )
 from thermoforce_mpc.data.dataframes import seconds_at, table
 from thermoforce_mpc.data.names import check_same_building
@@ -69,7 +70,7 @@ def rollouts(model: ThermalModel, record: Record) -> Rollouts | None:
     Sun that the model found on a sensor is taken off the record. Gaps in the record's weather and levels are bridged.
     Returns None if a zone has no linear free part (identified from pairs only) or the record is too short.
     """
-    n = max(1, round(_ROLLOUT_H * HOUR_S / record.step_s))
+    n = steps_in(_ROLLOUT_H * HOUR_S, record.step_s)
     free_models = [free for free in model.free if free is not None]
     if len(free_models) < len(model.free) or record.n_steps < 2 * n:
         return None
@@ -266,7 +267,7 @@ def _low_passes(record: Record, past: Record | None) -> tuple[Array, Array]:
                 rows.append(values)
                 continue
             pole = float(np.exp(-record.step_s / HOUR_S / lag))
-            start = float(joined[: max(1, round(DAY_S / record.step_s))].mean())
+            start = float(joined[: steps_in(DAY_S, record.step_s)].mean())
             rows.append(lagged(joined, pole, start)[1 + before.size :])
         filtered.append(np.array(rows))
     return filtered[0], filtered[1]
@@ -521,7 +522,7 @@ def _beside_law(model: ThermalModel, m: int, record: Record, stretch: Record) ->
     part = metered_W[first : first + stretch.n_steps]
     read = np.isfinite(part).mean() >= _LEAST_MEASURED
     metered = energy_kWh(float(np.nanmean(part)), stretch.n_steps * record.step_s) if read else float("nan")
-    n = max(1, round(DAY_S / record.step_s))
+    n = steps_in(DAY_S, record.step_s)
     both = np.isfinite(law_W) & np.isfinite(metered_W)
     starts = [k for k in range(0, record.n_steps - n + 1, n) if both[k : k + n].mean() >= _LEAST_MEASURED]
     law, meter = (np.array([one[k : k + n][both[k : k + n]].mean() for k in starts]) for one in (law_W, metered_W))

@@ -31,6 +31,7 @@ from thermoforce_mpc.data import (
     Period,
     PlantInfo,
     Record,
+    steps_in,
 )
 from thermoforce_mpc.data.series import bridged, interpolated, step_means
 from thermoforce_mpc.errors import DataError, InputError, NoForecast
@@ -256,7 +257,7 @@ class IdentifiedHouse(Releasing):
 
     def past(self, step_s: float) -> Record:
         """See `Plant.past`: what was, and what was lived through; power is that of steps without charging."""
-        every = max(1, round(step_s / self._was.step_s))
+        every = steps_in(step_s, self._was.step_s)
         first = self._k % every
         return self._seen(first).resample(every)
 

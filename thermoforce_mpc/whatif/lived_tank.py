@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.commands.tank import CELLAR_C, LearnedTank, TankRecord, TankTarget, follow_tank
-from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data import HOUR_S, Array, Record, steps_in
 from thermoforce_mpc.data.clock import whole_hour
 from thermoforce_mpc.data.dataframes import clock_s, stamps
 from thermoforce_mpc.data.series import means_between
@@ -51,7 +51,7 @@ class LivedTank:
     def __init__(self, tank: LearnedTank, logged: TankRecord, record: Record) -> None:
         """`logged`: over the times of `record`. Raises `DataError` where its temperature was never measured."""
         self.tank, self.m = tank, record.names.machines.index(tank.machine)
-        parts = max(1, round(record.step_s / logged.step_s))
+        parts = steps_in(record.step_s, logged.step_s)
         self._part_s, n = record.step_s / parts, record.n_steps
         self._at_s = record.time_s[0] + self._part_s * np.arange(n * parts + 1)
         known = np.isfinite(logged.T_C)
@@ -101,7 +101,7 @@ class LivedTank:
         self, before: TankState, time_s: float, seconds: float, command: float | None
     ) -> tuple[TankState, TankPart]:
         """`seconds` from `time_s` on; `command`: None as it was set."""
-        n = max(1, round(seconds / self._part_s))
+        n = steps_in(seconds, self._part_s)
         edges = time_s + seconds * np.arange(n + 1) / n
         at = np.minimum([self._index(one) for one in edges[:-1]], self._charged.size - 1)
         target_C, at_once = self._targets(at, command)

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from controllers.optimisation.programme import QPData
 from controllers.optimisation.solvers.qp import SolverResult
-from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, Array, steps_in
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Largest factor of the objective. HiGHS takes a reduced cost of 1e-7 as none: beside a weight of comfort that is large
@@ -33,7 +33,7 @@ class MilpConfig(StrictModel):
 
     def chosen_steps(self, step_s: float) -> int:
         """Number of steps of `step_s` seconds in which choices are decided, at least one."""
-        return max(1, round(self.hours * HOUR_S / step_s))
+        return steps_in(self.hours * HOUR_S, step_s)
 
 
 class Highs:

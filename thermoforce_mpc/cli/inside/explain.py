@@ -15,7 +15,7 @@ from rich.table import Table
 from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.commands.loop import saving_in_words
 from thermoforce_mpc.commands.tank import tank_in_words
-from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.data import HOUR_S, steps_in
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.experiment.explaining import (
     ExplainedStep,
@@ -90,7 +90,7 @@ def explain(run: Path, at: str | None, controller: str | None, hours: float, jso
 
 def _alternatives(decision: ExplainedStep, alternatives: Alternatives) -> Table:
     names, step_s = decision.step.names, decision.boundary.step_s
-    first = max(1, round(HOUR_S / step_s))
+    first = steps_in(HOUR_S, step_s)
     hours = alternatives.courses[0].u.shape[1] * step_s / HOUR_S
     columns = ["", *(part.replace(" ", "\n", 1) for part in alternatives.courses[0].parts), "= total"]
     columns += ["energy\nkWh", "discomfort\nK·h"]

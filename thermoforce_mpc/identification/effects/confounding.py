@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
+from thermoforce_mpc.data import HOUR_S, Array, Layout, Record, steps_in
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import others_of
 from thermoforce_mpc.identification.effects.level_laws import (
@@ -91,7 +91,7 @@ def _held_sd(runs: Sequence[Record], layout: Layout, a: int, heat_input: HeatInp
         return 0.0
     squares = total = 0.0
     for run in runs:
-        n = max(1, round(EFFECT_H * HOUR_S / run.step_s))
+        n = steps_in(EFFECT_H * HOUR_S, run.step_s)
         if run.n_steps < n:
             continue
         u, heat_W = run.u[a], layout.signs[a] * run.heat_W[a]

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record, steps_in
 from thermoforce_mpc.data.series import lagged, rms, step_means
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import EFFECT_H
@@ -158,7 +158,7 @@ def _fresh(u: Array, step_s: float) -> NDArray[np.bool_]:
     """Which steps (n,) are the first half hour at full level after a step of less than half."""
     full, found = u >= 1.0 - LEVEL_EDGE, np.zeros(u.size, dtype=bool)
     for k in np.flatnonzero(full[1:] & (u[:-1] < 0.5)) + 1:
-        found[k : k + max(1, round(_FRESH_S / step_s))] = True
+        found[k : k + steps_in(_FRESH_S, step_s)] = True
     return found & full
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Record, steps_in
 from thermoforce_mpc.data.boundary import excess
 from thermoforce_mpc.data.clock import hour_of_day
 from thermoforce_mpc.data.series import bridged
@@ -159,7 +159,7 @@ def _are_awake(time_s: Array, awake: tuple[int, int]) -> NDArray[np.bool_]:
 
 def _hourly(record: Record) -> Record:
     """The record in hours: the design looks at hourly rows anyway, and people act on the hour."""
-    every = max(1, round(HOUR_S / record.step_s))
+    every = steps_in(HOUR_S, record.step_s)
     if abs(every * record.step_s - HOUR_S) > 1.0:
         raise DataError(
             f"the record has steps of {record.step_s:g} s: a schedule needs a step that divides an hour, such as "

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record, steps_in
 from thermoforce_mpc.data.series import lagged
 from thermoforce_mpc.identification.estimation.regression import poles, unit_responses
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
@@ -96,7 +96,7 @@ def _whitener(time_s: Array, T_out_C: Array, solar_W_m2: Array, step_s: float) -
     """
     from scipy.linalg import cholesky
 
-    stride = max(1, round(_ROW_H * HOUR_S / step_s))
+    stride = steps_in(_ROW_H * HOUR_S, step_s)
     time_s, rows = time_s[::stride], np.arange(time_s[::stride].size)
     # All temperatures are assumed to be measured.
     weather = dict(zip(INPUTS, weather_inputs(time_s, T_out_C[::stride], solar_W_m2[::stride]).T, strict=True))

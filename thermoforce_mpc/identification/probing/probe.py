@@ -29,6 +29,7 @@ from thermoforce_mpc.data import (
     Plan,
     PlanStatus,
     Record,
+    steps_in,
 )
 from thermoforce_mpc.data.boundary import SET_BACK_K
 from thermoforce_mpc.data.clock import DAY_H, PLAN_STEP_S
@@ -110,7 +111,7 @@ class ProbingConfig(StrictModel):
     @property
     def block_steps(self) -> int:
         """Steps between two choices of the draws."""
-        return max(1, round(_BLOCK_H * HOUR_S / self.step_s))
+        return steps_in(_BLOCK_H * HOUR_S, self.step_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,7 +277,7 @@ def _whole(record: Record) -> Record:
 
 def _hourly(boundary: Boundary) -> Boundary:
     """`boundary` at every full hour from its begin on."""
-    stride = max(1, round(HOUR_S / boundary.step_s))
+    stride = steps_in(HOUR_S, boundary.step_s)
     columns = {name: getattr(boundary, name)[..., ::stride] for name in CONDITIONS}
     return Boundary(**columns, names=boundary.names)
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, ZERO_C_K, Array, Layout, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, ZERO_C_K, Array, Layout, Record, steps_in
 from thermoforce_mpc.data.clock import in_celsius
 from thermoforce_mpc.data.limits import LOAD_W_PER_M2, RULES, SignalRule
 from thermoforce_mpc.data.series import means_of
@@ -147,7 +147,7 @@ def _of_ratio(
         return []
     time_s = record.time_s[:-1]
     if np.unique(heat[both].round(1)).size < _FEW_VALUES * both.sum():
-        n = max(round(_WHILE_S / record.step_s), 1)
+        n = steps_in(_WHILE_S, record.step_s)
         heat, power, T_out, time_s = (means_of(one, n) for one in (heat, power, T_out, time_s))
         on = np.asarray((power > _ON * _most(power)) & (heat > _ON * _most(heat)))
     rows = on & np.isfinite(T_out)

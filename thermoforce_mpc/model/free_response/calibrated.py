@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record, steps_in
 from thermoforce_mpc.data.series import at_instants
 from thermoforce_mpc.execution.cooperative import Computation
 from thermoforce_mpc.model.free_response.checks import checked_free
@@ -126,7 +126,7 @@ class CalibratedFreeResponse(Computed):
         lead_s = np.asarray(np.arange(1, n + 1) * boundary.step_s, dtype=np.float64)
         group_of = _group_of(boundary)
         # One lead time per hour: those between are nearly identical.
-        stride = max(1, round(_EVERY_S / boundary.step_s))
+        stride = steps_in(_EVERY_S, boundary.step_s)
         hourly = slice(stride - 1, None, stride)
         compared = _scored(last, lead_s[hourly], free, history)
         scale = _width(compared.window[group_of], compared.steering[group_of])
@@ -154,7 +154,7 @@ class CalibratedFreeResponse(Computed):
 
 def _group_of(boundary: Boundary) -> NDArray[np.int8]:
     """Number of the group of each step of a forecast (N,): its lead time, and its kind of sun."""
-    n, hour = boundary.n_steps, max(1, round(HOUR_S / boundary.step_s))
+    n, hour = boundary.n_steps, steps_in(HOUR_S, boundary.step_s)
     lead = np.searchsorted(_LEAD_EDGES_H, np.arange(1, n + 1) * boundary.step_s / HOUR_S - 1e-9)
     sun, before = boundary.solar_W_m2, boundary.solar_W_m2[np.maximum(np.arange(1, n + 1) - hour, 0)]
     shone = np.fmax.accumulate(sun)[1:] >= _SUN_W_M2

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, Record, steps_in
 from thermoforce_mpc.data.series import first_order, step_means
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation
@@ -116,7 +116,7 @@ class RcParameters:
 
     def beginning(self, drive: Array) -> Array:
         """Steady state (q,), K, under the mean of the first day of `drive` (n, q)."""
-        day = max(1, round(DAY_S / self.step_s))
+        day = steps_in(DAY_S, self.step_s)
         return np.asarray(drive[:day].mean(axis=0) / (1.0 - self.poles))
 
 

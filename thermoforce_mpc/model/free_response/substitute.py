@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Record, steps_in
 from thermoforce_mpc.errors import DataError, ThermoForceError
 from thermoforce_mpc.execution.cooperative import Computation
 from thermoforce_mpc.model.free_response.checks import checked_forecast, checked_free
@@ -102,7 +102,7 @@ def absurdity(forecast: FreeForecast, free_C: Array, history: Record, boundary: 
     last, age = float(free_C[finite[-1]]), int(free_C.size - 1 - finite[-1])
     median = forecast.median_C
     half_K = 0.5 * (forecast.quantile_C(0.9) - forecast.quantile_C(0.1))
-    leads = sorted({max(1, round(hours * HOUR_S / boundary.step_s)) for hours in _LEADS_H})
+    leads = sorted({steps_in(hours * HOUR_S, boundary.step_s) for hours in _LEADS_H})
     allowed = {lead: _allowed_K(free_C, lead + age) for lead in leads if lead <= boundary.n_steps}
     ends = [*allowed, boundary.n_steps]
     largest = dict(zip(ends, [*allowed.values(), max(allowed.values())], strict=True))

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record, steps_in
 from thermoforce_mpc.data.clock import DAY_H, whole_hour
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE
@@ -75,7 +75,7 @@ class BlockedHours:
     @classmethod
     def found(cls, asked: Array, record: Record, sign: int) -> BlockedHours:
         """What a record (one zone and actuator, n steps) of levels that were `asked` for (n,), NaN for none, tells."""
-        known, each = cls(), max(1, round(HOUR_S / record.step_s)) if record.n_steps else 1
+        known, each = cls(), steps_in(HOUR_S, record.step_s) if record.n_steps else 1
         requests = list(zip(record.time_s[:-1].tolist(), asked.tolist(), strict=True))
         for n in range(each, record.n_steps + 1):
             known = known.after(requests[n - each : n], record.slice(n - each, n), sign)
@@ -178,7 +178,7 @@ _RUNS, _STANDS, _USUAL_STEPS = 0.25, 0.05, 8
 
 
 def _steps_of_an_hour(record: Record) -> int:
-    return max(1, round(HOUR_S / record.step_s))
+    return steps_in(HOUR_S, record.step_s)
 
 
 def hour_ends(record: Record) -> bool:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record, steps_in
 from thermoforce_mpc.data.clock import DAY_H, whole_hour
 from thermoforce_mpc.data.series import rms
 from thermoforce_mpc.errors import DataError
@@ -95,7 +95,7 @@ class OtherLoad:
             return believed
         law_W = self.steady(time_s, T_out_C)
         at = np.flatnonzero(_steps(u, time_s, T_out_C, meter_W).settled & (law_W >= 0.5 * self.mean_W))
-        n = max(round(_JUDGED_S / float(time_s[1] - time_s[0])), 1)
+        n = steps_in(_JUDGED_S, float(time_s[1] - time_s[0]))
         if at.size < n:
             return believed
         sums_W = np.cumsum(np.vstack([np.zeros((1, 2)), np.column_stack([law_W, meter_W])[at]]), axis=0)

@@ -28,7 +28,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record, steps_in
 from thermoforce_mpc.data.series import lagged, step_means
 from thermoforce_mpc.model.machine.load import (
     LEAST_RUNNING,
@@ -103,7 +103,7 @@ class ReturnWater:
         The difference is that of the last day of `history` while running, or of the identification where there is none.
         """
         if history.n_steps:
-            last_day = history.last(max(1, round(DAY_S / history.step_s)))
+            last_day = history.last(steps_in(DAY_S, history.step_s))
             above_K = above_zone(last_day.T_return_C[0], last_day.T_zone_C[0, :-1], last_day.u[0])
         else:
             above_K = float("nan")
