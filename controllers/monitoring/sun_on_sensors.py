@@ -156,7 +156,7 @@ class SunOnSensors:
         return digest({"found": canonical(state.found), "record": canonical(record), "model": canonical(model)})
 
     def _heat_inputs(self) -> list[HeatInput]:
-        return [self._model.operator.of_actuator(a).heat_input for a in range(len(self._model.layout.home))]
+        return [own.heat_input for own in self._model.operator.of_actuators]
 
     def _update_zone(self, z: int, before: SunOnSensor | None, runs: Sequence[Record]) -> SunOnSensor | None:
         """What looks have found for zone `z` after one more: another find replaces one that is clearly less certain."""

@@ -115,7 +115,7 @@ class DPC(ThermoForceMPC):
         )
         wanted = wanted + np.cumsum(rng.normal(size=(A, n)), axis=1) * rng.uniform(0.0, 0.15) / np.sqrt(n)
         levels = np.clip(wanted, u_min[:, None], 1.0)
-        heat = np.stack([operator.of_actuator(a).heat_input(levels[a], T_out[:-1]) for a in range(A)])
+        heat = np.stack([own.heat_input(u, T_out[:-1]) for own, u in zip(operator.of_actuators, levels, strict=True)])
         steady = operator.steady_gains_K * heat[:, :1]
         forced_K = operator.driven(steady, heat).sum(axis=(1, 3))
         near_K = rng.uniform(0.0, 0.6, size=(Z, 1)) * rng.uniform() + rng.normal(scale=0.15, size=(Z, 1))

@@ -83,7 +83,7 @@ class ModelVectorEnv(VectorEnv[Any, Any, Any]):
         self.num_envs, self._step_s, self._weight = num_envs, step_s, discomfort_weight
         blocks = part_load == "blocks"
         self._operator = model.operator.resampled(step_s)
-        self._pairs = [self._operator.of_actuator(a) for a in range(len(layout.u_min))]
+        self._pairs = self._operator.of_actuators
         heat = [one.heat_input for one in self._pairs]
         self._heat = [of.at_lowest_level(1.0) if blocks else of for of in heat]
         powers = [power.at_lowest_level(1.0) if blocks else power for power in model.power if power]

@@ -62,8 +62,7 @@ def heat_drive(operator: BuildingOperator, history: Record, start: int, stop: in
     """
     T_out, solar = history.T_out_C[start : stop + 1], history.solar_W_m2[start : stop + 1]
     rows = []
-    for a in range(len(operator.actuators)):
-        head = operator.of_actuator(a)
+    for a, head in enumerate(operator.of_actuators):
         heat_W, u = history.heat_W[a, start:stop], history.u[a, start:stop]
         measured = np.isfinite(heat_W) & (head.heat_input.law is not None)
         u = np.where(measured & ~np.isfinite(u), 0.0, u)  # u is not used there
@@ -94,10 +93,9 @@ def _steady_start(operator: BuildingOperator, heat: Array, features: Array) -> A
     forced = operator.steady_gains_K * heat.mean(axis=1)[:, None]
     for _ in range(_START_ROUNDS):
         features[..., ZONE] = control_free(T_zone, forced.sum(axis=(1, 2))[:, None])
-        heads = [operator.of_actuator(a) for a in range(len(operator.actuators))]
         drive = [
             float(np.mean(head.modulation(head.seen(features[z], forced[z, a])) * heat[a]))
-            for a, (z, head) in enumerate(zip(operator.home, heads, strict=True))
+            for a, (z, head) in enumerate(zip(operator.home, operator.of_actuators, strict=True))
         ]
         forced = operator.steady_gains_K * np.array(drive)[:, None]
     return np.asarray(forced)

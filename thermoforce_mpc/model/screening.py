@@ -45,7 +45,7 @@ class ReadingLimits:
         allowed = cls((-most_W, most_W), (-most_W, most_W), u_min)
         if model is None:
             return allowed
-        heads = [model.operator.of_actuator(a) for a in range(len(model.operator.actuators))]
+        heads = model.operator.of_actuators
         allowed = replace(allowed, u_min=min(head.heat_input.u_min for head in heads))
         if all(head.heat_input.law is not None for head in heads):
             full_W = [head.sign * head.heat_input.largest_W() for head in heads]

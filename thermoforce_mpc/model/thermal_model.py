@@ -120,7 +120,7 @@ class ThermalModel:
     @cached_property
     def layout(self) -> Layout:
         """What acts where."""
-        heads = [self.operator.of_actuator(a) for a in range(len(self.operator.actuators))]
+        heads = self.operator.of_actuators
         return Layout(
             self.names,
             tuple(head.sign for head in heads),

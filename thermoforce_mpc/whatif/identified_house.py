@@ -475,9 +475,8 @@ class IdentifiedHouse(Releasing):
             self._was.time_s[k : k + 1],
         )[:, 0]
         T_out_C = np.asarray(self._was.T_out_C[k])
-        heat = np.array(
-            [float(operator.of_actuator(a).heat_input(np.asarray(one), T_out_C)) for a, one in enumerate(level)]
-        )
+        each = zip(operator.of_actuators, level, strict=True)
+        heat = np.array([float(own.heat_input(np.asarray(one), T_out_C)) for own, one in each])
         warmer_K = (self.forced_K - self._forced_was_now()).sum(axis=(1, 2))[list(operator.home)]
         heat *= np.clip(1.0 - self._less_per_K * warmer_K, *_HEAT_RANGE)
         self.forced_K = operator.advance(self.forced_K, operator.modulated(heat, x, self.forced_K))

@@ -21,7 +21,7 @@ def of_water(model: ThermalModel) -> Array:
     """1 where an actuator is one of several valves of a machine that heats, whose heat was not metered, else 0 (A,)."""
     layout = model.layout
     several = [len(layout.fed_by(m)) > 1 for m in layout.machine_of]
-    laws = [model.operator.of_actuator(a).heat_input.law is None for a in range(len(layout.home))]
+    laws = [own.heat_input.law is None for own in model.operator.of_actuators]
     return np.array(
         [float(one and law and sign > 0) for one, law, sign in zip(several, laws, layout.signs, strict=True)]
     )

@@ -29,7 +29,7 @@ class Numbers:
     def __init__(self, operator: BuildingOperator, shape: ProblemShape, groups: list[PoleGroup], s: Structure) -> None:
         self._operator, self._shape, self._groups, self._s = operator, shape, groups, s
         machinery = shape.machinery
-        heads = [operator.of_actuator(a) for a in range(s.A)]
+        heads = operator.of_actuators
         seen = any(head.constant_modulation is None for head in heads)
         self.hidden = max(head.hidden_bias.size for head in heads) if seen else 0
         self._gains = [ExportedGain(head, s.N) for head in heads]

@@ -119,6 +119,11 @@ class BuildingOperator:
             )
         return pair
 
+    @cached_property
+    def of_actuators(self) -> tuple[OperatorParameters, ...]:
+        """`of_actuator` of each actuator (A,)."""
+        return tuple(self.of_actuator(a) for a in range(len(self.actuators)))
+
     @property
     def shape(self) -> tuple[int, int, int]:
         """Zones Z, actuators A, highest order of the pairs r."""
@@ -132,12 +137,12 @@ class BuildingOperator:
     @property
     def signs(self) -> Array:
         """Sign of each actuator (A,): +1 heating, −1 cooling."""
-        return np.array([float(self.of_actuator(a).sign) for a in range(len(self.actuators))])
+        return np.array([float(own.sign) for own in self.of_actuators])
 
     @property
     def u_min(self) -> Array:
         """Lowest level of each actuator (A,): 0, or below where it heats and cools."""
-        return np.array([self.of_actuator(a).heat_input.u_min for a in range(len(self.actuators))])
+        return np.array([own.heat_input.u_min for own in self.of_actuators])
 
     @cached_property
     def gains(self) -> Array:
@@ -163,9 +168,8 @@ class BuildingOperator:
     def drive(self, u: Array, features: Array) -> Array:
         """Drive m(x)·v of each actuator: `u` (..., A, N), `features` (Z, N, 4) with T − F → (..., A, N)."""
         u, features = np.asarray(u, dtype=np.float64), np.asarray(features, dtype=np.float64)
-        return np.stack(
-            [self.of_actuator(a).drive(u[..., a, :], features[z]) for a, z in enumerate(self.home)], axis=-2
-        )
+        each = enumerate(zip(self.home, self.of_actuators, strict=True))
+        return np.stack([own.drive(u[..., a, :], features[z]) for a, (z, own) in each], axis=-2)
 
     def rollout(self, F0: Array, u: Array, features: Array) -> Array:
         """Forced state of every pair at the end of each of N steps (paper eq:operator), (..., Z, A, N, r), K.
@@ -197,12 +201,8 @@ class BuildingOperator:
 
     def modulated(self, heat: Array, features: Array, forced_K: Array) -> Array:
         """Drive of one step: v = `heat` (A,), `features` (Z, 4) with T − F, forced state (Z, A, r) K → m·v (A,)."""
-        return np.array(
-            [
-                self.of_actuator(a).modulation(self.of_actuator(a).seen(features[z], forced_K[z, a])) * heat[a]
-                for a, z in enumerate(self.home)
-            ]
-        )
+        each = enumerate(zip(self.home, self.of_actuators, strict=True))
+        return np.array([own.modulation(own.seen(features[z], forced_K[z, a])) * heat[a] for a, (z, own) in each])
 
     def advance(self, forced_K: Array, drive: Array) -> Array:
         """Advance one step of eq:operator: `forced_K` (Z, A, r) K under `drive` m·v (A,) → (Z, A, r) K."""
@@ -211,7 +211,7 @@ class BuildingOperator:
     @property
     def constant_modulation(self) -> bool:
         """Whether no modulation depends on the features."""
-        return all(self.of_actuator(a).constant_modulation is not None for a in range(len(self.actuators)))
+        return all(own.constant_modulation is not None for own in self.of_actuators)
 
     def resampled(self, step_s: float) -> BuildingOperator:
         """The operator at another step, pair by pair."""
@@ -250,8 +250,8 @@ class BuildingOperator:
         return self._counted(lambda head: head.n_used)
 
     def _counted(self, count: Callable[[OperatorParameters], int]) -> int:
-        heads = [self.of_actuator(a) for a in range(len(self.actuators))]
-        return sum(2 * pair.order for *_, pair in self.each()) + sum(count(head) - 2 * head.order for head in heads)
+        modulation = sum(count(own) - 2 * own.order for own in self.of_actuators)
+        return sum(2 * pair.order for *_, pair in self.each()) + modulation
 
 
 def single(operator: OperatorParameters) -> BuildingOperator:
