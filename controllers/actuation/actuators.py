@@ -147,9 +147,8 @@ class Actuators:
 
     def __init__(self, layout: Layout, actuations: Sequence[Actuation]) -> None:
         self.layout, self.each = layout, tuple(actuations)
-        fed_by = [layout.fed_by(m) for m in range(len(layout.names.machines))]
-        self._shared = [fed for fed in fed_by if len(fed) > 1]
-        self._water = [fed for fed in fed_by if all(self.each[a].by_supply for a in fed)]
+        self._shared = [fed for fed in layout.actuators_of_machines if len(fed) > 1]
+        self._water = [fed for fed in layout.actuators_of_machines if all(self.each[a].by_supply for a in fed)]
 
     def check_step(self, step_s: float) -> None:
         """Raise `ControllerConfigError` where a step of `step_s` seconds is too short for blocks."""

@@ -49,8 +49,8 @@ def machines_in_runs(actuators: Actuators, step_s: float, left: Collection[int] 
     """
     layout, found = actuators.layout, []
     exclusive = {a for group in layout.exclusive for a in group}
-    for m in range(len(layout.names.machines)):
-        fed = [a for a in layout.fed_by(m) if a not in left]
+    for of_machine in layout.actuators_of_machines:
+        fed = [a for a in of_machine if a not in left]
         alike = len({tuple(actuators.each[a].config.model_dump().items()) for a in fed}) == 1
         if alike and exclusive.isdisjoint(fed) and needs_runs(actuators.each[fed[0]], step_s):
             found.append(fed)

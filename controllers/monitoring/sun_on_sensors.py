@@ -77,9 +77,9 @@ class SunOnSensors:
 
     def __init__(self, model: ThermalModel, validated: Sequence[bool]) -> None:
         self._model, self._config = model, IdentificationConfig()
-        homes = [model.layout.actuators_of(zone) for zone in range(len(model.names.zones))]
         # One that was not to be looked for in identification is not in control either.
-        asked = [not home or model.cards[home[0]].config.get("sun_on_sensor", True) for home in homes]
+        served = model.layout.actuators_of_zones
+        asked = [not home or model.cards[home[0]].config.get("sun_on_sensor", True) for home in served]
         self._looked_for = tuple(a and b for a, b in zip(asked, validated, strict=True))
 
     def updating(self, state: SunState, history: Record, seconds: float) -> Computation[SunState]:

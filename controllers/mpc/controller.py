@@ -162,7 +162,7 @@ class ThermoForceMPC(ActuatedController):
         )
         self.actuation_in_words = "; ".join(dict.fromkeys(reasons))
         self._handler = DirectHandler(BoundedCalls(len(zones) + _SOLVERS_ABANDONED))
-        powers = [choices[layout.fed_by(m)[0]].power for m in range(len(layout.names.machines))]
+        powers = [choices[fed[0]].power for fed in layout.actuators_of_machines]
         self._formulation = Formulation(c, model, self._actuators, powers)
         shape_of = partial(
             plan_shape,

@@ -63,11 +63,10 @@ class Formulation:
         self._config, self._actuators, self._layout = config, actuators, model.layout
         self._step_s, self.margins = model.operator.step_s, MarginRules(config, model, actuators)
         layout, each = self._layout, actuators.each
-        fed_by = [layout.fed_by(m) for m in range(len(powers))]
         self.power, self._expected = (
             tuple(
                 power.at_lowest_level(each[fed[0]].lowest_level) if len(fed) == 1 else power
-                for power, fed in zip(of, fed_by, strict=True)
+                for power, fed in zip(of, layout.actuators_of_machines, strict=True)
             )
             # The controller was refused where one is not known.
             for of in (powers, [power for power in model.power if power is not None])
@@ -134,7 +133,7 @@ class Formulation:
         highest_W = np.array(layout.weights) * fixed_W[fed_by, -1] + per_u_W[:, -1] * highest
         if bent:
             highest_W = highest_W + per_u2_W[:, -1] * highest**2
-        seen = (self._seen(m, history.u[layout.fed_by(m)], history, m) for m in range(len(self._expected)))
+        seen = (self._seen(m, history.u[fed], history, m) for m, fed in enumerate(layout.actuators_of_machines))
         foreign = [power.foreign for power in seen if power.foreign is not None]
         foreign_W = sum((other(boundary.time_s[:-1], T_out) for other in foreign), np.zeros(boundary.n_steps))
         cap_kW = math.inf if aims.power_cap_kW is None else aims.power_cap_kW

@@ -751,8 +751,7 @@ class MarginRules:
 
         The heat (A of the machine, n) is relative to that at the reference outdoors, which follows (A,), W.
         """
-        for m in range(len(self._layout.names.machines)):
-            fed = self._layout.fed_by(m)
+        for m, fed in enumerate(self._layout.actuators_of_machines):
             maps = [operator.of_actuator(a).heat_input for a in fed]
             if len(fed) > 1 and self._shares[fed].all() and all(heat_map.law is not None for heat_map in maps):
                 full = np.stack([heat_map.full_share(T_out_C) for heat_map in maps])

@@ -89,6 +89,16 @@ class Layout:
         return [a for a, m in enumerate(self.machine_of) if m == machine]
 
     @property
+    def actuators_of_zones(self) -> list[list[int]]:
+        """The actuators that serve each zone (Z,)."""
+        return [self.actuators_of(z) for z in range(len(self.names.zones))]
+
+    @property
+    def actuators_of_machines(self) -> list[list[int]]:
+        """The actuators that each machine feeds (M,)."""
+        return [self.fed_by(m) for m in range(len(self.names.machines))]
+
+    @property
     def weights(self) -> Array:
         """What each actuator counts for in the level of its machine: its share, 1 where it is the only one (A,)."""
         return np.array([share or 1.0 for share in self.shares])

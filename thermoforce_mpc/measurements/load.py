@@ -204,8 +204,8 @@ class Measurements:
         """The zones that an actuator serves, as `identify` needs them; `DataError` where no level was measured."""
         if not np.isfinite(self.record.u).any():
             raise DataError("no level, heat or power was measured: name an actuator in the map with one of them")
-        zones = [z for z in range(len(self.layout.names.zones)) if self.layout.actuators_of(z)]
-        return self.of_zones([self.layout.names.zones[z] for z in zones])
+        served = zip(self.layout.names.zones, self.layout.actuators_of_zones, strict=True)
+        return self.of_zones([zone for zone, own in served if own])
 
     def of_zones(self, zones: Sequence[str]) -> Measurements:
         """The zones `zones` with all machines and those actuators that serve one of them (all, where none does)."""

@@ -298,7 +298,7 @@ def report_data(
     return {
         "currency": currency,
         "names": {"zones": names.zones, "actuators": names.actuators, "machines": names.machines},
-        "serves": [layout.actuators_of(z) for z in range(len(names.zones))],
+        "serves": layout.actuators_of_zones,
         "prices": _different_prices(course),
         "own": {"name": result.controller, "averaged": course.averaged, **course.to_json()},
         "baselines": [

@@ -293,9 +293,8 @@ def _told(plan: Plan, layout: Layout | None) -> tuple[NDArray[np.bool_], NDArray
     followed = plan.followed
     if layout is None:
         return np.ones(len(plan.names.zones), dtype=bool), np.ones(len(plan.names.machines), dtype=bool)
-    served = [layout.actuators_of(z) for z in range(len(plan.names.zones))]
-    zones = [not own or bool(followed[own].any()) for own in served]
-    machines = [bool(followed[layout.fed_by(m)].all()) for m in range(len(plan.names.machines))]
+    zones = [not own or bool(followed[own].any()) for own in layout.actuators_of_zones]
+    machines = [bool(followed[fed].all()) for fed in layout.actuators_of_machines]
     return np.array(zones), np.array(machines)
 
 

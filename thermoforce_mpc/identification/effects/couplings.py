@@ -118,8 +118,7 @@ def with_metered_shares(layout: Layout, heat_inputs: Sequence[HeatInput], histor
     more than they were sized for, so the shares may sum to more than 1.
     """
     shares = list(layout.shares)
-    for m in range(len(layout.names.machines)):
-        fed = layout.fed_by(m)
+    for fed in layout.actuators_of_machines:
         if len(fed) < 2 or any(heat_inputs[a].heat is None or layout.signs[a] != layout.signs[fed[0]] for a in fed):
             continue
         most_W = max(largest_W(np.abs(h.heat_W[fed].sum(axis=0)), h.step_s) for h in histories)
@@ -140,8 +139,7 @@ def with_shares_by_power(layout: Layout, histories: Sequence[Record]) -> Layout:
     which move together keep them. The shares sum to 1: all open is the level 1 of the machine.
     """
     shares = list(layout.shares)
-    for m in range(len(layout.names.machines)):
-        fed = layout.fed_by(m)
+    for m, fed in enumerate(layout.actuators_of_machines):
         if len(fed) < 2 or any(shares[a] for a in fed):
             continue
         of_each = _power_of_each(fed, m, histories)
@@ -158,8 +156,7 @@ def sizes_by_power(layout: Layout, histories: Sequence[Record]) -> Array:
     as many times too large (a bath's valve on the bedroom of `../shared/home_truth` 5.8 K, true 0.4).
     """
     sizes = np.ones(len(layout.floor_area_m2))
-    for m in range(len(layout.names.machines)):
-        fed = layout.fed_by(m)
+    for m, fed in enumerate(layout.actuators_of_machines):
         zones = sorted({layout.home[a] for a in fed})
         if len(zones) < 2:
             continue

@@ -43,8 +43,7 @@ def level_remarks(record: Record, layout: Layout) -> list[Remark]:
     """Levels that are none, and meters that hold another load."""
     found: list[Remark] = []
     doubted: set[int] = set()
-    for m, machine in enumerate(layout.names.machines):
-        fed = layout.fed_by(m)
+    for m, (machine, fed) in enumerate(zip(layout.names.machines, layout.actuators_of_machines, strict=True)):
         remark = _of_meter(record, layout, fed, record.power_W[m], f"power of {machine}") if fed else None
         if remark is not None:
             found.append(remark)
