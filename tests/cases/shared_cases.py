@@ -87,7 +87,7 @@ CASES = (
     ),
     Case(
         "onchange_tail",
-        (r"valve\.level.*100\.0 % │ +none",),
+        (r"valve\.level.*100\.0 % +none",),
         run=("data check $C/house.csv --map $C/map.yaml --no-fit",),
     ),
     Case(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -245,15 +246,23 @@ def test_days_and_months_are_told_apart_by_the_length_of_the_record(tmp_path, wr
     assert expected in starting_map(tmp_path / "house.csv")
 
 
-def test_names_in_brackets_are_shown_whole(tmp_path, capsys):
-    at = pd.date_range("2025-01-10", periods=200, freq="15min")
+def test_names_in_brackets_and_round_times_are_shown(capsys):
+    at = pd.date_range("2025-01-10", periods=600, freq="60060ms")
     df = pd.DataFrame(
-        {"T": 20.0 + np.arange(200) % 5, "out": np.arange(200) / 9, "P [kW]": np.arange(200) % 3}, index=at
+        {
+            "T": 20.0 + np.arange(600) % 5,
+            "out": np.where(np.arange(600) % 150, np.nan, np.arange(600) / 60),
+            "P [kW]": np.arange(600) % 3,
+        },
+        index=at,
     )
-    rules = {"outdoor": "out", "zones": {"room": {"temperature": "T"}}}
+    rules = {"outdoor": {"column": "out", "hold_h": 3}, "zones": {"room": {"temperature": "T"}}}
     rules["machines"] = {"hp": {"power": {"column": "P [kW]", "unit": "kW"}}}
     show_measurements(tf.read_measurements(df, rules), RunDisplay().console)
-    assert "P [kW]" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "600 rows, every 1 min" in told
+    assert re.search(r"hp\.power +P \[kW\] +1 min", told)
+    assert re.search(r"outdoor +out +2.5 h", told)
 
 
 @pytest.mark.slow

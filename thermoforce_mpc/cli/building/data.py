@@ -14,7 +14,6 @@ import click
 import numpy as np
 import pandas as pd
 from rich.console import Console
-from rich.table import Table
 
 from thermoforce_mpc.cli.options import PATH, plot_option
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
@@ -26,6 +25,7 @@ from thermoforce_mpc.files import write_json, written
 from thermoforce_mpc.measurements.load import Measurements
 from thermoforce_mpc.measurements.signals import Understood
 from thermoforce_mpc.report.display import RunDisplay
+from thermoforce_mpc.report.whole_tables import plain_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -243,7 +243,7 @@ def show_measurements(measured: Measurements, console: Console) -> None:
         f"step {_time(understood.step_s)}, {measured.record.n_steps} steps",
         soft_wrap=True,
     )
-    table = Table(title="Signals", title_justify="left")
+    table = plain_table((), "Signals")
     for heading in ("signal", "column", "every", "known", "longest gap", "least", "median", "most", ""):
         words = heading in ("signal", "column", "")
         table.add_column(heading, justify="left" if words else "right", overflow="fold")
@@ -332,10 +332,15 @@ def gaps_in_words(measured: Measurements) -> str:
     )
 
 
+# Units of times between readings, from the length on at which each is told, s.
+_UNITS = ((2.0 * HOUR_S, HOUR_S, "h"), (60.0, 60.0, "min"), (0.0, 1.0, "s"))
+
+
 def _time(seconds: float) -> str:
     if not seconds > 0:
         return "?"
-    return f"{seconds:.4g} s" if seconds < 60 else f"{seconds / 60:.4g} min"
+    size, unit = next((size, unit) for least, size, unit in _UNITS if seconds >= least)
+    return f"{seconds / size:.3g} {unit}"
 
 
 # More zones or actuators than this share one panel without a legend.
