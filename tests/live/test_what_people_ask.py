@@ -23,6 +23,7 @@ from thermoforce_mpc.files import write_json
 from thermoforce_mpc.live import Decision, LiveBuilding, People, control
 from thermoforce_mpc.live.shared import shared_with
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.records.people import SHOWN
 
 NOW = pd.Timestamp("2026-01-20 10:00", tz="UTC")
 ORIGIN = pd.Timestamp("2026-01-01", tz="UTC")
@@ -354,6 +355,12 @@ def test_what_is_decided_is_shown_and_what_is_heard_is_asked(people, tmp_path):
     with pytest.raises(ConfigError):
         shows.asks["lower"]("hot")
     assert json.loads(json.dumps(shows.said))["notes"] == ["a note"]
+    decided(Decision(NOW, plan, plan.blocks))
+    assert shows.said["level"] == "nothing is set; it would be hall 21 °C for 60 min"
+    shows.asks["mode"]("control")
+    people.set_by_hand("hall", 23.0, pd.Timestamp.now("UTC"))
+    decided(Decision(NOW, plan, plan.blocks))
+    assert shows.said["level"] == "hall 21 °C for 60 min; left as set by hand: hall"
 
 
 def test_what_cannot_be_shown_ends_no_control(people, tmp_path):
@@ -365,4 +372,5 @@ def test_what_cannot_be_shown_ends_no_control(people, tmp_path):
     plan = Plan((Block(0.5, 3600.0),), PlanStatus.SOLVED, "cheap hours")
     decided = shared_with(shows, people, lambda decision: None, lambda decision: "", tmp_path, "shadow")
     decided(Decision(NOW, plan, plan.blocks))
+    assert json.loads((tmp_path / SHOWN).read_text())["level"].startswith("nothing is set")
     assert "mode" not in shows.asks, "a controller that sets nothing is not asked for another mode"

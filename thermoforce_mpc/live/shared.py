@@ -85,6 +85,10 @@ def shared_with(
             for k, at in enumerate(plan.time_s)
         ]
         set_now = words.partition(": ")[0].partition("  ")[2]  # without the time and the reason
+        if not acts or people.paused:
+            set_now = f"nothing is set; it would be {set_now}"
+        elif by_hand := people.by_hand(pd.Timestamp.now("UTC")):
+            set_now += f"; left as set by hand: {', '.join(by_hand)}"
         planned = {"from": decision.instant.isoformat(), "next": words[:250], "steps": steps}
         said = {
             "status": plan.status.value, "why": decision.refused or plan.why, "level": set_now,
