@@ -108,3 +108,36 @@ def test_a_command_is_held_for_the_rest_of_its_time_and_no_longer_and_that_is_wh
     assert held[1.0][0] == START + pd.Timedelta("10min")
     (note,) = [one for one in said[1].notes if "was set at" in one]
     assert "3 (recommended) was set at 00:00 and stays for 10 min (hold_min)" in note
+
+
+class Blocks:
+    """A journal that keeps what was set."""
+
+    def __init__(self) -> None:
+        self.blocks = []
+
+    def origin(self):
+        return None
+
+    def decided(self, *told) -> None:
+        """What was decided is of no use here."""
+
+    def ended(self, why) -> None:
+        """Nor is the end."""
+
+    def applied(self, block, begin_s) -> None:
+        self.blocks.append(block)
+
+
+def test_a_command_that_is_held_when_the_clock_is_set_back_is_so_for_no_longer_than_its_block():
+    home, journal, always = HomeByCurve(days=1, set_by="sg_ready"), Blocks(), AlwaysSets(3.0)
+    now, wait, off = home.now, home.wait_until, [pd.Timedelta(0)]
+    home.now, home.wait_until = lambda: now() + off[0], lambda at: wait(at - off[0])
+
+    def told(decision):
+        if decision.instant > START:
+            off[0] = pd.Timedelta("-2h")
+        always.value = 1.0
+
+    control(LiveBuilding(home, RULES, 3600.0), always, clock=home, steps=2, delay_s=0.0, journal=journal, told=told)
+    assert [block.duration_s for block in journal.blocks] == [3600.0, 600.0, 3000.0]

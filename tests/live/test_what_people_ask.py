@@ -296,7 +296,7 @@ def test_what_a_thermostat_makes_of_a_command_is_nobody_at_the_wall(people, made
     building.write({"actuator": told}, 7200.0)
     home.wait_until(START + HOUR)
     building.record(START + HOUR)
-    building.notice()
+    building.notice(START + HOUR)
     assert not people.by_hand(START)
     assert building.ours({"actuator": told}) == {"actuator": [(told, 0.255), (took, 0.255)]}
     assert building.to_set({"actuator": None}) == {"actuator": None}
@@ -305,6 +305,20 @@ def test_what_a_thermostat_makes_of_a_command_is_nobody_at_the_wall(people, made
     building.record(START + 2 * HOUR)
     assert people.by_hand(START)["actuator"][0] == 21.5
     assert building.to_set({"actuator": None}) == {}
+
+
+@pytest.mark.parametrize(("later_h", "by_hand"), [(1.0, True), (1.3, False), (-2.0, False)])
+def test_what_was_given_back_in_between_is_nobody_at_the_wall(people, later_h, by_hand):
+    """By the watchdog, where a plan or a sleep took longer than its command was to hold, or the clock was set back."""
+    home = SaysIt(3)
+    rules = MeasurementMap.model_validate(rules_of({name: name for name in SENSORS}))
+    building = LiveBuilding(home, rules, 3600.0, people=people)
+    building.record(START)
+    building.write({"actuator": 22.0}, 3720.0)
+    building.notice(START)
+    home.told = None
+    building.notice(START + later_h * HOUR)
+    assert bool(people.by_hand(START)) is by_hand
 
 
 def test_it_is_asked_on_the_command_line(tmp_path):

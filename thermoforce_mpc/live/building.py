@@ -411,10 +411,9 @@ class LiveBuilding:
             notes.append(f"{name}: {what} was set by hand: left alone until {until.tz_convert(zone):%a %H:%M}")
         return tuple(notes)
 
-    def notice(self) -> None:
-        """Note what was set by hand since the last reading, of devices that say what they hold (`present`)."""
-        now = self.now
-        if self._people is None or now is None or not self._told:
+    def notice(self, now: pd.Timestamp) -> None:
+        """Note what was set by hand until `now`, since the last reading, of devices that say it (`present`)."""
+        if self._people is None or self.now is None or not self._told:
             return
         held = self.held([self.key(name) for name in self._told])
         for name in dict(self._told):
@@ -444,7 +443,9 @@ class LiveBuilding:
         told, near = self._told[name], self.nearness(name)
         if near is None or not math.isfinite(value) or self._people is None:
             return
-        if now > pd.Timestamp(told.until):  # it ended by itself
+        left_s = (pd.Timestamp(told.until) - now).total_seconds()
+        # It ended by itself, or the watchdog gave it back; nothing is set for so long, but the clock may be set back.
+        if not 0.0 <= left_s <= 2.0 * self._step_s:
             del self._told[name]
         elif told.holds(value, near):
             self._told[name] = replace(told, seen=True)

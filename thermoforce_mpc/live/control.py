@@ -349,7 +349,8 @@ class _Building:
             self._wait_until(begin)
             if until > (now := self.clock.now()):
                 hold_s = min((end - now).total_seconds(), self._step.total_seconds()) + beyond_s
-                block, later = self._as_may_be(block, now, (until - now).total_seconds())
+                left_s = min((until - now).total_seconds(), block.duration_s)  # the clock may be set back
+                block, later = self._as_may_be(block, now, left_s)
                 if later is not None:
                     left.insert(0, later)
                     until -= pd.Timedelta(seconds=later.duration_s)
@@ -479,7 +480,7 @@ class _Building:
         if self._sets_tank:
             levels[TANK_NAME] = tank
         # What people set by hand is not in it, and the watchdog must not give it back either.
-        self.building.notice()
+        self.building.notice(self.clock.now())
         told_by_name = self.building.to_set(levels)
         # Before the call: one that fails, or is interrupted, may have set them.
         anything = any(value is not None for value in told_by_name.values())
