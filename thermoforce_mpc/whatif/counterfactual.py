@@ -45,6 +45,7 @@ from thermoforce_mpc.model.machine.other_load import own_W
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.whatif.dates import label_dates, on_dates
 from thermoforce_mpc.whatif.water import VALVES_SD, of_water, others_by
 
 if TYPE_CHECKING:
@@ -96,25 +97,25 @@ def plot_identification(path: Path, model: ThermalModel, record: Record) -> None
     figure = Figure(figsize=(max(9.0, 3.0 * actuators), 5.0 + 3.0 * zones), layout="constrained")
     upper, lower = list(figure.subfigures(2, 1, squeeze=False, height_ratios=[3 * zones + 1, 3 * zones])[:, 0])
     courses = upper.subplots(zones + 1, 1, height_ratios=[3] * zones + [1], squeeze=False, sharex=True)[:, 0]
-    days = record.time_s / DAY_S
+    at = on_dates(record.time_s, record.origin)
     predictions, rooms = rollouts(model, record), model.in_rooms(record)
     measured = "measured" if rooms is record else "measured, without the sun on the sensor"
     for z, axes in enumerate(courses[:-1]):
         title = "Measured and predicted zone temperature" if zones == 1 else model.operator.zones[z]
         axes.set_title(title, loc="left", pad=22.0)  # above the legend
-        axes.plot(days, rooms.T_zone_C[z], color="black", linewidth=1.2, label=measured)
+        axes.plot(at, rooms.T_zone_C[z], color="black", linewidth=1.2, label=measured)
         if predictions is not None:
             label = f"rollouts of {_ROLLOUT_H:g} h, measured weather; RMSE {predictions.rmse_K[z]:.2f} K"
-            axes.plot(days, predictions.predicted_C[z], color="tab:red", linewidth=1.2, label=label)
+            axes.plot(at, predictions.predicted_C[z], color="tab:red", linewidth=1.2, label=label)
         axes.set_ylabel("zone temperature, °C" if zones == 1 else "°C")
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=2, frameon=False, borderaxespad=0.2)
     for a, name in enumerate(model.operator.actuators):
-        courses[-1].stairs(record.u[a], days, color=f"C{a}", fill=actuators == 1, alpha=0.5, label=name)
+        courses[-1].stairs(record.u[a], at, color=f"C{a}", fill=actuators == 1, alpha=0.5, label=name)
     if actuators > 1:
         courses[-1].legend(loc="upper left", ncols=actuators, frameon=False, fontsize="small")
     courses[-1].set_ylabel("level u")
     courses[-1].set_ylim(1.05 * float(np.nanmin(record.u, initial=0.0)), 1.05)
-    courses[-1].set_xlabel("days since 1 January")
+    label_dates(courses[-1], at, record.origin)
     cells = lower.subplots(zones, actuators, squeeze=False, sharex=True)
     for z, a, pair in model.operator.each():
         _plot_answer(cells[z, a], model, z, a, pair)

@@ -6,6 +6,7 @@ import functools
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 from houses import House, record
@@ -82,6 +83,24 @@ def test_rollouts_over_the_record_are_good_and_drawn(models, tmp_path):
         plot_identification(tmp_path / name, models[0], record_)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("origin", "below", "label"),
+    [
+        (None, "21 Jan to 24 Jan", "22 Jan"),
+        (pd.Timestamp("2026-01-01", tz="Europe/Brussels"), "2026-01-21 to 2026-01-24, standard time of Europe/Brussels",
+         "22 Jan"),
+    ],
+)  # fmt: skip
+def test_times_below_a_picture_are_dates(models, tmp_path, monkeypatch, origin, below, label):
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    plot_identification(tmp_path / "a.png", models[0], replace(record(HOUSE, 3.0, seed=0), origin=origin))
+    drawn[0].draw_without_rendering()
+    axes = drawn[0].subfigs[0].axes[-1]
+    assert axes.get_xlabel() == below
+    assert label in [tick.get_text() for tick in axes.get_xticklabels()]
 
 
 def test_levels_of_cooling_are_drawn(tmp_path, monkeypatch):

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
-import pandas as pd
 from rich.console import Console
 
 from thermoforce_mpc.cli.options import PATH, plot_option
@@ -26,6 +25,7 @@ from thermoforce_mpc.measurements.load import Measurements
 from thermoforce_mpc.measurements.signals import Understood
 from thermoforce_mpc.report.display import RunDisplay
 from thermoforce_mpc.report.whole_tables import plain_table
+from thermoforce_mpc.whatif.dates import label_dates, on_dates
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -357,12 +357,11 @@ def draw_measurements(path: Path, measured: Measurements, title: str) -> None:
 
 def measurements_figure(measured: Measurements, title: str) -> Figure:
     """The picture of `measured` at the width of a page, 7.2 inches."""
-    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
     record, conditions, names = measured.record, measured.conditions, measured.record.names
-    at = _clock(measured, record.time_s)
+    at = on_dates(record.time_s, record.origin)
     with_power = bool(np.isfinite(record.power_W).any())
     figure = Figure(figsize=(7.2, 7.6 if with_power else 6.4), layout="constrained")
     if title:
@@ -395,29 +394,14 @@ def measurements_figure(measured: Measurements, title: str) -> Figure:
             panels[3].stairs(record.power_W[m] / 1000.0, at, **_look(m), label=machine, baseline=None)
         panels[3].set_ylabel("power, kW")
         _legend(panels[3], len(names.machines))
-    panels[-1].set_xlim(at[0], at[-1])
-    first, last = np.datetime_as_string(at[[0, -1]], unit="D")
-    panels[-1].set_xlabel(
-        f"{first} to {last}{_zone(measured)}; shaded: gaps; crosses: flagged readings", fontsize="small", wrap=True
-    )
-    dates = AutoDateLocator(minticks=3, maxticks=8)
-    panels[-1].xaxis.set_major_locator(dates)
-    panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(dates, show_offset=False))
+    label_dates(panels[-1], at, record.origin)
+    marks = f"{panels[-1].get_xlabel()}; shaded: gaps; crosses: flagged readings"
+    panels[-1].set_xlabel(marks, fontsize="small", wrap=True)
     for panel in panels:
         panel.grid(visible=True, linewidth=0.3)
         panel.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=2))
         panel.tick_params(labelbottom=True)
     return figure
-
-
-def _clock(measured: Measurements, time_s: Array) -> Any:
-    """Wall-clock instants of `time_s`, for an axis of dates, in standard time all year."""
-    origin = measured.record.origin.tz_localize(None)
-    return (origin + pd.to_timedelta(time_s, unit="s")).to_numpy()
-
-
-def _zone(measured: Measurements) -> str:
-    return f"; standard time of {measured.understood.zone}" if measured.understood.zone else ""
 
 
 def _look(place: int) -> dict[str, Any]:
@@ -437,7 +421,14 @@ def _flags(axes: Axes, measured: Measurements, key: str) -> None:
         return
     low, high = axes.get_ylim()
     time_s, values = np.array(points).T
-    axes.plot(_clock(measured, time_s), np.clip(values, low, high), "x", color="tab:red", markersize=5, clip_on=False)
+    axes.plot(
+        on_dates(time_s, measured.record.origin),
+        np.clip(values, low, high),
+        "x",
+        color="tab:red",
+        markersize=5,
+        clip_on=False,
+    )
     axes.set_ylim(low, high)
 
 
