@@ -56,6 +56,10 @@ class PlantError(ThermoForceError):
     """The plant or the service behind it failed (exit code 3)."""
 
 
+class NoConnection(PlantError):
+    """Nobody is at the address of a building's connection, or it takes no one in: waiting alone does not help."""
+
+
 class NoForecast(PlantError):
     """The plant gave no forecast, while it may still be controlled. `past`: read from the journal of a resumed run."""
 

@@ -7,6 +7,7 @@ import json
 import socket
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -18,7 +19,7 @@ from benchmarks.chaos.mosquitto import Broker, Listener, missing, subscribed, wi
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.connections.discovery import device_message
 from thermoforce_mpc.connections.registry import build_connection
-from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.errors import ConfigError, NoConnection, PlantError
 from thermoforce_mpc.measurements.load import read_measurements
 
 pytest.importorskip("paho.mqtt.client")
@@ -500,6 +501,47 @@ def test_a_broker_that_is_not_there_is_said(tmp_path):
     home.close()
 
 
+def unused_port():
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+@pytest.mark.parametrize("kind", ["mqtt", "home-assistant"])
+@pytest.mark.parametrize(("host", "said"), [("127.0.0.1", "refuses the connection"), ("a.invalid", "no such host")])
+def test_commissioning_says_at_once_that_nobody_is_there(tmp_path, monkeypatch, kind, host, said):
+    """It waited a minute for points, as where a broker is there and a device sleeps."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(
+        "thermoforce_mpc.cli.live.commission.time", SimpleNamespace(monotonic=time.monotonic)
+    )  # no sleep
+    assert CliRunner().invoke(cli, ["init", ".", "--for", kind]).exit_code == 0
+    port = unused_port()
+    where = {"mqtt": [f"host={host}", f"port={port}"], "home-assistant": [f"url=http://{host}:{port}"]}[kind]
+    words = [word for one in where for word in ("--set", f"connection.{one}")]
+    secrets = {"MQTT_PASSWORD": "x", "HOME_ASSISTANT_TOKEN": "x"}
+    done = CliRunner().invoke(cli, ["commission", "connection.yaml", "--dry-run", *words], env=secrets)
+    assert isinstance(done.exception, NoConnection), done.output
+    assert f"{host}:{port}" in str(done.exception)
+    assert said in str(done.exception)
+    assert "mend host and port" in str(done.exception) or "mend url" in str(done.exception)
+    assert "Waits" not in done.output
+
+
+def test_a_broker_that_does_not_answer_is_waited_for_as_long_as_is_said(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("thermoforce_mpc.connections.mqtt.TIMEOUT_S", 0.2)
+    assert CliRunner().invoke(cli, ["init", ".", "--for", "mqtt"]).exit_code == 0
+    with socket.create_server(("127.0.0.1", 0)) as deaf:  # takes the connection, and says nothing
+        words = ["--set", "connection.host=127.0.0.1", "--set", f"connection.port={deaf.getsockname()[1]}"]
+        done = CliRunner().invoke(
+            cli, ["commission", "connection.yaml", "--dry-run", "--wait", "1.5", *words], env={"MQTT_PASSWORD": "x"}
+        )
+        assert isinstance(done.exception, PlantError), done.output
+    assert "Waits up to 2 s for points: the connection gives no measurements" in done.output
+    assert "has not answered yet" in str(done.exception)
+
+
 @pytest.mark.slow
 def test_recording_says_that_the_broker_is_away_and_that_nothing_came(tmp_path, monkeypatch):
     """Weeks of recording nothing must not look like recording."""
@@ -510,6 +552,6 @@ def test_recording_says_that_the_broker_is_away_and_that_nothing_came(tmp_path, 
         one.bind(("127.0.0.1", 0))
         away = ["--set", "connection.host=127.0.0.1", "--set", f"connection.port={one.getsockname()[1]}"]
         done = CliRunner().invoke(cli, [*words, *away], env={"MQTT_PASSWORD": "x"})
-    assert "ConnectionRefusedError" in done.stderr
+    assert "refuses the connection: nothing listens there" in done.stderr
     assert isinstance(done.exception, PlantError)
     assert "nothing comes: broker 127.0.0.1" in str(done.exception)

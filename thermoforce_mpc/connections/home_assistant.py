@@ -24,6 +24,7 @@ import pandas as pd
 import requests
 from pydantic import Field
 
+from thermoforce_mpc.connections.away import not_reached
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.data.clock import in_celsius, in_fahrenheit
 from thermoforce_mpc.errors import ConfigError, PlantError, suggestion
@@ -395,7 +396,9 @@ class HomeAssistantConnection:
                     return result
 
                 yield ask
-        except (OSError, WebSocketException, ValueError, KeyError) as error:
+        except OSError as error:
+            raise not_reached(self._url, "url", error) from error
+        except (WebSocketException, ValueError, KeyError) as error:
             raise PlantError(f"{self._url}: {type(error).__name__}: {error}") from error
 
     def _state(self, entity: str) -> dict[str, Any]:
@@ -415,7 +418,7 @@ class HomeAssistantConnection:
                 headers={"Authorization": f"Bearer {self._token}"},
             )  # fmt: skip
         except requests.RequestException as error:
-            raise PlantError(f"{self._url} cannot be reached ({type(error).__name__})") from error
+            raise not_reached(self._url, "url", error) from error
         if answer.status_code == 401:
             raise PlantError(f"{self._url} does not accept the token")
         if answer.status_code == 404 and path.startswith("/api/states/"):

@@ -28,8 +28,9 @@ from uuid import uuid4
 import pandas as pd
 from pydantic import Field
 
+from thermoforce_mpc.connections.away import not_reached
 from thermoforce_mpc.connections.discovery import device_message
-from thermoforce_mpc.errors import ConfigError, PlantError, StorageError
+from thermoforce_mpc.errors import ConfigError, NoConnection, PlantError, StorageError
 from thermoforce_mpc.files import no_secret_in, secret_from, storage_errors, written
 from thermoforce_mpc.measurements.tables.raw_table import SWITCH
 from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
@@ -38,6 +39,9 @@ from thermoforce_mpc.version import VERSION
 
 _LOG = logging.getLogger(__name__)
 TIMEOUT_S, _KEEPALIVE_S = 10.0, 30
+# Between two attempts to connect, s; the end of a process waits for the present one.
+_MOST_DELAY_S = 5
+_WHERE = "host and port"
 # How long a device may take to say what it was set to, s.
 TAKEN_S = 10.0
 _HEADER = "time,topic,value\n"
@@ -152,7 +156,8 @@ class MqttConnection:
         self._asks: dict[str, Callable[[str], None]] = {}
         self._said: dict[str, str] = {}
         self._client: Any = None
-        self._problem = "not connected yet"
+        self._problem = f"{self._where} has not answered yet"
+        self._away: NoConnection | None = None  # until it was there once: a broker that starts anew comes back
 
     def reads(self, columns: Iterable[str]) -> None:
         """See `Connection`: the columns of the map."""
@@ -180,14 +185,22 @@ class MqttConnection:
         client.will_set(f"{self._prefix}/availability", "offline", qos=1, retain=True)
         client.on_connect, client.on_message = self._on_connect, self._on_message
         client.on_disconnect = self._on_disconnect
-        client.reconnect_delay_set(1, 30)
+        client.reconnect_delay_set(1, _MOST_DELAY_S)
         self._client = client
         try:
             client.connect(self._host, self._port, keepalive=_KEEPALIVE_S, **self._anew())
         except (OSError, ValueError) as error:
-            self._problem = f"{type(error).__name__}: {error}"
+            self._not_taken_in(not_reached(self._where, _WHERE, error))
             client.connect_async(self._host, self._port, keepalive=_KEEPALIVE_S, **self._anew())
         client.loop_start()
+
+    @property
+    def _where(self) -> str:
+        return f"broker {self._host}:{self._port}"
+
+    def _not_taken_in(self, error: PlantError) -> None:
+        """Note what keeps the broker away, or us."""
+        self._problem, self._away = str(error), error if isinstance(error, NoConnection) else None
 
     @property
     def connected(self) -> bool:
@@ -197,13 +210,15 @@ class MqttConnection:
     @property
     def problem(self) -> str:
         """Why nothing comes: what keeps the broker away; '' where it is there."""
-        return "" if self.connected else f"broker {self._host}:{self._port}: {self._problem}"
+        return "" if self.connected else self._problem
 
     def measurements(self) -> Path:
-        """See `Connection.measurements`; raises `PlantError` where the broker is away."""
+        """See `Connection.measurements`; raises `PlantError` where the broker is away, at once by `NoConnection`."""
         self.begin()
         until = time.monotonic() + TIMEOUT_S
         while problem := self.problem:
+            if self._away is not None:
+                raise self._away
             if time.monotonic() > until:
                 raise PlantError(problem)
             time.sleep(0.05)
@@ -302,7 +317,7 @@ class MqttConnection:
             client.loop_start()
             yield
         except (OSError, ValueError) as error:
-            raise PlantError(f"broker {self._host}:{self._port}: {type(error).__name__}: {error}") from error
+            raise not_reached(self._where, _WHERE, error) from error
         finally:
             client.disconnect()
             client.loop_stop()
@@ -403,7 +418,7 @@ class MqttConnection:
                 refused.append(str(reason))
 
         client.on_connect, client.on_publish = on_connect, on_publish
-        where, done = f"broker {self._host}:{self._port}", False
+        where, done = self._where, False
         try:
             client.connect(self._host, self._port, keepalive=_KEEPALIVE_S, **self._anew())
             client.loop_start()
@@ -420,7 +435,7 @@ class MqttConnection:
                     raise PlantError(f"{where}: {refused[0] if refused else 'not confirmed in time'}: withdrawn")
             done = True
         except (OSError, ValueError, RuntimeError) as error:
-            raise PlantError(f"{where}: {type(error).__name__}: {error}: nothing was set") from error
+            raise PlantError(f"{not_reached(where, _WHERE, error)}: nothing was set") from error
         finally:
             if not done:
                 _break_off(client)
@@ -439,9 +454,9 @@ class MqttConnection:
 
     def _on_connect(self, client: Any, _userdata: Any, _flags: Any, reason: Any, _properties: Any = None) -> None:
         if getattr(reason, "is_failure", reason != 0):
-            self._problem = str(reason)
+            self._not_taken_in(NoConnection(f"{self._where} does not take us in ({reason}): see user and password"))
             return
-        self._problem = ""
+        self._problem, self._away = "", None
         self._subscribe(client)
         self._describe(client)
         for topic, text in dict(self._said).items():
@@ -457,11 +472,12 @@ class MqttConnection:
         client.publish(f"{self._discovery}/device/{node}/config", text, qos=1, retain=True)
 
     def _on_disconnect(self, _client: Any, _userdata: Any, _flags: Any, reason: Any, _properties: Any = None) -> None:
-        self._problem = f"lost ({reason})"
+        if self._away is None:
+            self._problem = f"{self._where}: lost ({reason})"
         with self._change:  # what devices said meanwhile is not known
             self._heard.clear()
         if self._client is not None:
-            _LOG.warning("broker %s:%d: %s", self._host, self._port, self._problem)
+            _LOG.warning("%s", self._problem)
 
     def _subscribe(self, client: Any) -> None:
         topics = {column.partition("#")[0] for column in self._columns}

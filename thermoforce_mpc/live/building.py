@@ -28,7 +28,7 @@ from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.tank import TANK_NAME, LearnedTank, TankRecord
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Names, Record, steps_in
 from thermoforce_mpc.data.clock import in_celsius
-from thermoforce_mpc.errors import DataError, InputError, NoForecast, PlantError, StorageError
+from thermoforce_mpc.errors import DataError, InputError, NoConnection, NoForecast, PlantError, StorageError
 from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.experiment.run_models import origin
 from thermoforce_mpc.files import file_sha256, plain_json
@@ -472,6 +472,8 @@ class LiveBuilding:
     def _call(self, what: str) -> Any:
         try:
             return self._calls(self._reader, getattr(self.connection, what), self._answer_s)
+        except NoConnection:
+            raise
         except Exception as error:  # somebody's connection may raise anything
             raise PlantError(f"the connection gives no {what} ({type(error).__name__}: {error})") from error
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from thermoforce_mpc.cli.options import PATH, FiniteRange
-from thermoforce_mpc.errors import ConfigError, InputError, PlantError
+from thermoforce_mpc.errors import ConfigError, InputError, NoConnection, PlantError
 
 if TYPE_CHECKING:
     from thermoforce_mpc.connections.sole import Sets
@@ -248,13 +248,17 @@ def _restored(building: LiveBuilding, book: CommissioningBook, sets: Sets) -> st
 
 
 def _read(building: LiveBuilding, rules: MeasurementMap, wait_s: float, say: Callable[[str], None]) -> PointsFound:
-    """The points; of a connection that only hears what is sent, when all came or `wait_s` s are over."""
+    """The points; of a connection that only hears what is sent, when all came or, at most, `wait_s` s are over.
+
+    Raises `NoConnection` at once, and `PlantError` where it does not answer in that time.
+    """
     from thermoforce_mpc.live import WallClock
     from thermoforce_mpc.live.commissioning import read_house
 
     clock, until, said = WallClock(), time.monotonic() + wait_s, False
     hears = getattr(building.connection, "begin", None)
     while True:
+        begins = time.monotonic()
         try:
             found = read_house(building, rules, clock.now())
             # What stands in a record from before says what was then.
@@ -263,15 +267,18 @@ def _read(building: LiveBuilding, rules: MeasurementMap, wait_s: float, say: Cal
                 if not point.values.size or (point.every_s <= wait_s and point.age_s > _LATE * point.every_s)
             ]  # fmt: skip
             problem: Exception | None = None
+        except NoConnection:
+            raise
         except (PlantError, InputError) as error:
             missing, problem = ["points"], error
-        if hears is None or not missing or time.monotonic() > until:
+        lasted_s = time.monotonic() - begins  # of an attempt, as the next one may
+        if hears is None or not missing or time.monotonic() + LOOK_S + lasted_s > until:
             if problem is not None:
                 raise problem
             return found
         if not said:
             said = True
-            say(f"Waits up to {wait_s:.0f} s for {', '.join(missing)}")
+            say(f"Waits up to {wait_s:.0f} s for {', '.join(missing)}{f': {problem}' if problem else ''}")
         time.sleep(LOOK_S)
 
 
