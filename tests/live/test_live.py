@@ -486,9 +486,12 @@ OPTIONS = [
 ]  # fmt: skip
 
 
-def test_a_dry_run_on_files_says_what_it_would_set(files):
+def test_a_dry_run_on_files_says_what_goes_on_and_what_it_would_set(files, monkeypatch):
+    """It said nothing for most of a minute, on a computer that is busy, where programs are still compiled."""
+    monkeypatch.setattr("thermoforce_mpc.report.display.SAID_AFTER_S", 0.0)
     done = CliRunner().invoke(cli, ["control", "--model", "model", "--map", "map.yaml", "--dry-run", *OPTIONS])
     assert done.exit_code == 0, done.output + str(done.exception)
+    assert "measurements are read and a plan is made: " in done.output
     assert re.search(r"actuator \d+ % for [\d.]+ min", done.output)
     assert not (files / "levels.json").exists()
     steps = [json.loads(line) for line in (files / "control" / "log.jsonl").read_text().splitlines()]

@@ -6,7 +6,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, closing, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from itertools import groupby
@@ -154,7 +154,8 @@ def control(
     if page is None and (page_token_file or page_names):
         raise ConfigError("--page-token-file, --page-name: are for --page HOST:PORT, which is missing")
     shown = None if page is None else PageSettings.of(page, out, rules.time.zone, page_token_file, page_names)
-    say = _until_lost(RunDisplay().say)
+    display = RunDisplay()
+    say = _until_lost(display.say)
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as held:
@@ -169,7 +170,7 @@ def control(
             watchdog = Watchdog(connection, settings, sets, grace_s, out / "watchdog.jsonl")
             held.enter_context(closing(watchdog))
         common = {"steps": steps, "delay_s": 0.0 if dry_run else delay_s, "sets": sets, "watchdog": watchdog}
-        run = _Run(out, building, connection, map_file, rules, options, prices, say, common)
+        run = _Run(out, building, connection, map_file, rules, options, prices, say, display.phase, common)
         if plan is not None:
             model = run.probed(plan)
             thermal = None if model is None else load_model(model)
@@ -195,7 +196,10 @@ def _check_words(mode: str, model: Path | None, chosen: Mapping[str, Any], dry_r
 
 @dataclass(frozen=True)
 class _Run:
-    """What probing and control of a building share; `common`: arguments of `thermoforce_mpc.live.control`."""
+    """What probing and control of a building share; `common`: arguments of `thermoforce_mpc.live.control`.
+
+    `phase`: a context that says now and then that something goes on, where it takes long.
+    """
 
     out: Path
     building: Connection
@@ -205,6 +209,7 @@ class _Run:
     options: MPCConfig
     prices: Path | None
     say: Callable[[str], None]
+    phase: Callable[[str], AbstractContextManager[Any]]
     common: Mapping[str, Any]
 
     def live(self, step_s: float, people: People | None = None) -> LiveBuilding:
@@ -253,10 +258,11 @@ class _Run:
         from thermoforce_mpc.scenario.bill import SUFFIXES, read_bill
 
         acts = mode in ACTING
-        commands = commands_of(self.building, self.rules, self.options.step_s or thermal.operator.step_s)
-        building = LiveBuilding(self.building, self.rules, self.options.step_s or thermal.operator.step_s)
-        tank = None if self.rules.hot_water is None else said_tank(building.tank, self.say)
-        mpc = ThermoForceMPC(thermal, self.options, commands=commands, hot_water=tank)
+        with self.phase(f"measurements of connection {self.connection} are read, and what they tell of commands"):
+            commands = commands_of(self.building, self.rules, self.options.step_s or thermal.operator.step_s)
+            building = LiveBuilding(self.building, self.rules, self.options.step_s or thermal.operator.step_s)
+            tank = None if self.rules.hot_water is None else said_tank(building.tank, self.say)
+            mpc = ThermoForceMPC(thermal, self.options, commands=commands, hot_water=tank)
         by_name = {name: learned.command for name, learned in commands.items()}
         if tank is not None and tank.command is not None:
             from thermoforce_mpc.commands.tank import TANK_NAME
@@ -278,25 +284,26 @@ class _Run:
             shadowed = (self.out, thermal, mpc, commands, key, live.tank_log)
             book = ShadowBook(*shadowed) if mode == "shadow" else None
             told = _advised(told, self.out / "advice.json", book, self.say)
-        control(
-            live,
-            mpc,
-            dry=dry,
-            kept=None if dry else KeptState(self.out / "state.npz", key),
-            journal=None if dry else self.journal(model),
-            told=shared_with(
-                self.building,
-                people,
-                told,
-                lambda decision: in_words(decision, commands),
-                self.out,
-                mode,
-                commands,
-                None if tank is None else tank.command,
-            ),
-            acts=acts,
-            **self.common,
-        )
+        with self.phase("measurements are read and a plan is made") if dry else nullcontext():
+            control(
+                live,
+                mpc,
+                dry=dry,
+                kept=None if dry else KeptState(self.out / "state.npz", key),
+                journal=None if dry else self.journal(model),
+                told=shared_with(
+                    self.building,
+                    people,
+                    told,
+                    lambda decision: in_words(decision, commands),
+                    self.out,
+                    mode,
+                    commands,
+                    None if tank is None else tank.command,
+                ),
+                acts=acts,
+                **self.common,
+            )
 
 
 def _advised(
