@@ -297,9 +297,10 @@ class _Habits:
             state = np.repeat(forced[None, :, :, begin], S, axis=0)
             # What acted before is as the model has it, as at the begin of a plan.
             u, _, _ = _kept(operator, state, np.repeat(free[None, :, 1:], S, axis=0), x, target, gain)
-            idle = _power_W(model, np.zeros_like(stretch.u), stretch.T_out_C).sum()
-            took[d] = _power_W(model, stretch.u, stretch.T_out_C).sum() - idle
-            takes[:, d] = [_power_W(model, one, stretch.T_out_C).sum() - idle for one in u]
+            T_out_C = stretch.T_out_C[:-1]
+            idle = model.powers_by_law(np.zeros_like(stretch.u), T_out_C).sum()
+            took[d] = model.powers_by_law(stretch.u, T_out_C).sum() - idle
+            takes[:, d] = [model.powers_by_law(one, T_out_C).sum() - idle for one in u]
         if not took.sum() > 0.0:
             raise DataError("no heat acted in the record's days")
         ratio = takes.sum(axis=1) / took.sum()
@@ -322,11 +323,6 @@ def _is_weekend(time_s: Array, record: Record) -> NDArray[np.bool_]:
 def _features(T_free_C: Array, ahead: Boundary) -> Array:
     """Features (Z, N, 4) with what is free at the ends of steps in the place of their beginnings."""
     return feature_matrix(T_free_C, ahead.T_out_C[:-1], ahead.solar_W_m2[:-1], ahead.time_s[:-1])
-
-
-def _power_W(model: ThermalModel, u: Array, T_out_C: Array) -> Array:
-    """Power of each machine (M, n) by its law, W."""
-    return np.array([model.power_by_law(m, u, T_out_C[:-1]) for m in range(len(model.machines))])
 
 
 def _kept(

@@ -308,6 +308,10 @@ class ThermalModel:
             return power(u[0], T_out_C, T_return_C)
         return power.of_actuators(u, np.array(layout.weights)[fed], T_out_C)
 
+    def powers_by_law(self, u: Array, T_out_C: Array) -> Array:
+        """`power_by_law` of each machine, (M, n)."""
+        return np.array([self.power_by_law(m, u, T_out_C) for m in range(len(self.machines))])
+
     def predict(
         self,
         record: Record,

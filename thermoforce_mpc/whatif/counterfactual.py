@@ -440,7 +440,10 @@ def _under(
     effect = context.effect(levels, applied)
     levels = levels if levels.ndim == 2 else levels[None]
     low, high = _certified_bounds(model, levels - applied, record.step_s)
-    power_W, power_other_W = _power_W(model, applied, stretch), _power_W(model, levels, stretch)
+    power_W, power_other_W = (
+        model.powers_by_law(applied, stretch.T_out_C[:-1]),
+        model.powers_by_law(levels, stretch.T_out_C[:-1]),
+    )
     was, other = (energy_kWh(power.sum(axis=1), record.step_s) for power in (power_W, power_other_W))
     energies = [_energy(model, m, told, stretch, levels, effect, was[m], other[m]) for m in range(len(was))]
     was, other, energy_low, energy_high = np.array(energies).T
@@ -617,8 +620,3 @@ def _identified_sd(model: ThermalModel, change: Array, step_s: float) -> Array:
         of_lag = np.interp(lag_h, STEP_RESPONSE_H, relative) * np.abs(pair.impulse(n))
         out[z] += np.convolve(np.abs(change[a]), of_lag)[:n]
     return out
-
-
-def _power_W(model: ThermalModel, u: Array, stretch: Record) -> Array:
-    """Power of each machine (M, N), W, by the model, NaN where it has none."""
-    return np.array([model.power_by_law(m, u, stretch.T_out_C[:-1]) for m in range(len(model.machines))])
