@@ -169,6 +169,7 @@ def trained_ppo(case: Case, window: Period) -> Controller:
     """
     import gymnasium
     from stable_baselines3 import PPO
+    from stable_baselines3.common.logger import Logger
 
     import thermoforce_mpc.gym
     from thermoforce_mpc.gym.wrappers import NormalizedActionWrapper, NormalizedObservationWrapper
@@ -185,6 +186,7 @@ def trained_ppo(case: Case, window: Period) -> Controller:
     env = NormalizedActionWrapper(NormalizedObservationWrapper(env))
     with one_thread():  # networks this small are slower on several
         agent = PPO("MlpPolicy", env, seed=1, gamma=0.98, n_steps=168 * 4, batch_size=168, n_epochs=8, device="cpu")
+        agent.set_logger(Logger(None, []))  # its own makes a folder in /tmp
         agent.learn(_PPO_STEPS)
     with tempfile.TemporaryDirectory() as folder:
         thermoforce_mpc.gym.save(agent, env, Path(folder) / "ppo.zip")
