@@ -298,7 +298,7 @@ def test_what_a_thermostat_makes_of_a_command_is_nobody_at_the_wall(people, made
     building.record(START + HOUR)
     building.notice(START + HOUR)
     assert not people.by_hand(START)
-    assert building.ours({"actuator": told}) == {"actuator": [(told, 0.255), (took, 0.255)]}
+    assert building.ours({"actuator": told}) == {"actuator": [(told, 0.26), (took, 0.26)]}
     assert building.to_set({"actuator": None}) == {"actuator": None}
     home.told = 21.5
     home.wait_until(START + 2 * HOUR)
@@ -319,6 +319,19 @@ def test_what_was_given_back_in_between_is_nobody_at_the_wall(people, later_h, b
     home.told = None
     building.notice(START + later_h * HOUR)
     assert bool(people.by_hand(START)) is by_hand
+
+
+def test_a_device_of_halves_that_first_repeats_what_it_was_told_is_nobody_at_the_wall(people):
+    """findings/zigbee_setpoints_in_halves.sh"""
+    home, rules = SaysIt(3), rules_of({name: name for name in SENSORS})
+    rules["actuators"]["actuator"]["command"]["resolution"] = 0.1
+    building = LiveBuilding(home, MeasurementMap.model_validate(rules), 3600.0, people=people)
+    building.record(START)
+    building.write({"actuator": 21.3}, 3720.0)
+    for says in (21.3, 21.5):
+        home.told = says
+        building.notice(START)
+        assert not people.by_hand(START)
 
 
 def test_it_is_asked_on_the_command_line(tmp_path):

@@ -55,8 +55,9 @@ _LATELY_S, _FAR_K, _NEAR_K = 10800.0, 10.0, 4.0
 # Readings stamped after the clock: so little is nothing, so much two clocks that are not the same, s; more is refused,
 # and so much more probably the zone, of half an hour at least less what a reading is old.
 _SAME_CLOCK_S, _CLOCKS_S, _ZONE_S = 60.0, 300.0, 1200.0
-# A device that takes whole degrees makes of a temperature one so far from it, K.
-_ROUNDED_K = 0.51
+# A device that takes whole degrees makes of a temperature one so far from it, K, and one that takes halves, which may
+# repeat what it was told before it says so (Zigbee2MQTT does).
+_ROUNDED_K, _HALVED_K = 0.51, 0.26
 
 
 @dataclass(frozen=True)
@@ -421,8 +422,10 @@ class LiveBuilding:
 
     def nearness(self, name: str) -> float | None:
         """How far what a device holds may be from the command that it was set to; None where a level is set."""
-        command = self.command_of(name)
-        return None if command is None else 0.51 * float(getattr(command, "step", 1.0))
+        if (command := self.command_of(name)) is None:
+            return None
+        near = 0.51 * float(getattr(command, "step", 1.0))
+        return max(near, _HALVED_K) if isinstance(command, TemperatureCommand) else near
 
     def ours(self, told: Mapping[str, float | None]) -> dict[str, list[tuple[float, float | None]]]:
         """Values by which devices show that they hold what they were `told`, and how near, by the connection's names:
