@@ -178,3 +178,11 @@ def test_a_command_between_two_steps_of_a_device_is_said_once_with_what_to_set(c
             home.write({"hall": 20.5}, 900.0)
     (said,) = caplog.messages
     assert said == "climate.hall takes steps of 1: 20.5 is set as 20: see resolution of its command in the map"
+
+
+def test_a_thermostat_of_two_set_points_is_set_nothing_and_says_what_to_do(connect):
+    attributes = {"temperature": None, "target_temp_low": 19.0, "target_temp_high": 24.0, "target_temp_step": 0.5}
+    state = {"entity_id": "climate.hall", "state": "heat_cool", "attributes": attributes}
+    asked = {"asked": "GET /api/states/climate.hall", "status": 200, "text": json.dumps(state), "at": time.time()}
+    with served([asked], "TOKEN") as url, pytest.raises(PlantError, match="is in heat_cool, of two set-points: switch"):
+        connect(url, actuators=HALL).write({"hall": 21.0}, 900.0)

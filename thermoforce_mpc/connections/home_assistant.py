@@ -259,6 +259,8 @@ class HomeAssistantConnection:
             raise PlantError(f"{entity} is {state['state']}: nothing was set")
         if actuator.domain in _HOLDS_TEMPERATURE and state["state"] == "off" and level is not None:
             raise PlantError(f"{entity} is off, so that a set-point does nothing: switch it to heat there")
+        if actuator.domain in _HOLDS_TEMPERATURE and _is_range(state["attributes"]):
+            raise PlantError(f"{entity} is in {state['state']}, of two set-points: switch it to heat there")
         target = self._target(actuator, level, state["attributes"])
         self._service(actuator.domain, target.service, {"entity_id": entity, **target.data})
         until = time.monotonic() + TAKEN_S
@@ -512,6 +514,10 @@ def _of_hours(grid_s: Array, middle_s: Array, values: Array) -> Array:
     out = np.interp(grid_s, middle_s, values, left=np.nan, right=np.nan)
     place = np.clip(np.searchsorted(middle_s, grid_s), 1, middle_s.size - 1)
     return np.where(middle_s[place] - middle_s[place - 1] <= 3601.0, out, np.nan)
+
+
+def _is_range(attributes: Mapping[str, Any]) -> bool:
+    return attributes.get("temperature") is None and attributes.get("target_temp_low") is not None
 
 
 def _same(held: Any, target: _Target) -> bool:
