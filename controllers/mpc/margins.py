@@ -366,6 +366,10 @@ class Innovations:
 # Plans ask for all that they may from this share of it; a machine is at its limit from this share of its capacity:
 # below, a warm floor takes less than its level stands for.
 _ALL_ASKED, _AT_LIMIT, _MORE_THAN_ALL = 0.85, 0.92, 1.05
+# An emitter is cool whose mean level over so many hours was not above this: what it lacks is no warmth of its own, and
+# a machine that ran before has warm water. A capacity that mild weather did not show may be far too large: that of
+# `house:4rooms:8813` gives .86 of it at 0 °C and .78 at -5 °C, below `_AT_LIMIT`.
+_COOL_H, _COOL_LEVEL = 2.0, 0.5
 # Levels below this say nothing of heat, by judgement.
 _LEAST_LEVEL = 0.1
 # Change of the share that is kept: while heat is lacking, and while none is, 1/h; and the most that is kept.
@@ -373,12 +377,20 @@ _GROWTH_1_H, _FADING_1_H, _MOST = 0.12, 0.01, 0.25
 
 
 def learned_share(
-    before: float, load: float, most_W: float, heat_W: Array, expected_W: Array, u: Array, step_s: float
+    before: float,
+    load: float,
+    most_W: float,
+    heat_W: Array,
+    expected_W: Array,
+    u: Array,
+    step_s: float,
+    cool: NDArray[np.bool_],
 ) -> float:
     """The share kept of one machine's capacity after a step; below 0 where it has given more than that.
 
     `load`: what the actuators asked for, as a share of the capacity `most_W`. Of each (A,): `heat_W` that it got (NaN:
-    not metered), `expected_W` that its level stands for, and its mean level `u`.
+    not metered), `expected_W` that its level stands for, its mean level `u`, and whether its emitter is `cool`, see
+    `cool_emitters`.
     """
     if not (np.isfinite(heat_W).all() and np.isfinite(u).all()):
         return before
@@ -388,9 +400,17 @@ def learned_share(
     if load < _ALL_ASKED * (1.0 - before):
         return before
     lacking = (np.abs(heat_W) < LACKING * np.abs(expected_W)) & (u >= _LEAST_LEVEL)
-    at_limit = given >= _AT_LIMIT * (1.0 - min(before, 0.0))
+    at_limit = given >= _AT_LIMIT * (1.0 - min(before, 0.0)) or (lacking & cool).any()
     rate = _GROWTH_1_H if at_limit and lacking.any() else -_FADING_1_H
     return float(np.clip(before + rate * step_s / HOUR_S, min(before, 0.0), _MOST))
+
+
+def cool_emitters(u: Array, step_s: float) -> NDArray[np.bool_]:
+    """Whether the emitters of one machine with levels `u` (A, n) are cool in the last step while its water is warm."""
+    before = u[:, :-1]
+    if not (before.shape[1] and (before[:, -1] >= _LEAST_LEVEL).any()):
+        return np.zeros(len(u), dtype=bool)
+    return np.asarray(before[:, -steps_in(_COOL_H * HOUR_S, step_s) :].mean(axis=1) <= _COOL_LEVEL)
 
 
 # Power below this share of that of the level, and a zone that stays behind the plan by this, K, together say that the
@@ -702,7 +722,8 @@ class MarginRules:
             full_W, share = full[:, 0] * reference_W, self._shares[fed]
             most_W = float(np.mean(reference_W / share))
             load = float((share * u * full[:, 0]).sum())
-            unused[m] = learned_share(float(before[m]), load, most_W, heat_W, u * full_W, u, self._step_s)
+            cool = cool_emitters(history.u[fed], self._step_s)
+            unused[m] = learned_share(float(before[m]), load, most_W, heat_W, u * full_W, u, self._step_s, cool)
         for m, a in self._by_levels(operator):
             u, last = history.u[a, -1:] / self._actuators.each[a].highest, slice(-2, -1)
             power = self._powers[m]

@@ -12,7 +12,7 @@ from simple_house import OutdoorResponse
 from two_houses import TwoHouses, two_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.mpc.margins import learned_share
+from controllers.mpc.margins import cool_emitters, learned_share
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import MachineLoad
@@ -20,12 +20,13 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 STEP_S = 900.0
 FULL_W, MOST_W = np.array([1700.0, 420.0, 1200.0]), 2850.0
+WARM = np.zeros(3, dtype=bool)
 
 
-def learned(heat_W: list[float], u: list[float], before: float = 0.05) -> float:
+def learned(heat_W: list[float], u: list[float], before: float = 0.05, cool=WARM) -> float:
     expected_W = FULL_W * u
     load = float(expected_W.sum() / MOST_W)
-    return learned_share(before, load, MOST_W, np.array(heat_W), expected_W, np.array(u), STEP_S)
+    return learned_share(before, load, MOST_W, np.array(heat_W), expected_W, np.array(u), STEP_S, np.asarray(cool))
 
 
 def test_it_grows_where_one_lacks_heat_at_the_limit_and_fades_where_none_does():
@@ -39,6 +40,22 @@ def test_warm_floors_that_take_less_are_no_limit():
     assert learned([1200.0, 300.0, 600.0], [1.0, 1.0, 0.6]) < 0.05
 
 
+def test_a_cool_emitter_that_lacks_heat_shows_a_limit_below_the_capacity_of_the_record():
+    """Probing in mild weather does not reach a machine's limit, which falls with the weather."""
+    heat_W, levels = [1450.0, 210.0, 640.0], [1.0, 1.0, 0.6]
+    assert learned(heat_W, levels, cool=[False, True, False]) > 0.05
+    assert learned(heat_W, levels, cool=[True, False, True]) < 0.05, "the one that lacks is warm"
+
+
+def test_emitters_are_cool_in_the_first_hour_of_their_valves_while_the_machine_ran_before():
+    hour = np.ones(4)
+    u = np.array([np.r_[0 * hour, 0 * hour, hour], np.r_[hour, hour, hour], np.r_[hour, 0 * hour, hour]])
+    assert cool_emitters(u, STEP_S).tolist() == [True, False, True]
+    assert cool_emitters(u[:, :9], STEP_S).tolist() == [True, False, True], "the second ran"
+    assert not cool_emitters(u[[0, 2], :9], STEP_S).any(), "nothing ran: the water is to be warmed first"
+    assert not cool_emitters(u[:, :1], STEP_S).any()
+
+
 def test_nothing_is_learned_far_from_the_limit_or_without_a_meter():
     assert learned([850.0, 50.0, 0.0], [0.5, 1.0, 0.0]) == 0.05
     assert learned([1850.0, float("nan"), 740.0], [1.0, 1.0, 0.6]) == 0.05
@@ -47,7 +64,7 @@ def test_nothing_is_learned_far_from_the_limit_or_without_a_meter():
 def test_it_stays_between_nothing_and_a_quarter():
     kept = 0.0
     for _ in range(96):
-        kept = learned_share(kept, 1.0, MOST_W, np.array([2750.0, 100.0]), FULL_W[:2], np.ones(2), STEP_S)
+        kept = learned_share(kept, 1.0, MOST_W, np.array([2750.0, 100.0]), FULL_W[:2], np.ones(2), STEP_S, WARM[:2])
     assert kept == 0.25
     assert learned([1700.0, 420.0, 720.0], [1.0, 1.0, 0.6], before=0.0) == 0.0, "not below nothing"
 
@@ -112,8 +129,8 @@ def test_the_limit_follows_the_outdoor_temperature_and_what_was_lacking():
     kept = limited.state.margins.unused
     assert kept.tolist() == pytest.approx([0.12])
     assert limited.news == "boiler: it did not give all that was asked for at its limit: plans leave 12 % of it unused"
-    enough = [0.9 * most_W - 0.7 * full_W, 0.7 * full_W]
-    whole = mpc.plan(seen(plant, mpc, [1.0, 0.7], enough), first.state)
+    enough = [0.9 * most_W - 0.5 * full_W, 0.5 * full_W]
+    whole = mpc.plan(seen(plant, mpc, [1.0, 0.6], enough), first.state)
     assert whole.state.margins.unused.tolist() == [0.0]
     assert whole.news == "", "nothing began, nothing ended"
 
@@ -140,8 +157,8 @@ def test_a_limit_that_ends_and_more_than_was_seen_are_said_when_they_do(before, 
     plant.advance([1.0, 0.4], HOUR_S)
     full_W = 5000.0 - 100.0 * float(plant.houses[0].past(HOUR_S).T_out_C[-2])
     most_W = (5000.0 / 0.8 + 5000.0 / 0.6) / 2
-    heat_W = [given * most_W - 0.7 * full_W, 0.7 * full_W]
-    assert mpc.plan(seen(plant, mpc, [1.0, 0.7], heat_W), first).news == said
+    heat_W = [given * most_W - 0.5 * full_W, 0.5 * full_W]
+    assert mpc.plan(seen(plant, mpc, [1.0, 0.6], heat_W), first).news == said
 
 
 def test_a_plan_for_more_than_the_machine_gives_is_not_followed_whatever_solver_it_is_from():
