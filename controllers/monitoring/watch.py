@@ -561,7 +561,7 @@ class Watch:
         news = "; ".join(filter(None, [said(known) if any(hours) else "", effects.in_words()]))
         return WatchState(
             blocked=tuple(one.moved(later_s) for one in known), hours=effects.moved(later_s),
-            news=f"{news}; found while probing" if news else "",
+            news=f"{news}, found while probing" if news else "",
         )  # fmt: skip
 
     def level_to_try(self, state: WatchState, time_s: float, *, heats: bool) -> float:

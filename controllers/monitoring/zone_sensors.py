@@ -353,7 +353,7 @@ class Zones:
     @property
     def bridged(self) -> str:
         """Which zones the model stands in for, in words; empty where none."""
-        return "; ".join(f"{zone.why}; the model stands in" for zone in self.each if zone.why and not zone.lost)
+        return "; ".join(f"{zone.why}, the model stands in" for zone in self.each if zone.why and not zone.lost)
 
     @property
     def news(self) -> str:

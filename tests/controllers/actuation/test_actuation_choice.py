@@ -127,7 +127,7 @@ def test_plans_count_with_the_cost_of_heat_that_was_found(heat):
     ("power", "heat", "modulates", "words"),
     [
         (law(1300, 1700), law(1000, 9000), False, r"on/off blocks at 1\.00: 43 % of full power and 10 % of full heat"),
-        (law(600, 5000), None, False, r"11 % of full power .* 1\.11 times the power per heat"),
+        (law(600, 5000), None, False, r"11 % of full power .* 1\.11 times as much power at half level"),
         (law(0, 5600), None, True, r"modulating, any level held for the step: 0 % of full power"),
         (law(500, 2500), law(1700, 8300), True, r"modulating, any level held"),
         (law(0, 3000), law(2500, 7500), True, r"modulating, any level held .* 0\.80 times"),

@@ -44,6 +44,7 @@ def test_a_refused_hour_is_blocked_once_the_machine_has_worked_again():
     awake = told(*NIGHT)
     assert awake.hours == {0, 1, 2, 3, 4}
     assert "from 0:00 to 5:00" in awake.in_words()
+    assert "; " not in awake.in_words(), "one reason among others"
     tomorrow = 31 * DAY_S + 900.0 * np.arange(96)
     np.testing.assert_array_equal(awake.available(tomorrow - 0.5 * DAY_S, 900.0), (np.arange(96) + 48) % 96 >= 20)
     np.testing.assert_array_equal(awake.available(tomorrow, 900.0), (np.arange(96) < 4) | (np.arange(96) >= 20))
@@ -129,6 +130,7 @@ def test_an_hour_differs_once_two_days_running_missed_its_effect():
     assert law.share < 0.95
     assert law.share - 1.0 + law.dip_K == pytest.approx(-1.0, abs=0.05), "together they explain it"
     assert "from 6:00 to 7:00" in found.in_words()
+    assert "; " not in found.in_words()
     assert not found.after(seen(2, 0.0)).laws, "taken back when it comes"
 
 

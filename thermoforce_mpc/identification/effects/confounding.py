@@ -122,7 +122,7 @@ def confounding(runs: Sequence[Record], layout: Layout, a: int, config: Identifi
     named = [layout.names.actuators[b] for b, share in zip(neighbours, shares, strict=True) if share > _NAMED]
     together = float(sum(shares))  # they are heated for one reason
     advice = (
-        f"levels went together with those of {', '.join(named)}: ± {100 * together:.0f} % of the effect may be theirs; "
+        f"levels went together with those of {', '.join(named)}: ± {100 * together:.0f} % of the effect may be theirs: "
         "set them at different times"
     )
     return together, advice if named else ""

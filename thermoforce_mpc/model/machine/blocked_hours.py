@@ -164,8 +164,8 @@ class BlockedHours:
             end = next(start + n for n in range(1, DAY_H + 1) if (start + n) % DAY_H not in self.hours)
             spans.append(f"{start}:00 to {end % DAY_H}:00")
         return (
-            f"{what} comes from {' and '.join(spans)}, whatever is asked for: the plant's own schedule; plans do "
-            "without these hours (controller.options.watch.blocked_hours)"
+            f"{what} comes from {' and '.join(spans)}, whatever is asked for: the plant's own schedule, and plans "
+            "do without these hours (controller.options.watch.blocked_hours)"
             if spans
             else "no hour is blocked by the plant's own schedule any more"
         )
@@ -397,7 +397,8 @@ class HourEffects:
         if not told:
             return ""
         return (
-            f"{'; '.join(told)}: the plant's own schedule; plans count on that (controller.options.watch.blocked_hours)"
+            f"{'; '.join(told)}: the plant's own schedule, and plans count on that "
+            "(controller.options.watch.blocked_hours)"
         )
 
 

@@ -548,7 +548,7 @@ class PartLoad:
     def __str__(self) -> str:
         return (
             f"{100 * self.power_fixed:.0f} % of full power and {100 * self.heat_fixed:.0f} % of full heat are a fixed "
-            f"part while on; at half level {self.at_half:.2f} times the power per heat of full level"
+            f"part while on, and heat takes {self.at_half:.2f} times as much power at half level as at full level"
         )
 
 
