@@ -307,6 +307,19 @@ def test_what_a_thermostat_makes_of_a_command_is_nobody_at_the_wall(people, made
     assert building.to_set({"actuator": None}) == {}
 
 
+def test_a_command_that_was_set_long_after_its_reading_is_compared_as_long_as_it_holds(people):
+    """A plan took ten minutes, and at the next reading it is not over."""
+    home = SaysIt(3)
+    rules = MeasurementMap.model_validate(rules_of({name: name for name in SENSORS}))
+    building = LiveBuilding(home, rules, 3600.0, people=people)
+    building.record(START)
+    building.write({"actuator": 22.0}, 3120.0, now=START + HOUR / 6)
+    building.notice(START + HOUR / 6)
+    home.told = 24.0
+    building.notice(START + HOUR)
+    assert people.by_hand(START)["actuator"][0] == 24.0
+
+
 @pytest.mark.parametrize(("later_h", "by_hand"), [(1.0, True), (1.3, False), (-2.0, False)])
 def test_what_was_given_back_in_between_is_nobody_at_the_wall(people, later_h, by_hand):
     """By the watchdog, where a plan or a sleep took longer than its command was to hold, or the clock was set back."""

@@ -274,12 +274,16 @@ class LiveBuilding:
             raise NoForecast(str(error)) from error
 
     def write(
-        self, levels: Mapping[str, float | None], seconds: float, told: Mapping[str, float | None] | None = None
+        self,
+        levels: Mapping[str, float | None],
+        seconds: float,
+        told: Mapping[str, float | None] | None = None,
+        now: pd.Timestamp | None = None,
     ) -> None:
-        """Set what `to_set` says of levels (`told`, where it was asked); raises what the connection raises, and where
-        it does not answer.
+        """Set what `to_set` says of levels (`told`, where it was asked) `now`, by default the time of the last reading;
+        raises what the connection raises, and where it does not answer.
         """
-        told, now = self.to_set(levels) if told is None else told, self.now
+        told, now = self.to_set(levels) if told is None else told, self.now if now is None else now
         if self._people is not None and now is not None:
             keys = {name: self.key(name) for name in levels}
             self._note({name: told[key] for name, key in keys.items() if key in told}, seconds, now)

@@ -490,7 +490,7 @@ class _Building:
         if self.watchdog is not None and not told_by_name:
             self.watchdog.released()
         try:
-            self.building.write(levels, seconds, told_by_name)
+            self.building.write(levels, seconds, told_by_name, self.clock.now())
         except Exception as error:  # somebody's connection may raise anything
             _LOG.warning("the levels %s were not taken (%s: %s)", levels, type(error).__name__, error)
             if self.watchdog is not None and anything:  # a device may have made something else of them
