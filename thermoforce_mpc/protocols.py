@@ -199,7 +199,8 @@ class Connection(Protocol):
     people set everything by hand, one that gives things back by itself is told with `leave()` that nothing is held.
     `present(names)` says what devices hold now of what `write` sets, by name and in its unit, without those that do not
     say it: what is neither that nor what was before, somebody set by hand. `put_back(held)` sets again, without end,
-    what devices held by `present` before a trial.
+    what devices held by `present` before a trial. `time_zone()` is the home's, such as Europe/Brussels, '' for none: a
+    map by another clock is doubted.
     """
 
     def measurements(self) -> pd.DataFrame | str | Path:

@@ -158,6 +158,13 @@ def test_an_entity_that_the_recorder_leaves_out_is_named(connect):
         connect(url, columns=["sensor.room"], days=1.0).measurements()
 
 
+@pytest.mark.parametrize(("config", "zone"), [({"time_zone": "America/Denver"}, "America/Denver"), ({}, "")])
+def test_the_home_s_time_zone_is_that_of_its_core(connect, config, zone):
+    exchange = {"asked": "GET /api/config", "status": 200, "text": json.dumps(config), "at": time.time()}
+    with served([exchange], "TOKEN") as url:
+        assert connect(url, actuators=HALL).time_zone() == zone
+
+
 def test_a_command_between_two_steps_of_a_device_is_said_once_with_what_to_set(connect, caplog):
     def hall(holds):
         attributes = {"temperature": holds, "min_temp": 7, "max_temp": 30, "target_temp_step": 1.0}

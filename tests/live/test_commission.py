@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -92,6 +93,21 @@ def test_a_house_as_it_should_be_has_no_remark(tmp_path):
     assert [plan["key"] for plan in said["planned"]] == ["living", "bath"]
     assert not (tmp_path / "levels.json").exists()
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("home", "doubted"), [("Europe/Dublin", True), ("UTC", False), ("Atlantic/Reykjavik", False), ("", False)]
+)
+def test_a_map_by_another_clock_than_the_home_s_is_doubted(home, doubted):
+    """Home Assistant knows its zone; by another one of the map, comfort is warm at the wrong hours."""
+    building = SimpleNamespace(table=table, connection=SimpleNamespace(time_zone=lambda: home), step_s=900.0)
+    rules = MeasurementMap.model_validate({**TWO_ROOMS, "outdoor": "missing"})  # it is not read as a whole
+    rows = table().assign(missing=np.nan)
+    building.table = lambda: rows
+    doubts = read_house(building, rules, pd.Timestamp.now("UTC")).doubts
+    said = f"time.zone of the map is UTC, the home's is {home}: hours of comfort and of prices are by the map's"
+    assert (said in doubts) is doubted
+    assert bool(doubts) is doubted
 
 
 def test_a_counter_is_shown_as_it_counts_and_judged_by_its_power():

@@ -249,6 +249,10 @@ class HomeAssistantConnection:
             held[name] = value
         return held
 
+    def time_zone(self) -> str:
+        """The zone of the home, as its core has it, '' where it says none; raises `PlantError`."""
+        return str(self._get("/api/config").get("time_zone", ""))
+
     def close(self) -> None:
         """See `Connection.close`."""
         self._session.close()

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from zoneinfo import available_timezones
 
 import numpy as np
 import pandas as pd
@@ -122,6 +123,7 @@ def read_house(building: LiveBuilding, rules: MeasurementMap, now: pd.Timestamp)
     points = read_points(table, rules, now)
     problems = [f"{point.key} (column {point.column}): {point.problem}" for point in points if point.problem]
     doubts = [f"{point.key} (column {point.column}): {doubt}" for point in points for doubt in point.doubts]
+    doubts += _of_clock(building, rules, now)
     measured, bounds = None, dict[str, tuple[float, float]]()
     if not any(not point.values.size for point in points):  # else it cannot be read as a whole
         try:
@@ -138,6 +140,18 @@ def read_house(building: LiveBuilding, rules: MeasurementMap, now: pd.Timestamp)
         wrong, odd = _as_controlled(building, now)
         problems, doubts = problems + wrong, doubts + odd
     return PointsFound(points, tuple(problems), tuple(dict.fromkeys(doubts)), measured, bounds)
+
+
+def _of_clock(building: LiveBuilding, rules: MeasurementMap, now: pd.Timestamp) -> list[str]:
+    """What is odd of the map's clock, of which hours of comfort are, where the connection tells the home's."""
+    asked = getattr(building.connection, "time_zone", None)
+    zone, home = rules.time.zone or "UTC", "" if asked is None else asked()
+    if home not in available_timezones():
+        return []
+    days = [pd.Timestamp(year=now.year, month=month, day=1, tz="UTC") for month in (1, 7)]
+    if all(day.tz_convert(zone).utcoffset() == day.tz_convert(home).utcoffset() for day in days):
+        return []
+    return [f"time.zone of the map is {zone}, the home's is {home}: hours of comfort and of prices are by the map's"]
 
 
 def _of_record(measured: Measurements) -> list[tuple[str, str]]:
