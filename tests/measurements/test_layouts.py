@@ -888,6 +888,16 @@ def test_a_sensor_that_a_thermostat_shows_again_is_no_second_room(tmp_path, apar
     assert ("Current Temp (the same readings as Thermostat Temperature)" in text) is (zones == 1)
 
 
+@pytest.mark.parametrize("apart_K", [0.05, 0.2])
+def test_a_sensor_under_a_second_name_is_no_neighbour(apart_K):
+    """ecobee: the check said of the map that was proposed that a heated room stands outside of it."""
+    table = HOUSE[["living", "out"]].rename(columns={"living": "thermostat temperature"})
+    table["current temp"] = table["thermostat temperature"] + apart_K
+    rules = {"outdoor": "out", "zones": {"room": {"temperature": "thermostat temperature"}}}
+    said = tf.read_measurements(table, rules).understood.beside
+    assert any("current temp looks like a room" in one for one in said) is (apart_K > 0.1)
+
+
 def test_the_line_protocol_of_influx_is_no_table(tmp_path):
     path = tmp_path / "dump.lp"
     path.write_text("temperature,room=living value=21.3 1736726400000000000\n" * 3)

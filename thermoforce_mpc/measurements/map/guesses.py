@@ -955,6 +955,10 @@ def rooms_beside(columns: Mapping[str, Array], rules: MeasurementMap) -> tuple[s
     """What first readings of signals (n,) tell of rooms outside the map, in words, by names and size of readings."""
     named = {column for _, signal in rules.signals() for column in signal.columns}
     units: set[str] = {zone.temperature.unit for zone in rules.zones.values()}
+    of_zones = [
+        (columns[column], zone.temperature.unit)
+        for zone in rules.zones.values() for column in zone.temperature.columns if column in columns
+    ]  # fmt: skip
     rooms = [
         name
         for name, values in columns.items()
@@ -962,8 +966,18 @@ def rooms_beside(columns: Mapping[str, Array], rules: MeasurementMap) -> tuple[s
         and {"room", "temperature"} & tags(name)
         and _temperature_alone(name)
         and _of_a_room(values, units)
+        and not any(_again(values, known, unit) for known, unit in of_zones)
     ]
     return (_of_rooms(rooms, list(rules.zones)),) if rooms else ()
+
+
+def _again(values: Array, known: Array, unit: str) -> bool:
+    """Whether readings (n,) of one table differ from the known ones, in `unit`, by their rounding alone."""
+    both = np.isfinite(values) & np.isfinite(known) if values.size == known.size else np.zeros(values.size, dtype=bool)
+    if both.sum() < _LEAST or np.ptp(values[both]) == 0.0:
+        return False
+    apart_K = np.abs(converted(values[both], unit) - converted(known[both], unit))
+    return bool((apart_K <= _ROUNDED_K).mean() >= _SAME_SHARE)
 
 
 def _temperature_alone(name: str) -> bool:
