@@ -47,7 +47,7 @@ from thermoforce_mpc.measurements.signals import SignalReader
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import found_files, head_of, read_tables
-from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules, Written
+from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules, Written, each_column
 from thermoforce_mpc.measurements.tables.raw_table import NoColumn, as_numbers, tables_of, with_offset
 from thermoforce_mpc.measurements.tables.recognition import Recognised, counted_clock, guessed_form, recognised
 from thermoforce_mpc.scenario.bill import SUFFIXES, Bill, file_beside, read_bill
@@ -329,8 +329,7 @@ def _taken_for(paths: Sequence[Path], rules: MeasurementMap) -> Recognised | Non
     if rules.forecast.time is not None or rules.time.column is None:
         return None
     taken = recognised(paths)
-    both = (rules.time.column, taken.clock.column)
-    ours, theirs = ((one,) if isinstance(one, str) else tuple(one or ()) for one in both)
+    ours, theirs = each_column(rules.time.column), each_column(taken.clock.column)
     return None if not theirs or ours == theirs else taken
 
 

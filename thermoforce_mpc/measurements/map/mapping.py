@@ -18,7 +18,14 @@ from thermoforce_mpc.commands.tank import AnyTankCommand
 from thermoforce_mpc.data import J_PER_KWH, ZERO_C_K, Array, Layout, Names
 from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, Written, WrittenOtherwise
+from thermoforce_mpc.measurements.tables.forms import (
+    CsvFormat,
+    TableForm,
+    TimeStampRules,
+    Written,
+    WrittenOtherwise,
+    each_column,
+)
 from thermoforce_mpc.scenario.comfort import OfComfort, OfTankComfort
 from thermoforce_mpc.scenario.settings import StrictModel, check_no_folder, read_yaml, validate
 
@@ -116,7 +123,7 @@ class Signal(StrictModel):
     @property
     def columns(self) -> tuple[str, ...]:
         """The columns that make up the signal."""
-        return (self.column,) if isinstance(self.column, str) else self.column
+        return each_column(self.column)
 
 
 class Temperature(Signal):

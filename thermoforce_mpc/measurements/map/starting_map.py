@@ -158,8 +158,7 @@ def _key(column: str, path: Path, taken: Recognised) -> str | None:
     if taken.table.by_file == "prefix":
         return f"{named_after(path, taken.csv)} {column}"
     if taken.table.by_file == "point":
-        values = taken.table.value
-        return named_after(path, taken.csv) if column == values or (values and column in values) else None
+        return named_after(path, taken.csv) if column in taken.table.values else None
     return column
 
 

@@ -34,7 +34,7 @@ from thermoforce_mpc.measurements.tables.files import (
     read_tables,
     reading,
 )
-from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, Written
+from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, Written, each_column
 from thermoforce_mpc.measurements.tables.raw_table import (
     MISSING,
     MOST_BESIDE,
@@ -169,11 +169,6 @@ class _Text:
     table: TableForm
 
     @property
-    def points(self) -> tuple[str, ...]:
-        """Columns that name the signal of a row."""
-        return (self.table.point,) if isinstance(self.table.point, str) else self.table.point or ()
-
-    @property
     def in_parts(self) -> bool:
         """Whether a line means the same whatever stands before it."""
         plain = self.form.encoding.lower() in ("utf-8", "utf8", "utf-8-sig", "ascii", "latin-1", "cp1252")
@@ -205,7 +200,7 @@ def _joined(text: _Text, parts: Sequence[_Part], latest: pd.Timestamp, left: _Le
         return None
     at, offset = pd.concat([part.at for part in parts], ignore_index=True), np.concatenate([p.offset for p in parts])
     lines = np.concatenate([np.asarray(one.line) for one in tables])
-    keep = _with_times(at, offset, latest, lines, left, in_order=not text.points)
+    keep = _with_times(at, offset, latest, lines, left, in_order=not text.table.points)
     if not keep.any():
         return None
     if text.clock.unit is not None or text.clock.zone is None:
@@ -283,7 +278,7 @@ def _parts(text: _Text, content: bytes, first: int) -> list[_Part] | None:
 
 def _part(text: _Text, content: bytes, first: int) -> _Part:
     """What lines from `first` on say."""
-    form, table, stamps, points = text.form, text.table, text.stamps, text.points
+    form, table, stamps, points = text.form, text.table, text.stamps, text.table.points
     status = [table.status] if table.status in text.names else []
     keys = list(dict.fromkeys([*stamps, *points, *text.values.values(), *status]))
     left, names, alone = _Left(text.name), list(text.names), True
@@ -338,8 +333,7 @@ def frame_appended(
         df = df.rename_axis(index=str(df.index.name or "time")).reset_index()
     elif not len(df.columns):
         raise DataError("table: the table has no columns")
-    given = str(df.columns[0]) if clock.column is None else clock.column
-    stamps = (given,) if isinstance(given, str) else given
+    stamps = each_column(str(df.columns[0]) if clock.column is None else clock.column)
     keys = [known_column(key, df.columns, "table") for key in dict.fromkeys([*stamps, *columns])]
     frame, left, rows = df[keys].reset_index(drop=True).copy(), _Left("table", "row"), np.arange(1, len(df) + 1)
     for key in keys[len(stamps) :]:

@@ -29,7 +29,7 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import check_regular, pyarrow_for
 from thermoforce_mpc.measurements.tables.clock import instants
-from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, Written
+from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, Written, each_column
 from thermoforce_mpc.measurements.tables.raw_table import (
     MISSING,
     RawTable,
@@ -198,10 +198,9 @@ def all_readings(
     pieces = []
     for path in paths:
         for part in _parts(path, form):
-            points, values = ((one,) if isinstance(one, str) else one for one in (table.point or (), table.value or ()))
-            given = [key for key in values if key in part.names]
+            given = [key for key in table.values if key in part.names]
             keys = _keys(part, clock.column)
-            told = [*keys, *points, *given, *([table.status] if table.status in part.names else [])]
+            told = [*keys, *table.points, *given, *([table.status] if table.status in part.names else [])]
             for df, line in part.frames(list(dict.fromkeys(told)), _ROWS_AT_ONCE):
                 piece = readings_table(df, keys or None, table, str(path), line, form.decimal).with_instants()
                 assert piece.codes is not None
@@ -238,7 +237,7 @@ def check_columns(paths: Sequence[str | Path], wanted: Sequence[str], written: C
         form, table, stamps = (of := written(path)).csv, of.table, of.time.column
         parts = _parts(path, form, scan=False)
         if table.point is not None:
-            for key in (table.point,) if isinstance(table.point, str) else table.point:
+            for key in table.points:
                 known_column(key, pd.Index(parts[0].names), str(path))
             all_known = False
         else:
@@ -299,7 +298,7 @@ def _of_readings(
     part: _Part, stamps: Stamps, wanted: Sequence[str], form: CsvFormat, table: TableForm
 ) -> Iterator[RawTable]:
     """A table of one reading a row, of the `wanted` signals; its stamps become instants early, since text is large."""
-    points, values = ((one,) if isinstance(one, str) else one for one in (table.point or (), table.value or ()))
+    points, values = table.points, table.values
     keys = _keys(part, stamps)
     given = [key for key in values if key in part.names] or list(values[:1])
     for key in (*keys, *points, *given):
@@ -380,7 +379,7 @@ def _keys(part: _Part, stamps: Stamps) -> tuple[str, ...]:
     """Columns of the time stamps of a part; none where its index has them."""
     if stamps is None:
         return tuple(part.names[:1]) if part.path.suffix.lower() not in PARQUET else ()
-    return (stamps,) if isinstance(stamps, str) else stamps
+    return each_column(stamps)
 
 
 def _signals(part: _Part, stamps: Stamps, form: CsvFormat, table: TableForm) -> dict[str, str]:
@@ -391,8 +390,7 @@ def _signals(part: _Part, stamps: Stamps, form: CsvFormat, table: TableForm) -> 
     if table.by_file == "prefix":
         keys = _keys(part, stamps)
         return {f"{name} {column}": column for column in part.names if column not in keys}
-    values = (table.value,) if isinstance(table.value, str) else table.value or ()
-    given = [column for column in values if column in part.names]
+    given = [column for column in table.values if column in part.names]
     return {name: given[0]} if given else {}
 
 
@@ -406,9 +404,8 @@ def columns_of(
     part = _Part(path, names, lambda columns, rows: iter(()))
     keys = _keys(part, stamps)
     if table.point is not None:
-        points, values = ((one,) if isinstance(one, str) else one for one in (table.point, table.value or ()))
-        given = [key for key in values if key in names] or list(values[:1])
-        for key in (*keys, *points, *given):
+        given = [key for key in table.values if key in names] or list(table.values[:1])
+        for key in (*keys, *table.points, *given):
             known_column(key, pd.Index(names), str(path))
         return list(keys), {key: key for key in given}
     column_of = _signals(part, stamps, form, table)

@@ -15,6 +15,11 @@ from thermoforce_mpc.scenario.settings import StrictModel
 _FIRST_CLOCK = 1970
 
 
+def each_column(given: str | tuple[str, ...] | None) -> tuple[str, ...]:
+    """The columns that a key names: one, several or none."""
+    return (given,) if isinstance(given, str) else given or ()
+
+
 class TimeStampRules(StrictModel):
     """How time stamps are read."""
 
@@ -170,6 +175,16 @@ class TableForm(StrictModel):
         if self.by_file == "point" and self.value is None:
             raise ValueError("by_file: point needs value: the column of the readings")
         return self
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """The columns that name the signal of a row."""
+        return each_column(self.point)
+
+    @property
+    def values(self) -> tuple[str, ...]:
+        """The columns of the reading."""
+        return each_column(self.value)
 
 
 class Written(StrictModel):

@@ -160,6 +160,14 @@ def tables_of(
     ]
 
 
+def told_points(df: pd.DataFrame, points: Sequence[str]) -> pd.Series[str]:
+    """The name of the signal of each row (n,): its cells in the columns `points`, joined by a space."""
+    told = df[points[0]].astype(str).str.strip()
+    for more in points[1:]:
+        told = told + " " + df[more].astype(str).str.strip()
+    return told
+
+
 def readings_table(
     df: pd.DataFrame,
     stamps: str | tuple[str, ...] | None,
@@ -170,17 +178,13 @@ def readings_table(
     wanted: Sequence[str] = (),
 ) -> RawTable:
     """A data frame in which each row is one reading; raises `DataError` where one of a `wanted` signal is text."""
-    assert form.point is not None
-    points, values = ((one,) if isinstance(one, str) else one for one in (form.point, form.value or ()))
+    points, values = form.points, form.values
     for key in (*points, *values[:1]):
         known_column(key, df.columns, name)
     at = _stamps(df, stamps, name)
     if not len(df):
         raise DataError(f"{name}: the table has no rows")
-    told = df[points[0]].astype(str).str.strip()
-    for more in points[1:]:
-        told = told + " " + df[more].astype(str).str.strip()
-    codes, names = pd.factorize(told)
+    codes, names = pd.factorize(told_points(df, points))
     readings, wordy = np.full(len(df), np.nan), dict[str, dict[str, int]]()
     table = RawTable(name, at, {"": readings}, line, tuple(map(str, names)), codes.astype(np.int32))
     for key in values:

@@ -28,12 +28,13 @@ from thermoforce_mpc.measurements.tables.files import (
     reading,
     sample,
 )
-from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
+from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, each_column
 from thermoforce_mpc.measurements.tables.raw_table import (
     ISO,
     SWITCH,
     as_numbers,
     quantity_of,
+    told_points,
     unit_of_cells,
     with_offset,
 )
@@ -147,14 +148,10 @@ def told_beside(path: Path, form: CsvFormat) -> tuple[dict[str, str], dict[str, 
 
 def units_of_points(head: pd.DataFrame, table: TableForm, decimal: str) -> dict[str, str]:
     """Units of the signals of a table of one reading a row: from a column of units, or behind the readings."""
-    points, values = ((one,) if isinstance(one, str) else one for one in (table.point or (), table.value or ()))
-    told = head[points[0]].astype(str).str.strip()
-    for more in points[1:]:
-        told = told + " " + head[more].astype(str).str.strip()
     column = next((str(name) for name in head.columns if _UNIT_COLUMN.match(str(name))), None)
     out: dict[str, str] = {}
-    for point, rows in head.groupby(told, sort=False):
-        cells = [unit_of_cells(rows[value], decimal) for value in values if value in rows]
+    for point, rows in head.groupby(told_points(head, table.points), sort=False):
+        cells = [unit_of_cells(rows[value], decimal) for value in table.values if value in rows]
         units = rows[column].dropna().astype(str) if column is not None else pd.Series(dtype=str)
         out[str(point)] = next((cell for cell in cells if cell), str(units.iloc[0]) if len(units) else "")
     return out
@@ -181,11 +178,8 @@ def _alike(first: Recognised, path: Path, form: CsvFormat, head: pd.DataFrame) -
     """Whether a file with some `head` rows, which seems to have `form`, is read as another one is written."""
     if head.empty or (form != first.csv and not _same_cells(path, form, first.csv, head)):
         return False
-    columns, told = [str(name) for name in head.columns], first.clock.column
-    stamps = (told,) if isinstance(told, str) else told or ()
-    points, values = (
-        (one,) if isinstance(one, str) else one for one in (first.table.point or (), first.table.value or ())
-    )
+    columns, stamps = [str(name) for name in head.columns], each_column(first.clock.column)
+    points, values = first.table.points, first.table.values
     if points and not {*points, *stamps, *values[:1]} <= set(columns):
         return False
     if not points:
