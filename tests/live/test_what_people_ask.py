@@ -68,6 +68,8 @@ def test_away_ends_in_the_clock_of_the_house_so_that_it_is_warm_then(people):
     assert (lower[31:] == 20.0).all()
     assert upper[0] == 28.0
     assert notes == ("away until Wed 21 Jan 18:00 was asked",)
+    people.ask("away", "on", NOW)
+    assert bounds(people)[2] == ("away until Wed 20 Jan 2027 11:00 was asked",)
     people.ask("away", "OFF", NOW)
     assert bounds(people)[2] == ()
     people.ask("away", "ON", NOW)

@@ -179,7 +179,10 @@ class People:
         def until(end: str | None, what: str) -> np.ndarray[Any, Any] | None:
             if end is None or _passed(end, now):
                 return None
-            notes.append(f"{what} until {pd.Timestamp(end).tz_convert(self._zone):%a %d %b %H:%M} was asked")
+            local = pd.Timestamp(end).tz_convert(self._zone)
+            # Away by a switch is for a year: of the same day of another one.
+            year = "" if local.year == now.tz_convert(self._zone).year else " %Y"
+            notes.append(f"{what} until {local:%a %d %b{year} %H:%M} was asked")
             return np.asarray(at < pd.Timestamp(end))
 
         asked = {"lower": wishes.lower_C, "upper": wishes.upper_C}
