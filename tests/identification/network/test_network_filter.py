@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from thermoforce_mpc.identification.network.filtering import likelihood
+from thermoforce_mpc.identification.network.filtering import likelihood, prediction_errors
 
 READINGS, STATES, INPUTS = 14, 4, 3
 
 
-def plain(A, B, Q, R, x0, P0, inputs, readings):
+def plain(A, B, Q, R, x0, P0, inputs, readings, aired_K2):
     """Half the negative log density of the readings, up to a constant, from their joint mean and covariance."""
     N, n = readings.size, x0.size
     means, covariance = [x0], np.diag(P0)
@@ -23,6 +23,7 @@ def plain(A, B, Q, R, x0, P0, inputs, readings):
         if k:
             means.append(A @ means[-1] + B @ inputs[k - 1])
             covariance = A @ covariance @ A.T + np.diag(Q)
+            covariance[0, 0] += aired_K2[k - 1]
         across = covariance
         for later in range(k, N):
             states[later, :, k], states[k, :, later] = across, across.T
@@ -41,13 +42,22 @@ def problem(seed):
     x0, P0 = rng.normal(size=STATES), rng.random(STATES)
     inputs, readings = rng.normal(size=(READINGS, INPUTS)), 3.0 * rng.normal(size=READINGS)
     readings[[0, 5, 6, 7, READINGS - 1]] = np.nan
-    return A, B, Q, R, x0, P0, inputs, readings
+    aired_K2 = np.where(np.arange(READINGS) % 4 == 2, 5.0, 0.0)
+    return A, B, Q, R, x0, P0, inputs, readings, aired_K2
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_value_is_that_of_the_joint_distribution(seed):
     parts = problem(seed)
     assert likelihood(*parts)[0] == pytest.approx(plain(*parts), rel=1e-10)
+
+
+def test_errors_one_step_ahead_make_up_the_likelihood():
+    parts = problem(0)
+    errors, variances = prediction_errors(*parts)
+    np.testing.assert_array_equal(np.isnan(errors), np.isnan(parts[-2]))
+    of_each = 0.5 * (np.log(variances) + errors**2 / variances)
+    assert np.nansum(of_each) == pytest.approx(likelihood(*parts)[0], rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -68,7 +78,7 @@ def test_derivatives_are_those_of_complex_steps(seed):
 
 def test_a_run_without_readings_says_nothing():
     parts = list(problem(0))
-    parts[-1] = np.full(READINGS, np.nan)
+    parts[-2] = np.full(READINGS, np.nan)
     value, slopes = likelihood(*parts)
     assert value == 0.0
     assert not np.any(slopes.A)

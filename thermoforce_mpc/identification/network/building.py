@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.data.series import interpolated, step_means
 from thermoforce_mpc.identification.effects.level_laws import LevelLaw
+from thermoforce_mpc.identification.network.airing import without_air
 from thermoforce_mpc.identification.network.circuits import Circuit
 from thermoforce_mpc.identification.network.estimate import DIFFERENCE, RoomFit, RoomRun, estimate_room
 from thermoforce_mpc.identification.network.joint import JointPosterior
@@ -241,7 +242,7 @@ def building_fit(
     fits = []
     for z, runs in enumerate(rooms):
         read = [run for run in runs if np.isfinite(run.readings).sum() >= _LEAST_READINGS]
-        fits.append(estimate_room(actuators.room(z), read, before.rooms[z] if before else None))
+        fits.append(without_air(estimate_room(actuators.room(z), read, before.rooms[z] if before else None)))
     return BuildingFit(actuators.layout, tuple(fits))
 
 

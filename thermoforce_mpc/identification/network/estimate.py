@@ -11,12 +11,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.network.filtering import likelihood
+from thermoforce_mpc.identification.network.filtering import likelihood, prediction_errors
 from thermoforce_mpc.identification.network.room import ENVELOPE, ROOM, STRUCTURE, SUN_ON_SENSOR, RoomNetwork
 
 if TYPE_CHECKING:
@@ -61,6 +61,7 @@ class RoomRun:
             small share.
         weight: how much of its log likelihood counts, from 0 to 1: less where the network is surely wrong in what the
             record would otherwise tell ever more exactly (power posterior, Miller and Dunson 2019).
+        aired_K2: variance of the room's temperature by air that came in, in each step (N,), K²; None: not looked for.
     """
 
     inputs: Array
@@ -70,6 +71,7 @@ class RoomRun:
     pair: bool = False
     on_sensor: Array | None = None
     weight: float = 1.0
+    aired_K2: Array | None = None
 
 
 # Share of the disturbances that is left in the difference of two runs. By judgement: two runs of one weather share most
@@ -125,6 +127,12 @@ class RoomFit:
         return reading + self.runs[0].rounding_K2 + _MODEL_SD_K**2
 
     @property
+    def air_K2(self) -> float:
+        """Variance of the room's temperature in a step by air that came in, in the mean of the runs that may tell."""
+        of_runs = [run.aired_K2 for run in self.runs if run.aired_K2 is not None]
+        return float(np.concatenate(of_runs).mean()) if of_runs else 0.0
+
+    @property
     def scaled(self) -> Array:
         """θ in prior standard deviations from its mean (p,)."""
         return self._in_sds(self.theta)
@@ -147,31 +155,12 @@ def posterior(room: RoomNetwork, theta: Array, runs: Sequence[RoomRun]) -> tuple
     value, gradient = room.prior(theta)
     sensor = room.place.get(SUN_ON_SENSOR, -1)
     for step_h in dict.fromkeys(run.step_h for run in runs):
-        # The exponential of the states' part over a step, and its integral, in which the inputs are linear (Van Loan
-        # 1978): 14 rows instead of 27 with the inputs among nine rooms.
-        by_step = equations.matrix * step_h
-        held = np.zeros((2 * n, 2 * n))
-        held[:n, :n], held[:n, n:] = by_step[:, :n], np.eye(n)
-        transition = expm(held)
-        A, integral = np.ascontiguousarray(transition[:n, :n]), transition[:n, n:]
-        B = integral @ by_step[:, n:]
+        by_step, held, integral, A, B = _over_a_step(equations.matrix, step_h)
         by_A, by_B = np.zeros(A.shape), np.zeros(B.shape)
         for run in (run for run in runs if run.step_h == step_h):
             Q, stationary, reading = room.noise(theta, step_h)
             share = _PAIR_SHARE**2 if run.pair else 1.0
-            first = float(run.readings[np.isfinite(run.readings)][0])
-            x0, P0 = np.zeros(n), start_K2(room, share * stationary)
-            temperatures = np.ones(n, dtype=bool)
-            temperatures[room.disturbances] = False
-            if run.pair:
-                P0[temperatures] = 0.0
-            else:
-                x0[temperatures] = first
-            R = reading + run.rounding_K2 + _MODEL_SD_K**2
-            readings = run.readings.copy()  # one that may be written to: others would be compiled for once more
-            if run.on_sensor is not None:
-                readings -= run.on_sensor * theta[sensor]
-            half, slopes = likelihood(A, B, share * Q, R, x0, P0, run.inputs, readings, room.seen)
+            half, slopes = likelihood(A, B, *_seen_of(room, theta, run))
             counts, part = run.weight, run.weight * share
             if run.on_sensor is not None:
                 gradient[sensor] -= counts * run.on_sensor @ slopes.readings
@@ -188,6 +177,59 @@ def posterior(room: RoomNetwork, theta: Array, runs: Sequence[RoomRun]) -> tuple
         by_matrix = step_h * np.concatenate([by_states, integral.T @ by_B], axis=1)
         gradient = gradient + room.slopes(theta, equations, by_matrix)
     return value, gradient
+
+
+def step_errors(fit: RoomFit, run: RoomRun) -> tuple[Array, Array]:
+    """Errors of a run's readings one step ahead (N,), K, and their variances (N,), K²; NaN in gaps."""
+    _, _, _, A, B = _over_a_step(fit.room.equations(fit.theta).matrix, run.step_h)
+    return prediction_errors(A, B, *_seen_of(fit.room, fit.theta, run))
+
+
+def _over_a_step(matrix: Array, step_h: float) -> tuple[Array, Array, Array, Array, Array]:
+    """The matrix (F, G) over a step, that whose exponential is taken, its integral, and A and B of a step.
+
+    The exponential of the states' part over a step, and its integral, in which the inputs are linear (Van Loan 1978):
+    14 rows instead of 27 with the inputs among nine rooms.
+    """
+    from scipy.linalg import expm
+
+    n, by_step = len(matrix), matrix * step_h
+    held = np.zeros((2 * n, 2 * n))
+    held[:n, :n], held[:n, n:] = by_step[:, :n], np.eye(n)
+    transition = expm(held)
+    A, integral = np.ascontiguousarray(transition[:n, :n]), transition[:n, n:]
+    return by_step, held, integral, A, integral @ by_step[:, n:]
+
+
+class _Seen(NamedTuple):
+    """What the filter takes of a run, in its order, see `filtering.likelihood`."""
+
+    Q: Array
+    R: float
+    x0: Array
+    P0: Array
+    inputs: Array
+    readings: Array
+    aired_K2: Array | None
+    seen: int
+
+
+def _seen_of(room: RoomNetwork, theta: Array, run: RoomRun) -> _Seen:
+    """What the filter takes of a run at θ (p,)."""
+    Q, stationary, reading = room.noise(theta, run.step_h)
+    share = _PAIR_SHARE**2 if run.pair else 1.0
+    x0, P0 = np.zeros(room.n_states), start_K2(room, share * stationary)
+    temperatures = np.ones(room.n_states, dtype=bool)
+    temperatures[room.disturbances] = False
+    if run.pair:
+        P0[temperatures] = 0.0
+    else:
+        x0[temperatures] = float(run.readings[np.isfinite(run.readings)][0])
+    R = reading + run.rounding_K2 + _MODEL_SD_K**2
+    readings = run.readings.copy()  # one that may be written to: others would be compiled for once more
+    if run.on_sensor is not None:
+        readings -= run.on_sensor * theta[room.place[SUN_ON_SENSOR]]
+    return _Seen(share * Q, R, x0, P0, run.inputs, readings, run.aired_K2, room.seen)
 
 
 def estimate_room(

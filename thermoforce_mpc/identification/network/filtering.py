@@ -31,7 +31,16 @@ class Slopes(NamedTuple):
 
 
 def likelihood(
-    A: Array, B: Array, Q: Array, R: float, x0: Array, P0: Array, inputs: Array, readings: Array, seen: int = 0
+    A: Array,
+    B: Array,
+    Q: Array,
+    R: float,
+    x0: Array,
+    P0: Array,
+    inputs: Array,
+    readings: Array,
+    aired_K2: Array | None = None,
+    seen: int = 0,
 ) -> tuple[float, Slopes]:
     """Half the negative log likelihood of a run, up to a constant, and its derivatives.
 
@@ -42,23 +51,46 @@ def likelihood(
         x0, P0: mean and variances at the first reading (n,).
         inputs: of each step (N, m); that of the last reading is not used.
         readings: of state `seen` (N,), K; NaN is a gap.
+        aired_K2: variance of the first state besides, in the step from each reading on (N,), K²; None: nowhere.
     """
     n = A.shape[0]
     arrays = np.zeros((n, n)), np.zeros((n, B.shape[1])), np.zeros(n), np.zeros(n), np.zeros(readings.size)
     by_A, by_B, by_Q, by_P0, by_readings = arrays
-    total, by_R = _likelihood(A, B, Q, R, x0, P0, inputs, readings, seen, *arrays)
+    aired = np.zeros(readings.size) if aired_K2 is None else aired_K2
+    total, by_R = _likelihood(A, B, Q, R, x0, P0, inputs, readings, aired, seen, *arrays)
     return total, Slopes(by_A, by_B, by_Q, by_R, by_P0, by_readings)
+
+
+def prediction_errors(
+    A: Array,
+    B: Array,
+    Q: Array,
+    R: float,
+    x0: Array,
+    P0: Array,
+    inputs: Array,
+    readings: Array,
+    aired_K2: Array | None = None,
+    seen: int = 0,
+) -> tuple[Array, Array]:
+    """Errors of the readings one step ahead (N,), K, and their variances (N,), K²; NaN in gaps. See `likelihood`."""
+    N, n = readings.size, A.shape[0]
+    aired = np.zeros(N) if aired_K2 is None else aired_K2
+    variances, errors = np.full(N, np.nan), np.full(N, np.nan)
+    unused = np.zeros((N, n)), np.zeros((N, n, n)), np.zeros((N, n))
+    _filtered(A, B, Q, R, x0, P0, inputs, readings, aired, seen, *unused, variances, errors)
+    return errors, variances
 
 
 @njit(cache=True)
 def _likelihood(  # type: ignore[no-untyped-def]
-    A, B, Q, R, x0, P0, inputs, readings, seen, by_A, by_B, by_Q, by_P0, by_readings
+    A, B, Q, R, x0, P0, inputs, readings, aired, seen, by_A, by_B, by_Q, by_P0, by_readings
 ) -> tuple[float, float]:
     """The likelihood and its derivative by the variance of a reading; writes the others, of `Slopes`."""
     N, n = readings.size, A.shape[0]
     means, covariances = np.zeros((N, n)), np.zeros((N, n, n))
     columns, variances, errors = np.zeros((N, n)), np.ones(N), np.zeros(N)
-    total = _filtered(A, B, Q, R, x0, P0, inputs, readings, seen, means, covariances, columns, variances, errors)
+    total = _filtered(A, B, Q, R, x0, P0, inputs, readings, aired, seen, means, covariances, columns, variances, errors)
     by_R = _adjoint(
         A, inputs, readings, seen, means, covariances, columns, variances, errors, by_A, by_B, by_Q, by_P0, by_readings
     )
@@ -69,7 +101,7 @@ def _likelihood(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _filtered(A, B, Q, R, x0, P0, inputs, readings, seen, means, covariances, columns, variances, errors):  # type: ignore[no-untyped-def]
+def _filtered(A, B, Q, R, x0, P0, inputs, readings, aired, seen, means, covariances, columns, variances, errors):  # type: ignore[no-untyped-def]
     """The likelihood; writes mean and covariance after each reading, before it column `seen`, variance and error."""
     N, n, total = readings.size, A.shape[0], 0.0
     x, P, following, half = np.zeros(n), np.zeros((n, n)), np.zeros(n), np.zeros((n, n))
@@ -101,6 +133,7 @@ def _filtered(A, B, Q, R, x0, P0, inputs, readings, seen, means, covariances, co
             for j in range(n):
                 P[i, j] = _dot(half[i], A[j])
             P[i, i] += Q[i]
+        P[0, 0] += aired[k]
     return total
 
 

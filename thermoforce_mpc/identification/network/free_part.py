@@ -12,6 +12,7 @@ from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.estimation.regression import DISTURBANCE_H
 from thermoforce_mpc.identification.network.building import BuildingFit
 from thermoforce_mpc.identification.network.estimate import start_K2
+from thermoforce_mpc.identification.network.room import ROOM
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 
 # What actuators did before a record began moves all nodes alike, K. By judgement: nothing is known.
@@ -74,6 +75,7 @@ def _variances(building: BuildingFit, step_h: float) -> tuple[Array, Array]:
     for fit, theta in zip(building.rooms, building.thetas, strict=True):
         Q, variances, _ = fit.room.noise(theta, step_h)
         nodes = fit.room.disturbances.start
+        Q[ROOM] += fit.air_K2  # air will come in again, nobody knows when
         process.append(Q[:nodes])
         start.append(start_K2(fit.room, variances)[:nodes])
         disturbed.append(Q[nodes:])
