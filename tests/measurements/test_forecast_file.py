@@ -239,6 +239,25 @@ def test_a_file_of_prices_takes_the_place_of_the_map(measured, tmp_path, text, f
     np.testing.assert_allclose(ahead.price_per_kWh[0, 40 * 4], 0.1 + 16 / 100)
 
 
+@pytest.mark.parametrize(
+    ("zone", "grid", "said"),
+    [
+        ("UTC", {"windows": [{"hours": "17:00-19:30", "per_kWh": 0.10}]}, True),
+        ("Europe/Brussels", {"windows": [{"hours": "17:00-19:30", "per_kWh": 0.10}]}, False),
+        ("UTC", {"per_kWh": 0.1}, False),
+    ],
+)
+def test_hours_of_a_bill_on_a_clock_in_utc_are_said_to_be_none_of_the_building_s(tmp_path, zone, grid, said):
+    at = pd.date_range("2025-01-10", periods=97, freq="15min", name="time")
+    df = pd.DataFrame({"T": 21.0, "out": 5.0, "sun": 0.0, "u": np.arange(97.0) // 8 % 2, "P": 500.0}, index=at)
+    df["most"], df["price"] = 24.0, 0.3
+    (tmp_path / "bill.yaml").write_text(yaml.safe_dump({"source": "a contract", "energy": 0.2, "grid": grid}))
+    notes: list[str] = []
+    measured = tf.read_measurements(df, {**RULES, "time": {"zone": zone}})
+    read_forecast(hourly(49), measured, prices=tmp_path / "bill.yaml", left_out=notes)
+    assert ("its hours are of UTC" in " ".join(notes)) is said
+
+
 def test_an_own_building_has_the_tariffs_of_simulated_ones(measured, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     found = {}

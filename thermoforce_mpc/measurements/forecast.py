@@ -145,6 +145,8 @@ def billed_over_steps(
     billed_at = np.stack([billed(bill, row, grid_s, origin, step_s) for row in energy])
     if doubt := price_doubt(billed_at, bill.currency):
         raise DataError(f"{path}: with fees and tax {doubt}" + ("" if bill.currency else " Then name its currency"))
+    if str(origin.tz) == "UTC" and (bill.grid.windows or bill.dimming):
+        words.append("its hours are of UTC (time.zone of the map), not of the building's clock")
     return billed_at, earns, "; ".join(words)
 
 
