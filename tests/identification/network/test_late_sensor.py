@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import OptimizeResult
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
@@ -14,12 +15,13 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.network import lag
-from thermoforce_mpc.identification.network.estimate import RoomRun, posterior
-from thermoforce_mpc.identification.network.lag import rooms_in_time
-from thermoforce_mpc.identification.network.room import RoomNetwork
+from thermoforce_mpc.identification.network.estimate import RoomFit, RoomRun, posterior
+from thermoforce_mpc.identification.network.lag import late_sensor, rooms_in_time
+from thermoforce_mpc.identification.network.room import LAG, RoomNetwork
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.model.forced_state import heat_drive
+from thermoforce_mpc.model.free_response.rc import INPUTS
 from thermoforce_mpc.model.late_sensor import LateSensor, read_late
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
@@ -135,6 +137,60 @@ def test_what_is_read_late_is_that_of_short_steps(lag_s):
         forced.append(state[:2])
         read.append(state[2])
     np.testing.assert_allclose(read_late(np.array(forced), poles, step_s, lag_s), read, atol=1e-8)
+
+
+def switched(lag_min: float, days: int) -> RoomRun:
+    """A room with a quick emitter by minutes, kept within 0.3 K of 21 °C by switching, as a record of quarter hours."""
+    from scipy.linalg import expm
+
+    room, rng = RoomNetwork(late=True), np.random.default_rng(0)
+    theta, n, minutes, minute_h = room.mean.copy(), room.n_states, days * 1440, 1.0 / 60.0
+    theta[[room.place[name] for name in ("heat_0", "C_emitter_0")]] += (1.0, -1.5)
+    theta[room.place[LAG]] = np.log(lag_min / 60.0)
+    held = np.zeros((2 * n, 2 * n))
+    matrix = room.equations(theta).matrix
+    held[:n, :n], held[:n, n:] = minute_h * matrix[:, :n], np.eye(n)
+    held = expm(held)
+    A, B = held[:n, :n], minute_h * held[:n, n:] @ matrix[:, n:]
+    inputs, read_C, x, on = np.zeros((minutes, room.n_inputs)), np.full(minutes + 1, 20.0), np.zeros(n), False
+    inputs[:, INPUTS.index("outdoor")] = 3.0 * np.sin(2.0 * np.pi * np.arange(minutes) / 1440)
+    inputs[:, INPUTS.index("constant")] = 1.0
+    x[[0, 1, 2, 3, room.seen]] = 20.0
+    for k in range(minutes):
+        on = read_C[k] < 21.3 and (on or read_C[k] < 20.7)
+        inputs[k, room.drive(0)] = on
+        x = A @ x + B @ inputs[k]
+        x[0] += 0.02 * np.sqrt(minute_h) * rng.normal()
+        read_C[k + 1] = x[room.seen]
+    means = inputs.reshape(-1, 15, room.n_inputs).mean(axis=1)
+    readings = read_C[::15] + 0.005 * rng.normal(size=minutes // 15 + 1)
+    return RoomRun(np.concatenate([means, means[-1:]]), readings, 0.25)
+
+
+def test_where_in_its_step_a_machine_ran_is_no_late_sensor():
+    """By means of steps alone an ideal sensor was late with log odds of 7.7."""
+    assert late_sensor(RoomNetwork(), [switched(0.05, days=2)]) is None
+
+
+def test_a_record_of_a_machine_that_switches_weighs_no_more_than_some_days(monkeypatch):
+    """Twelve days, of which levels that are held say that the sensor is late, and switched ones do so more."""
+    weights, room = [], RoomNetwork()
+
+    def searched(room: RoomNetwork, runs: list[RoomRun], start: Array) -> OptimizeResult:
+        if runs[0].step_h < 0.25:
+            weights.append({run.weight for run in runs})
+        return OptimizeResult(x=start, fun=-20.0 * room.late - (runs[0].step_h < 0.25))
+
+    def estimated(room: RoomNetwork, runs: list[RoomRun], most_starts: int | None = None) -> RoomFit:
+        return RoomFit(room, room.mean, float(searched(room, runs, np.zeros(room.mean.size)).fun), runs)
+
+    monkeypatch.setattr(lag, "searched", searched)
+    monkeypatch.setattr(lag, "estimate_room", estimated)
+    day = switched(0.05, days=1)
+    found = late_sensor(room, [day] * 12)
+    assert found is not None
+    assert weights[0] == {1.0}, "what explains the record better is judged by all of it"
+    assert set().union(*weights[1:]) == {5.0 / 12.0}
 
 
 def late_model() -> ThermalModel:
