@@ -25,7 +25,7 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 NAMES = {"zone": "T_room", "outdoor": "T_out", "solar": "sun", "level": "u", "power": "P_el"}
 AHEAD = {"outdoor": "T_out", "solar": "sun"}
-LINEAR = tf.IdentificationConfig(modulation="linear", sun_on_sensor=False, late_sensor=False)
+LINEAR = tf.IdentificationConfig(modulation="linear")
 
 
 @pytest.fixture(scope="module")

@@ -40,7 +40,7 @@ def run_operator_bench(
     Args:
         reference: folder with hourly pairs, their weather, excite_*.csv.gz runs, and optionally native_*.csv.gz.
         quick: one split of the pairs and fewer windows.
-        epochs: epochs of training; by default as in identification, and 300 where times are compared (quick: 20).
+        epochs: epochs of training; by default as in identification.
         progress: callback for progress lines.
 
     Raises:
@@ -62,7 +62,7 @@ def run_operator_bench(
         _trained_on_pairs(pairs, quick, options, say),
         few_shot(runs, pairs, quick, options, say),
         under_feedback(feedback, pairs, quick, say),
-        _speed(epochs or (20 if quick else 300), _FEW_BUILDINGS if quick else _MANY_BUILDINGS, say),
+        _speed(*((20, _FEW_BUILDINGS) if quick else (300, _MANY_BUILDINGS)), say),
     )
     for part_rows, part_targets in parts:
         rows += part_rows

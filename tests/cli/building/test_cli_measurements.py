@@ -40,9 +40,7 @@ actuators:
 machines:
   meter: {power: {column: kWh, unit: kWh per step}, price: 0.3}
 """.replace("out_F", "{column: out_F, unit: '°F'}")
-LINEAR = [
-    f"--set=identification.options.{one}" for one in ("modulation=linear", "sun_on_sensor=false", "late_sensor=false")
-]
+LINEAR = ("--set", "identification.options.modulation=linear")
 
 
 def tabled(r: Record, path: Path, begin: str = "2025-01-21") -> None:

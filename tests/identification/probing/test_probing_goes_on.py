@@ -23,7 +23,7 @@ from thermoforce_mpc.plants.testcases import load_testcase
 pytestmark = pytest.mark.slow
 
 TESTCASE = load_testcase("bestest_hydronic_heat_pump").model_copy(update={"floor_area_m2": 192.0})
-LINEAR = IdentificationConfig(modulation="linear", sun_on_sensor=False, late_sensor=False)
+LINEAR = IdentificationConfig(modulation="linear")
 SHORT = ProbingConfig(warmup_days=1.0, candidates=6)
 
 
