@@ -394,6 +394,7 @@ class ThermoForceMPC(ActuatedController):
             return instance
         forecast = self._prediction.record(forecast, readings)
         planner, seconds = forecast.planner, forecast.context.seconds
+        shape = planner.stated.shape
         guess = self._guess(forecast.state.good, readings.time_s)
         own = self._commands.begin(
             planner.operator,
@@ -407,12 +408,12 @@ class ThermoForceMPC(ActuatedController):
         )
         try:
             for again in range(MOST_SOLVES if own else 1):
-                problem = own.within_reach(guess) if own else instance.problem
+                problem = own.within_reach(guess).in_moves(shape) if own else instance.problem
                 solve = Solve(planner.solver, problem, guess)
                 request = Request(planner.solver, solve, seconds=self.config.deadline.solve_s)
                 solution, solve_s = yield from timed(perform(request))
                 refused = solution.problem if not solution.ok else problem.unfit(solution.u)
-                if refused or own is None or again + 1 == MOST_SOLVES or not own.beyond(solution.u):
+                if refused or own is None or again + 1 == MOST_SOLVES or not own.beyond(solution.u, shape):
                     break
                 guess = solution.u
             began = time.perf_counter()

@@ -351,6 +351,15 @@ class MPCProblem:
         high = m.u_max[:, None] * whole if self.most_u is None else self.most_u
         return low, np.maximum(low, high)
 
+    def in_moves(self, shape: ProblemShape) -> MPCProblem:
+        """The same with what can be brought about in the steps of each move on average: it has one level.
+
+        What commands bring changes within an hour by more than from the least to the most of them, so that no level
+        lies within each step's bounds.
+        """
+        least_u, most_u = (None if u is None else shape.in_moves(u) for u in (self.least_u, self.most_u))
+        return replace(self, least_u=least_u, most_u=most_u)
+
     @property
     def cooling_cost_per_u(self) -> Array:
         """Energy cost of cooling over each step per unit of −u, currency, shape (A, N); 0 without cooling."""

@@ -31,7 +31,7 @@ from controllers.mpc.commands.search import Knob, better_commands
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.state import MPCState
 from controllers.optimisation.plan_model import Evaluator
-from controllers.optimisation.problem import MPCProblem, Weights
+from controllers.optimisation.problem import MPCProblem, ProblemShape, Weights
 from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.meter import (
@@ -266,10 +266,10 @@ class CommandedPlan:
                 lower_C[z], upper_C[z] = np.fmin(lower_C[z], alone_C[z]), np.fmax(upper_C[z], alone_C[z])
         return replace(problem, least_u=least, most_u=most, lower_C=lower_C, upper_C=upper_C)
 
-    def beyond(self, u: Array) -> bool:
-        """Whether levels (A, N) ask for more than commands bring at the temperatures that they lead to."""
+    def beyond(self, u: Array, shape: ProblemShape) -> bool:
+        """Whether levels (A, N) ask for more than commands bring in their moves at the temperatures they lead to."""
         reach = self._reach(_zone_C(self.problem, self.operator, u))
-        return any((u[a] > high + _BEYOND).any() for a, (_, high) in reach.items())
+        return any((u[a] > shape.in_moves(high) + _BEYOND).any() for a, (_, high) in reach.items())
 
     def _reach(self, T_C: Array) -> dict[int, tuple[Array, Array]]:
         """Least and largest levels that commands bring at temperatures of the zones (Z, N + 1), by actuator."""

@@ -13,7 +13,8 @@ from controllers.actuation.actuator import ActuationState
 from controllers.mpc.commands.commanding import BuildingCommands
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
-from controllers.optimisation.problem import Exchange, PowerCap
+from controllers.optimisation.problem import Exchange, PowerCap, ProblemShape, every_step
+from controllers.optimisation.solvers.qp import QPConfig, QPSolver
 from thermoforce_mpc.commands.meter import MeterEffect
 from thermoforce_mpc.data import HOUR_S, Observation
 from thermoforce_mpc.measurements.forecast import read_forecast
@@ -213,8 +214,24 @@ def test_levels_are_within_what_commands_bring_at_the_temperatures_of_the_plan(p
 
 def test_a_plan_is_beyond_what_commands_bring_where_its_own_temperatures_say_so(parts):
     plan, n = begun(parts), parts[2].n_steps
-    assert plan.beyond(np.ones((2, n)))
-    assert not plan.beyond(np.zeros((2, n)))
+    by_steps = ProblemShape(every_step(n))
+    assert plan.beyond(np.ones((2, n)), by_steps)
+    assert not plan.beyond(np.zeros((2, n)), by_steps)
+
+
+def test_a_move_is_within_what_commands_bring_in_its_steps_on_average(parts):
+    """What an offset brings falls within an hour by more than all offsets span: no level is within each part's."""
+    operator, problem = parts[3].planning_operator, parts[2]
+    falls = np.tile([0.36, 0.34, 0.20, 0.10], (2, problem.n_steps // 4))
+    shape = ProblemShape(np.arange(problem.n_steps) // 4, problem.machinery)
+    each = replace(problem, least_u=falls, most_u=falls + 0.05)
+    solver = QPSolver(operator, shape, QPConfig())
+    assert "leaves its bounds" in each.unfit(solver.solve(each).u)
+    within = each.in_moves(shape)
+    solution = solver.solve(within)
+    assert solution.ok, solution.problem
+    assert within.unfit(solution.u) == ""
+    assert ((solution.u > 0.24) & (solution.u < 0.31)).all()
 
 
 def test_energy_lies_between_the_law_of_power_and_what_the_rooms_ask_for(parts):
