@@ -59,34 +59,49 @@ def followed(
     gain = np.ones((1, A)) if gain is None else gain
     z = np.zeros(len(gain)) if z is None else z
     S, T_free = len(gain), problem.T_free_C + away_K
-    old, new = problem.forced_state_K, np.zeros((S, *problem.forced_state_K.shape))
+    new = np.zeros((S, *problem.forced_state_K.shape))
     T = np.repeat(problem.T_now_C[None], S, axis=0)
     before, levels, course = np.repeat(tables.before[None], S, axis=0), np.empty((S, A, n)), [T]
-    nothing, scatter = np.zeros(A), np.zeros(S)
+    scatter = np.zeros(S)
     for k in range(n):
         values = {a: values_of(a, k, T, before) for a in tables.loops}
-        faded = operator.advance(old, nothing)
-        at_rest = T_free[..., k] + faded.sum(axis=(1, 2)) + (operator.poles * new).sum(axis=(2, 3))
-        seen = old + new[0]
-        modulation = operator.modulated(np.ones(A), problem.features[:, k], seen)
+        remains_C = T_free[..., k] + tables.fades_K[k + 1].sum(axis=(1, 2))
+        at_rest = remains_C + (operator.poles * new).sum(axis=(2, 3))
+        modulation = tables.modulation[k]
+        if modulation is None:  # it sees what is forced
+            modulation = operator.modulated(np.ones(A), problem.features[:, k], tables.fades_K[k] + new[0])
         level = np.repeat(u[None, :, k], S, axis=0)
         tables.settle(k, values, level, before, z, T, at_rest, modulation * gain, scatter)
         drive = modulation * _heat(operator, problem, level, k) * gain
-        old, new = faded, operator.poles * new + operator.gains * drive[:, None, :, None]
-        T = T_free[..., k] + old.sum(axis=(1, 2)) + new.sum(axis=(2, 3))
+        new = operator.poles * new + operator.gains * drive[:, None, :, None]
+        T = remains_C + new.sum(axis=(2, 3))
         levels[:, :, k] = level
         course.append(T)
-    return Followed(levels, np.stack(course, axis=2), old + new, scatter)
+    return Followed(levels, np.stack(course, axis=2), tables.fades_K[n] + new, scatter)
 
 
 class LoopTables:
-    """`loops` by number of the actuator, one at least, and heat by level as arrays, for `_settle`."""
+    """What houses under any commands have in common.
+
+    `loops` by number of the actuator, one at least, and heat by level as arrays, for `_settle`; `fades_K` (n + 1) of
+    (Z, A, r): what is left of the forced state of now where steps begin, K; `modulation` (n) of (A,), None where it
+    depends on what is forced.
+    """
 
     def __init__(self, operator: BuildingOperator, problem: MPCProblem, loops: Mapping[int, CommandedLoop]) -> None:
         self.loops = loops
         table = np.repeat(np.linspace(0.0, 1.0, _TABLE)[:, None], len(operator.home), axis=1)
         self._heat = [np.ascontiguousarray(_heat(operator, problem, table, k)) for k in range(problem.n_steps)]
         self._maps = _Maps.of(loops, operator.actuators)
+        n, whole, nothing = problem.n_steps, np.ones(len(operator.home)), np.zeros(len(operator.home))
+        self.fades_K = [problem.forced_state_K]
+        for _ in range(n):
+            self.fades_K.append(operator.advance(self.fades_K[-1], nothing))
+        sees_forced = any(operator.of_actuator(a).feedback_active for a in range(nothing.size))
+        self.modulation = [
+            None if sees_forced else operator.modulated(whole, problem.features[:, k], problem.forced_state_K)
+            for k in range(n)
+        ]
         self._per_u, self._per_drive = power_of_levels(problem), np.ascontiguousarray(operator.gains.sum(axis=2))
         self.before = behind_levels(
             np.zeros(len(operator.home)) if problem.last_u is None else problem.last_u,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -98,3 +99,23 @@ def test_one_command_of_two_rooms_is_for_both():
     _, each = better_commands([knob(), knob()], [np.vstack([start, start])], apart)
     assert both == pytest.approx(2.0 * N * PARTS, rel=0.1)
     assert each < 0.6 * both
+
+
+def test_wider_limits_of_a_long_plan_make_it_no_dearer():
+    """48 h at 15 min: what is allowed beside more is found as well, and most of what the best commands save."""
+    n = 192
+    hour = np.arange(n) / 4 % 24
+    best = 20.0 + 1.0 * ((hour >= 3) & (hour < 6)) - 1.0 * ((hour >= 17) & (hour < 22))
+
+    def cost(rows):
+        return 50.0 + ((rows - best) ** 2).sum(axis=(1, 2)) + 0.2 * (np.diff(rows, axis=2) != 0.0).sum(axis=(1, 2))
+
+    def found(most_K):
+        low, high = np.full(n, 20.0 - most_K), np.full(n, 20.0 + most_K)
+        one = replace(knob(minimum=10, maximum=30), low=low, high=high, parts=1)
+        return better_commands([one], [np.full((1, n), 20.0)], cost)[1]
+
+    narrow, wide, wider = (found(most_K) for most_K in (1.0, 4.0, 8.0))
+    assert narrow < 60.0  # 51.6 is the least, 114 the start
+    assert wide < 1.1 * narrow
+    assert wider < 1.02 * wide
