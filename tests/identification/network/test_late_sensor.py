@@ -177,9 +177,9 @@ def test_a_record_of_a_machine_that_switches_weighs_no_more_than_some_days(monke
     weights, room = [], RoomNetwork()
 
     def searched(room: RoomNetwork, runs: list[RoomRun], start: Array) -> OptimizeResult:
-        if runs[0].step_h < 0.25:
+        if len(runs[0].readings) > 97:
             weights.append({run.weight for run in runs})
-        return OptimizeResult(x=start, fun=-20.0 * room.late - (runs[0].step_h < 0.25))
+        return OptimizeResult(x=start, fun=-20.0 * room.late - (len(runs[0].readings) > 97))
 
     def estimated(room: RoomNetwork, runs: list[RoomRun], most_starts: int | None = None) -> RoomFit:
         return RoomFit(room, room.mean, float(searched(room, runs, np.zeros(room.mean.size)).fun), runs)
@@ -191,6 +191,8 @@ def test_a_record_of_a_machine_that_switches_weighs_no_more_than_some_days(monke
     assert found is not None
     assert weights[0] == {1.0}, "what explains the record better is judged by all of it"
     assert set().union(*weights[1:]) == {5.0 / 12.0}
+    assert 0.25 * 1800.0 > found[1].lag_s > 0.25 * 900.0
+    assert late_sensor(room, [replace(day, step_h=0.5)] * 12) is None, "a lag of less than where heat came is known to"
 
 
 def late_model() -> ThermalModel:

@@ -7,7 +7,8 @@ both at the fit without a lag and at a quick emitter with a slow sensor, and the
 
 A mean level does not say where in its step the heat came, which passes for a lag. Where a machine that switches within
 its steps explains a record better than levels that are held, the sensor must be late by that too, and by no more than
-some days: when it switched is known to half a step, of which a long record would tell ever more surely.
+some days: when it switched is known to half a step, of which a long record would tell ever more surely. A lag that is
+shorter than what is left open is none.
 """
 
 from __future__ import annotations
@@ -76,15 +77,19 @@ def late_sensor(room: RoomNetwork, runs: Sequence[RoomRun]) -> tuple[RoomFit, La
     without, fit, probability = _compared(room, runs)
     if probability <= LIKELY:
         return None
+    lag_h = fit.room.value(fit.theta, LAG)
     switched = [_switched(run, room) for run in runs]
     moved = any(there is not run for there, run in zip(switched, runs, strict=True))
     if moved and float(searched(room, switched, without.scaled).fun) < without.value:
+        # Where in its half step heat came is known to a quarter of a step.
+        if lag_h <= 0.25 * max(run.step_h for run in runs):
+            return None
         days = sum((len(run.readings) - 1) * run.step_h for run in runs) / 24.0
         weighed = [replace(run, weight=min(1.0, _WEIGHED_DAYS / days)) for run in switched]
         probability = _compared(room, weighed)[-1]
         if probability <= LIKELY:
             return None
-    lag_s, place = HOUR_S * fit.room.value(fit.theta, LAG), fit.room.place[LAG]
+    lag_s, place = HOUR_S * lag_h, fit.room.place[LAG]
     return fit, LateSensor(lag_s, lag_s * float(np.sqrt(fit.covariance[place, place])), probability)
 
 
