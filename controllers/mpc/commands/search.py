@@ -28,9 +28,9 @@ from thermoforce_mpc.data import HOUR_S, Array
 # drawn anywhere, fewer of longer plans), 7.123 (48 h at 15 min; 7.564), 4.558 and 9.739 (9773, SG-Ready; 4.605 and
 # 9.788), 5.914 and 11.483 (8703, offset; 5.931 and 11.475).
 _WINDOWS, _AT_RUNS, _PAIRS, _MOVED, _TRADED = 112, 34, 64, 0.3, 0.5
-# Rounds, those in a row that gain less than this share of the cost, which end it, and windows taken together; chosen on
-# seeds 9756, 9759, 9776 and 9777 of `bench commands`, as what follows.
-_ROUNDS, _PATIENCE, _GAIN, _TOGETHER = 12, 3, 5e-4, 24
+# Rounds, those in a row that gain less than this share of all before, which end it, and windows taken together; chosen
+# on seeds 9756, 9759, 9776 and 9777 of `bench commands`, as what follows.
+_ROUNDS, _PATIENCE, _GAIN, _TOGETHER = 12, 3, 0.01, 24
 # Steps of plans that are followed in all rounds, and rounds at least, so that a long plan takes seconds; `bench
 # commands` as above.
 _STEPS, _FEWEST = 960, 5
@@ -138,7 +138,8 @@ def better_commands(
     """
     rng = np.random.default_rng(_SEED)
     costs = cost(np.stack(starts))
-    rows, least, waited = starts[int(np.argmin(costs))], float(costs.min()), 0
+    rows, first, waited = starts[int(np.argmin(costs))], float(costs.min()), 0
+    least = first
     for _ in range(min(_ROUNDS, max(_FEWEST, _STEPS // knobs[0].low.size))):
         moves = _moves(rng, knobs, rows)
         if not moves:
@@ -151,8 +152,8 @@ def better_commands(
             costs = np.append(costs, cost(np.stack(joined)))
         best = int(np.argmin(costs))
         gain = least - float(costs[best])
-        waited = 0 if gain > _GAIN * abs(least) else waited + 1
-        if gain > 0.0:
+        waited = 0 if gain > max(_GAIN * (first - least), 1e-9 * abs(least)) else waited + 1
+        if gain > 1e-9 * abs(least):
             rows, least = tried[best], float(costs[best])
         if waited == _PATIENCE:
             break

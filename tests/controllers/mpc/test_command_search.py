@@ -119,3 +119,10 @@ def test_wider_limits_of_a_long_plan_make_it_no_dearer():
     assert narrow < 60.0  # 51.6 is the least, 114 the start
     assert wide < 1.1 * narrow
     assert wider < 1.02 * wide
+
+
+def test_what_no_command_changes_changes_no_search():
+    """What else is on a meter makes a plan dearer, and a round's gain no smaller share of what was gained."""
+    start = np.full((1, N * PARTS), 20.0)
+    found = [better_commands([knob()], [start], lambda rows, more=more: dear(rows) + more)[0] for more in (0.0, 2e4)]
+    np.testing.assert_array_equal(found[1], found[0])
