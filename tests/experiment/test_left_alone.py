@@ -98,6 +98,14 @@ def test_the_saving_of_levels_is_that_of_the_house_lived_both_ways(home, measure
     assert "Not set" not in words
 
 
+def test_days_are_seen_in_a_record_that_ends_at_any_minute(measured, model, planned):
+    """Steps of an hour end when the record does, so that none of them may begin at midnight."""
+    ahead, plan = planned
+    later = [replace(one, time_s=one.time_s + 55.0 * 60.0) for one in (measured.record, ahead)]
+    saving, of_later = (saving_of_levels(model, *both, plan) for both in ((measured.record, ahead), later))
+    assert of_later.saved == pytest.approx(saving.saved, abs=0.02 * saving.cost_alone)
+
+
 def test_what_a_tank_takes_of_the_machine_the_rooms_do_not_get(measured, model, planned):
     ahead, plan = planned
     share = np.where(np.arange(24) % 6 == 0, 0.5, 0.0)

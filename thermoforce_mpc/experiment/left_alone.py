@@ -240,11 +240,11 @@ class _Habits:
 
     @classmethod
     def of(cls, model: ThermalModel, record: Record) -> _Habits:
-        """Of the last whole days of a record, from midnight to midnight."""
+        """Of the last whole days of a record, each from its first step on: steps end when the record does."""
         per_day = DAY_S / record.step_s
         K = round(per_day)
         clock = clock_s(record.time_s, record.origin)
-        begins = np.flatnonzero(np.abs(clock % DAY_S) < 1.0)
+        begins = np.flatnonzero((clock + 1.0) % DAY_S < record.step_s)
         begins = begins[begins + K <= record.n_steps]
         if abs(per_day - K) > 1e-6 or begins.size < _LEAST_DAYS:
             raise DataError(f"the record has {begins.size} whole days, and {_LEAST_DAYS} tell how it is left alone")
@@ -265,7 +265,7 @@ class _Habits:
         counts = np.ones(D, dtype=bool)
         if without is not None:
             counts[without] = False
-        place = (np.round(clock / DAY_S * K).astype(np.intp) - 1) % K
+        place = (((clock + 1.0) / DAY_S * K).astype(np.intp) - 1) % K
         out = np.empty((Z, clock.size))
         for z in range(Z):
             for n, k in enumerate(place):
