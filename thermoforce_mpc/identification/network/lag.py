@@ -27,10 +27,10 @@ from thermoforce_mpc.identification.network.room import LAG, ROOM, RoomNetwork
 from thermoforce_mpc.model.late_sensor import LIKELY, LateSensor
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
-# Days that such a record weighs at most, by judgement as long as probing; how far levels are from off, from full and
+# Days that such a record weighs at most, by judgement; how far levels are from off, from full and
 # from each other at least where a machine may have been switched, by judgement too. Of 28 days of own control at steps
-# of 15 min a house whose heat pump switches 47 times a day has log odds of 57 and of 3.0 by these, with a sensor that
-# is late by 15 min 452 and 59 (620001:0, 2026-11-30).
+# of 15 min a house whose heat pump switches 47 times a day has log odds of 57 and of 5.5 by these, with a sensor that
+# is late by 15 min 452 and 94 (620001:0, 2026-11-30).
 _WEIGHED_DAYS, _PART = 5.0, 0.02
 # Where the second search begins, in prior standard deviations of sensor and emitters. By judgement: the other likely
 # maximum of drawn houses with warm air (2026-11-30).
