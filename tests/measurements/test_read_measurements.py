@@ -395,6 +395,45 @@ def test_exports_joined_end_to_end_are_one_table(tmp_path, quoted):
     assert "FILL IN" not in starting_map(path)
 
 
+NOW = pd.Timestamp("2025-01-12", tz="UTC")
+
+
+@pytest.mark.parametrize("now", [None, NOW])
+@pytest.mark.parametrize("one_a_row", [False, True])
+def test_what_cells_say_of_their_unit_counts(tmp_path, now, one_a_row):
+    """The map takes W and shares where cells say W below a kilowatt, kW above, and %: never 1000 times too little."""
+    df = house(40)
+    powers, levels = df["P"].to_numpy() + 300, df["u"].to_numpy()
+    df["P"] = [f"{power / 1000:.3f} kW" if power > 999 else f"{power:.0f} W" for power in powers]
+    df["u"] = [f"{100 * level:.0f} %" for level in levels]
+    rules = BASE | {"time": {"zone": "UTC"}}
+    if one_a_row:
+        df = df.melt("time").sort_values("time", kind="stable")
+        rules |= {"table": {"point": "variable", "value": "value"}}
+    df.to_csv(tmp_path / "house.csv", index=False)
+    for files in (tmp_path / "house.csv", df):
+        record = tf.read_measurements(files, rules, now=now).record
+        np.testing.assert_allclose(record.power_W[0, :38], powers[:38])
+        np.testing.assert_allclose(record.u[0, :38], levels[:38])
+
+
+def test_cells_of_another_unit_than_the_map_says_are_refused(tmp_path):
+    """Twenty degrees of another scale may be possible ones."""
+    df = house(40)
+    df["T"] = [f"{1.8 * T + 32:.1f} °F" for T in df["T"]]
+    path, _ = written(tmp_path, df)
+    told = r"house\.csv, line 2: column 'T' holds '68\.0 °F', which says °F, and its unit in the map is °C"
+    with pytest.raises(DataError, match=told):
+        tf.read_measurements(path, BASE)
+    left_out = tf.read_measurements(path, BASE | {"time": {"zone": "UTC"}}, now=NOW).left_out
+    assert any("column 'T' says °F, and its unit in the map is °C" in note for note in left_out)
+    in_F = BASE | {"zones": {"room": {"temperature": {"column": "T", "unit": "°F"}}}}
+    np.testing.assert_allclose(tf.read_measurements(path, in_F).record.T_zone_C[0, :3], [20.0, 20.0, 20.0], atol=0.05)
+    df["P"] = [f"{power / 1000:.3f} kW" for power in df["P"]]
+    df.rename(columns={"T": "Living room", "out": "Outdoor temperature", "P": "Power (W)"}).to_csv(path, index=False)
+    assert "power: {column: 'Power (W)', unit: 'kW'}" in starting_map(path)
+
+
 COMMA = BASE | {"csv": {"decimal": ","}}
 
 

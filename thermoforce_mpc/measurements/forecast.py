@@ -31,6 +31,7 @@ from thermoforce_mpc.measurements.map.mapping import (
     Signal,
     Temperature,
     converted,
+    units_of,
 )
 from thermoforce_mpc.measurements.readings import (
     BOUND,
@@ -96,13 +97,13 @@ def prices_over_steps(
     told = stamped.zone
     own = {"zone": told or clock.zone, "order": "sort", "duplicates": "last"}
     stamped = stamped.model_copy(update=own)
-    tables = read_tables([path], named, lambda _: Written(time=stamped, csv=form), [])
+    unit = price_unit_of(named[0]) or "per kWh"
+    tables = read_tables([path], named, lambda _: Written(time=stamped, csv=form), [], {named[0]: unit})
     rows = timed(tables, stamped)
     taken = ""
     if told is None and clock.zone is not None and not with_offset(tables[0].stamps.astype(str).iloc[:1]).any():
         # Exchanges write the clock of their market, often without a word.
         taken = f"; its stamps name no zone: taken in {clock.zone}, as the map says; call them 'time (CET)' for another"
-    unit = price_unit_of(named[0]) or "per kWh"
     values = converted(rows.columns[named[0]], unit)
     known = np.isfinite(values)
     if doubt := price_doubt(values[known], currency or currency_of(named[0])):
@@ -280,28 +281,29 @@ class _Sources:
         return cls(ours, bounds, tariffs, at_meter, bill, frozenset(own))
 
     @property
-    def columns(self) -> list[str]:
-        """Columns of a forecast's table."""
+    def signals(self) -> list[Signal]:
+        """Signals of a forecast's table."""
         weather: list[Signal] = [self.ours.outdoor]
         if self.ours.sun is not None:
             weather += [signal for signal in (self.ours.sun.signal, self.ours.sun.humidity) if signal]
         every = (*weather, *self.bounds["lower"], *self.bounds["upper"], *self.tariffs, *self.at_meter)
-        return [column for signal in every if isinstance(signal, Signal) for column in signal.columns]
+        return [signal for signal in every if isinstance(signal, Signal)]
 
 
 def _rows(
     file: str | Path | pd.DataFrame, sources: _Sources, now: pd.Timestamp | None, notes: list[str]
 ) -> tuple[Timed, str]:
     """Rows of a forecast in the order of time, and the name of its table; of one that a machine writes at `now`."""
-    rules, clock, columns = sources.ours, sources.ours.time, sources.columns
+    rules, clock, units = sources.ours, sources.ours.time, units_of(sources.signals)
+    columns = [column for signal in sources.signals for column in signal.columns]
     form, csv = rules.forecast.table or TableForm(), rules.forecast.csv or rules.csv
     clock = clock if now is None else clock.lenient()
     with _own_columns():
         if isinstance(file, pd.DataFrame):
             if now is None:
-                tables = tables_of(file, clock.column, columns, form, "forecast")
+                tables = tables_of(file, clock.column, columns, form, "forecast", units=units)
             else:
-                tables = [frame_appended(file, columns, clock, now + _LATEST, notes)]
+                tables = [frame_appended(file, columns, clock, now + _LATEST, notes, units)]
         else:
             paths = found_files([file])
             if len(paths) > 1:
@@ -315,9 +317,9 @@ def _rows(
                     clock = clock if now is None else clock.lenient()
             written = Written(time=clock, csv=csv, table=form)
             if now is None:
-                tables = read_tables(paths, columns, lambda _: written, [])
+                tables = read_tables(paths, columns, lambda _: written, [], units)
             else:
-                tables = read_appended(paths, columns, lambda _: written, now + _LATEST, notes)
+                tables = read_appended(paths, columns, lambda _: written, now + _LATEST, notes, units=units)
     rows = timed(tables, clock, now)
     if now is not None:
         notes += rows.notes

@@ -266,20 +266,20 @@ def read_measurements(
     head, decimal = None, rules.csv.decimal
     if isinstance(files, pd.DataFrame):
         if now is None or rules.table != TableForm():
-            tables = tables_of(files, clock.column, columns, rules.table, "table")
+            tables = tables_of(files, clock.column, columns, rules.table, "table", units=rules.units())
         else:
-            tables = [frame_appended(files, columns, clock, now + _LATEST, left_out)]
+            tables = [frame_appended(files, columns, clock, now + _LATEST, left_out, rules.units())]
         head = files.iloc[:_ROWS]
     else:
         patterns = [files] if isinstance(files, str | Path) else list(files)
         paths = found_files(patterns, most_bytes)
         if now is None:
-            tables = read_tables(paths, columns, rules.written, notes)
+            tables = read_tables(paths, columns, rules.written, notes, rules.units())
             first = rules.written(paths[0])
             head = head_of(paths[0], _ROWS, first.csv) if first.table == TableForm() else None
             decimal = first.csv.decimal
         else:
-            tables = read_appended(paths, columns, rules.written, now + _LATEST, left_out)
+            tables = read_appended(paths, columns, rules.written, now + _LATEST, left_out, units=rules.units())
     rows = timed(tables, clock, now)
     rows = replace(rows, notes=(*notes, *rows.notes))
     found = _from_table(tables, rows, rules, step_s, at, refuse=now is None)

@@ -111,12 +111,12 @@ def read_points(files: str | Path | pd.DataFrame, rules: MeasurementMap, now: pd
         absent = [column for column in columns if of_one and column not in known]
         there = [column for column in columns if column not in absent]
         if of_one:
-            tables = [frame_appended(files, there, clock, now + _LATEST, notes)] if there else []
+            tables = [frame_appended(files, there, clock, now + _LATEST, notes, rules.units())] if there else []
         else:
-            tables = tables_of(files, clock.column, columns, rules.table, "table")
+            tables = tables_of(files, clock.column, columns, rules.table, "table", units=rules.units())
     else:
         paths = found_files([files], MOST_BYTES)
-        tables = read_appended(paths, columns, rules.written, now + _LATEST, notes, absent)
+        tables = read_appended(paths, columns, rules.written, now + _LATEST, notes, absent, rules.units())
     rows = timed(tables, clock, now) if tables else None
     if rows is not None and rows.index.tz is None:
         raise ConfigError("time.zone: the time stamps have no zone: name the building's, as Europe/Berlin, in the map")

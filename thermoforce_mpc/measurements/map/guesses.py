@@ -466,8 +466,8 @@ class Guess:
 class Column:
     """First readings of a signal: instants (n,) s since 1970, increasing, values (n,) NaN where none.
 
-    `text`: it is mostly words; `unit`: one that stands elsewhere than in its name; `by`: what values were multiplied
-    by, where a line above the table says it; `words`: those that stand amid its numbers; `clock`: the zone
+    `text`: it is mostly words; `unit`: one that its cells, or else name or table, say; `by`: what values were
+    multiplied by, where a line above the table says it; `words`: those that stand amid its numbers; `clock`: the zone
     of the clock that instants are of, '' for the building's.
     """
 
@@ -514,7 +514,7 @@ class _Look:
 
     def __init__(self, column: Column) -> None:
         self.name, self.tags = column.name, tags(column.name)
-        self.unit = unit_of(column.name) or column.unit
+        self.unit = column.unit or unit_of(column.name)
         known = np.isfinite(column.values)
         known[known] = ~_codes(column.values[known])
         self.time_s, self.values = column.time_s[known], column.values[known]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -203,6 +203,20 @@ class Price(Signal):
         if len(told) > 1:
             raise ValueError(f"unit: the names of its columns tell {' and '.join(told)}: a sum is of one unit, name it")
         return {**given, "unit": told[0]} if told else given
+
+
+def units_of(signals: Iterable[Signal]) -> dict[str, str]:
+    """The unit of each column, which its cells must not contradict. A factor is of the numbers as they stand there.
+
+    Of a column with several units it is none that cells could have, such as 'kW and °C'.
+    """
+    units: dict[str, list[str]] = {}
+    for signal in signals:
+        unit = getattr(signal, "unit", "")
+        if unit and abs(signal.factor) == 1.0:
+            for column in signal.columns:
+                units.setdefault(column, []).append(unit)
+    return {column: " and ".join(dict.fromkeys(told)) for column, told in units.items()}
 
 
 def _text_as_column(value: Any) -> Any:
@@ -603,6 +617,10 @@ class MeasurementMap(StrictModel):
             shares=tuple(actuator.share for actuator in actuators),
             floor_area_m2=tuple(zone.floor_area_m2 or np.nan for zone in self.zones.values()),
         )
+
+    def units(self) -> dict[str, str]:
+        """See `units_of`."""
+        return units_of(signal for _, signal in self.signals())
 
     def signals(self) -> Iterator[tuple[str, Signal]]:
         """Every column of the map by its key, such as 'zones.bath.temperature'."""

@@ -148,7 +148,7 @@ def _columns(taken: Recognised) -> list[Column]:
             key = _key(name, path, taken)
             if key is not None and key not in found:
                 below = next((u for u in (unit_of(f"({units.get(name, '').strip('()[]')})"),) if u), "")
-                unit = unit_of(name) or unit_of_cells(head[name], taken.csv.decimal) or below
+                unit = unit_of_cells(head[name], taken.csv.decimal) or unit_of(name) or below
                 by = 1.0 / divisors.get(name, 1.0)
                 found[key] = Column(key, time_s, numbers * by, words, unit, by, texts, UTC if taken.clock.zone else "")
     return list(found.values())

@@ -12,7 +12,7 @@ import io
 import re
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -44,8 +44,10 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     has_units,
     known_column,
     of_one_signal,
+    other_unit,
     raw_table,
     tables_of,
+    told_points,
     with_numbers,
 )
 
@@ -92,6 +94,7 @@ def read_appended(
     latest: pd.Timestamp,
     notes: list[str],
     absent: list[str] | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> list[RawTable]:
     """As `read_tables`, without the lines and cells that cannot be read; `notes` collects them.
 
@@ -104,10 +107,10 @@ def read_appended(
         of = written(path)
         clock = of.time.lenient()
         if not is_text(path):
-            found += [replace(one, clock=clock) for one in read_tables([path], wanted, written, notes)]
+            found += [replace(one, clock=clock) for one in read_tables([path], wanted, written, notes, units)]
             known |= dict.fromkeys(name for one in found for name in one.names)
             continue
-        here = _read(path, wanted, clock, of.csv, of.table, latest, notes, known)
+        here = _read(path, wanted, clock, of.csv, of.table, latest, notes, known, units or {})
         if here is not None:
             found.append(replace(here, clock=clock))
     for key in wanted:
@@ -127,6 +130,7 @@ def _read(
     latest: pd.Timestamp,
     notes: list[str],
     known: dict[str, None],
+    units: Mapping[str, str],
 ) -> RawTable | None:
     """The `wanted` signals of a file, None where it has none; `known` collects the names of its signals."""
     with reading(path):
@@ -138,8 +142,9 @@ def _read(
     if not values:
         return None
     text = _Text(
-        str(path), tuple(names), tuple(cells), separator, tuple(stamps), values, tuple(wanted), clock, form, table
-    )
+        str(path), tuple(names), tuple(cells), separator, tuple(stamps), values, tuple(wanted),
+        tuple(units.get(key, "") for key in wanted), clock, form, table,
+    )  # fmt: skip
     first = header + 1 + form.skip_after
     parts = _parts(text, content, first) or [_part(text, content, first)]
     left = _Left(str(path))
@@ -155,7 +160,10 @@ def _read(
 
 @dataclass(frozen=True)
 class _Text:
-    """How the text of a file is read: its columns (`cells`: as they stand there), and what is wanted of it."""
+    """How the text of a file is read: its columns (`cells`: as they stand there), and what is wanted of it.
+
+    `units`: of those wanted, see `raw_table`.
+    """
 
     name: str
     names: tuple[str, ...]
@@ -164,6 +172,7 @@ class _Text:
     stamps: tuple[str, ...]
     values: dict[str, str]
     wanted: tuple[str, ...]
+    units: tuple[str, ...]
     clock: TimeStampRules
     form: CsvFormat
     table: TableForm
@@ -263,7 +272,13 @@ def _parts(text: _Text, content: bytes, first: int) -> list[_Part] | None:
     cuts = [begin]
     while len(content) - cuts[-1] > 2 * PART_BYTES and (end := content.find(b"\n", cuts[-1] + PART_BYTES) + 1):
         cuts.append(end)
-    key = (text.name, text.names, text.wanted, *(one.model_dump_json() for one in (text.clock, text.form, text.table)))
+    key = (
+        text.name,
+        text.names,
+        text.wanted,
+        text.units,
+        *(one.model_dump_json() for one in (text.clock, text.form, text.table)),
+    )
     before, here = PARTS.turn_over(key)
     parts, line = list[_Part](), first
     for cut, end in pairwise([*cuts, len(content)]):
@@ -289,10 +304,14 @@ def _part(text: _Text, content: bytes, first: int) -> _Part:
         lines, rows, count, alone = _rows(content, form, first, text.separator, list(text.cells), left)
         frame = pd.DataFrame(rows, columns=names, dtype=str)[keys]
     frame = with_numbers(frame.mask(frame.isin({*_EMPTY, *form.missing})), form.words, form.decimal)
+    of_signal = dict(zip(text.wanted, text.units, strict=True))
+    units = of_signal if points else {column: of_signal.get(key, "") for key, column in text.values.items()}
+    told = told_points(frame, points) if points else None
+    ours = np.ones(len(frame), dtype=bool) if told is None else np.asarray(told.isin(text.wanted))
     for key in dict.fromkeys(text.values.values()):
-        ours = _of_wanted(frame, points, text.wanted) if points else np.ones(len(frame), dtype=bool)
-        alone = alone and not has_units(frame[key], form.decimal)
-        frame[key] = _numbers(frame[key], key, form.decimal, lines, left, ours)
+        in_units = all(text.units) if points else bool(units[key])
+        alone = alone and (in_units or not has_units(frame[key], form.decimal))
+        frame[key] = _numbers(frame[key], key, form.decimal, lines, left, ours, told, units)
     written = frame[stamps[0]]
     for more in stamps[1:]:
         written = written + " " + frame[more]
@@ -325,7 +344,12 @@ def _part(text: _Text, content: bytes, first: int) -> _Part:
 
 
 def frame_appended(
-    df: pd.DataFrame, columns: Sequence[str], clock: TimeStampRules, latest: pd.Timestamp, notes: list[str]
+    df: pd.DataFrame,
+    columns: Sequence[str],
+    clock: TimeStampRules,
+    latest: pd.Timestamp,
+    notes: list[str],
+    units: Mapping[str, str] | None = None,
 ) -> RawTable:
     """As `raw_table` of a data frame, without the rows and cells that cannot be read; `notes` collects them."""
     of_stamps = isinstance(df.index, pd.DatetimeIndex) or not pd.api.types.is_numeric_dtype(df.index)
@@ -339,7 +363,7 @@ def frame_appended(
     for key in keys[len(stamps) :]:
         if not pd.api.types.is_numeric_dtype(frame[key]):
             cells = frame[key].mask(frame[key].isin(_EMPTY))
-            frame[key] = _numbers(cells, key, ".", rows, left, np.ones(len(frame), dtype=bool))
+            frame[key] = _numbers(cells, key, ".", rows, left, np.ones(len(frame), dtype=bool), None, units or {})
     at = frame[stamps[0]]
     for more in stamps[1:]:
         at = at.astype(str) + " " + frame[more].astype(str)
@@ -352,13 +376,6 @@ def frame_appended(
     if clock.unit is not None:
         frame[stamps[0]] = pd.to_numeric(frame[stamps[0]])
     return raw_table(frame, stamps, columns, "table")
-
-
-def _of_wanted(frame: pd.DataFrame, points: Sequence[str], wanted: Sequence[str]) -> NDArray[np.bool_]:
-    told = frame[points[0]].astype(str)
-    for more in points[1:]:
-        told = told + " " + frame[more].astype(str)
-    return np.asarray(told.isin(list(wanted)))
 
 
 def _whole(
@@ -455,11 +472,20 @@ def _leave_cut(rows: list[list[str]], number: int, left: _Left) -> None:
 
 
 def _numbers(
-    column: pd.Series, key: str, decimal: str, lines: NDArray[np.intp], left: _Left, ours: NDArray[np.bool_]
+    column: pd.Series,
+    key: str,
+    decimal: str,
+    lines: NDArray[np.intp],
+    left: _Left,
+    ours: NDArray[np.bool_],
+    points: pd.Series[str] | None,
+    units: Mapping[str, str],
 ) -> pd.Series:
-    numbers = as_numbers(column, decimal)
+    numbers = as_numbers(column, decimal, points, units)
     for row in np.flatnonzero((numbers.isna() & column.notna()).to_numpy() & ours):
-        left.add(f"column '{key}' holds no number", int(lines[row]), str(column.iloc[row]))
+        cell, name = str(column.iloc[row]), key if points is None else points.iloc[row]
+        reason = other_unit(cell, decimal, units.get(name, "")) or "holds no number"
+        left.add(f"column '{name}' {reason}", int(lines[row]), cell)
     return numbers.astype(float)
 
 

@@ -14,7 +14,7 @@ import re
 import warnings
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -143,9 +143,13 @@ def named_after(path: Path, form: CsvFormat) -> str:
 
 
 def read_tables(
-    paths: Sequence[Path], wanted: Sequence[str], written: Callable[[Path], Written], notes: list[str]
+    paths: Sequence[Path],
+    wanted: Sequence[str],
+    written: Callable[[Path], Written],
+    notes: list[str],
+    units: Mapping[str, str] | None = None,
 ) -> list[RawTable]:
-    """The time stamps and `wanted` signals of files, each as it is `written`.
+    """The time stamps and `wanted` signals of files, each as it is `written`; `units` by signal: see `raw_table`.
 
     A file need not hold all of them; `notes` is told of one that holds none. Raises `DataError`, with column and line,
     for one that cannot be read, is empty, or holds text in one, and where one of `wanted` is in no file.
@@ -157,12 +161,12 @@ def read_tables(
         form, table, stamps = (of := written(path)).csv, of.table, of.time.column
         for part in _parts(path, form):
             if table.point is not None:
-                found += _of_readings(part, stamps, wanted, form, table)
+                found += _of_readings(part, stamps, wanted, form, table, units)
                 known |= dict.fromkeys(name for one in found for name in (*_present(one), *one.beside))
             else:
                 column_of = _signals(part, stamps, form, table)
                 known |= dict.fromkeys(column_of)
-                found += _of_columns(part, stamps, wanted, column_of, form, table)
+                found += _of_columns(part, stamps, wanted, column_of, form, table, units)
         if not found and len(paths) > 1:
             notes.append(f"{path}: holds none of the columns of the map: left out")
         tables += [replace(one, clock=of.time) for one in found if len(one.stamps)]
@@ -295,7 +299,12 @@ def _numbered(
 
 
 def _of_readings(
-    part: _Part, stamps: Stamps, wanted: Sequence[str], form: CsvFormat, table: TableForm
+    part: _Part,
+    stamps: Stamps,
+    wanted: Sequence[str],
+    form: CsvFormat,
+    table: TableForm,
+    units: Mapping[str, str] | None,
 ) -> Iterator[RawTable]:
     """A table of one reading a row, of the `wanted` signals; its stamps become instants early, since text is large."""
     points, values = table.points, table.values
@@ -308,7 +317,8 @@ def _of_readings(
     code_of = {name: k for k, name in enumerate(dict.fromkeys(wanted))}
     at: list[pd.Series] = []
     for df, line in part.frames(list(dict.fromkeys(told)), _ROWS_AT_ONCE):
-        piece = readings_table(df, keys or None, table, str(part.path), line, form.decimal, wanted).with_instants()
+        piece = readings_table(df, keys or None, table, str(part.path), line, form.decimal, wanted, units)
+        piece = piece.with_instants()
         assert piece.codes is not None
         for k, name in enumerate(piece.points):
             if name not in code_of and len(beside.get(name, ())) < _FIRST:
@@ -356,6 +366,7 @@ def _of_columns(
     column_of: dict[str, str],
     form: CsvFormat,
     table: TableForm,
+    units: Mapping[str, str] | None,
 ) -> Iterator[RawTable]:
     here = [key for key in dict.fromkeys(wanted) if key in column_of]
     if not here:
@@ -367,9 +378,10 @@ def _of_columns(
             raise DataError(
                 f"{part.path}: there are {part.names.count(key)} columns '{key}'; give each a name of its own"
             )
-    told = [*keys, *(column_of[key] for key in here), *([table.status] if table.status in part.names else [])]
-    df, line = next(part.frames(list(dict.fromkeys(told)), None))
-    found = raw_table(df, keys or None, [column_of[key] for key in here], str(part.path), line, form.decimal)
+    read = [*keys, *(column_of[key] for key in here), *([table.status] if table.status in part.names else [])]
+    df, line = next(part.frames(list(dict.fromkeys(read)), None))
+    told = {column_of[key]: (units or {}).get(key, "") for key in here}
+    found = raw_table(df, keys or None, list(told), str(part.path), line, form.decimal, told)
     bad = bad_status(df, table)
     columns = {key: np.where(bad, np.nan, found.columns[column_of[key]]) for key in here}
     yield replace(found, columns=columns) if table.by_file != "point" else of_one_signal(found, here[0], columns)

@@ -36,6 +36,12 @@ _QUANTITIES: dict[str, tuple[str, float]] = {
     "ppm": ("ppm", 1.0), "hpa": ("hPa", 1.0), "lx": ("lx", 1.0), "v": ("V", 1.0), "a": ("A", 1.0), "l/h": ("l/h", 1.0),
     "m/s": ("m/s", 1.0), "km/h": ("km/h", 1.0), "€/kwh": ("per kWh", 1.0), "eur/kwh": ("per kWh", 1.0),
 }  # fmt: skip
+# Units that a map alone says, and a share of it as what stands in percent.
+_DECLARED: dict[str, tuple[str, float]] = {
+    "0-1": ("%", 100.0), "MW": ("W", 1e6), "MMBTU/h": ("BTU/h", 1e6), "kW/m²": ("W/m²", 1e3), "kW/m2": ("W/m²", 1e3),
+    "per kWh": ("per kWh", 1.0), "per MWh": ("per kWh", 1e-3), "cent per kWh": ("per kWh", 1e-2),
+    "cent per MWh": ("per kWh", 1e-5),
+}  # fmt: skip
 _QUANTITY = re.compile(r"([+-]?\d[\d.,'’\s]*?)\s*([^\d\s.,'’+-][^\d]{0,7}2?)")
 # A telegram in front of what it says, as '0C 3F | 21.3 °C'.
 _TELEGRAM = re.compile(r"[$0-9a-f ]+\| *")
@@ -107,14 +113,19 @@ def raw_table(
     name: str,
     line: int | NDArray[np.int64] = 1,
     decimal: str = ".",
+    units: Mapping[str, str] | None = None,
 ) -> RawTable:
-    """The time stamps and `columns` of a data frame (text with the mark `decimal`); raises as `read_tables` does."""
+    """The time stamps and `columns` of a data frame (text with the mark `decimal`); raises as `read_tables` does.
+
+    `units` by column: that its numbers get where its cells say one; default: that of the first such cell.
+    """
     at = _stamps(df, stamps, name)
     if not len(df):
         raise DataError(f"{name}: the table has no rows")
     table = RawTable(name, at, {}, line)
     for key in dict.fromkeys(columns):
-        table.columns[key] = _numbers(df[known_column(key, df.columns, name)], key, table, decimal)
+        unit = (units or {}).get(key, "")
+        table.columns[key] = _numbers(df[known_column(key, df.columns, name)], key, table, decimal, unit)
     return table
 
 
@@ -127,14 +138,16 @@ def tables_of(
     lines: NDArray[np.int64] | None = None,
     *,
     strict: bool = True,
+    units: Mapping[str, str] | None = None,
 ) -> list[RawTable]:
     """The time stamps and `wanted` signals of a data frame by its form; raises as `read_tables` does.
 
-    `lines` (n,): of the file where its rows stand. Where not `strict`, some signals may be missing.
+    `lines` (n,): of the file where its rows stand. Where not `strict`, some signals may be missing. `units` by signal:
+    see `raw_table`.
     """
     if form.point is None:
-        return [raw_table(df, stamps, wanted, name, 1 if lines is None else lines)]
-    table = readings_table(df, stamps, form, name, wanted=wanted)
+        return [raw_table(df, stamps, wanted, name, 1 if lines is None else lines, units=units)]
+    table = readings_table(df, stamps, form, name, wanted=wanted, units=units)
     for key in wanted if strict else ():
         known_column(key, pd.Index(table.points), name)
     assert table.codes is not None
@@ -176,8 +189,12 @@ def readings_table(
     line: int | NDArray[np.int64] = 1,
     decimal: str = ".",
     wanted: Sequence[str] = (),
+    units: Mapping[str, str] | None = None,
 ) -> RawTable:
-    """A data frame in which each row is one reading; raises `DataError` where one of a `wanted` signal is text."""
+    """A data frame in which each row is one reading; raises `DataError` where one of a `wanted` signal is text.
+
+    `units` by signal: see `raw_table`.
+    """
     points, values = form.points, form.values
     for key in (*points, *values[:1]):
         known_column(key, df.columns, name)
@@ -191,7 +208,8 @@ def readings_table(
         if key not in df:
             continue
         empty = np.isnan(readings)
-        numbers, texts = _with_texts(df[key], decimal, table.codes)
+        told = [(units or {}).get(point, "") for point in table.points]
+        numbers, texts = _with_texts(df[key], decimal, table.codes, told)
         for code in np.unique(codes[texts]):
             cells = df[key][texts & (codes == code)].astype(str).str.strip().value_counts()
             wordy[str(names[code])] = dict(zip(cells.index[:_MOST_WORDS], cells.tolist(), strict=False)) | {
@@ -200,7 +218,8 @@ def readings_table(
         readings[empty] = numbers[empty]
         of_wanted = [int(row) for row in np.flatnonzero(texts) if table.points[codes[row]] in wanted]
         if of_wanted:
-            _refuse(df[key], of_wanted, table.points[codes[of_wanted[0]]], table, decimal)
+            first = int(codes[of_wanted[0]])
+            _refuse(df[key], of_wanted, table.points[first], table, decimal, told[first])
     readings[bad_status(df, form)] = np.nan
     return replace(table, wordy=wordy)
 
@@ -281,12 +300,21 @@ def known_column(key: str, columns: pd.Index, name: str) -> str:
     return key
 
 
-def as_numbers(column: pd.Series, decimal: str = ".") -> pd.Series:
+def as_numbers(
+    column: pd.Series,
+    decimal: str = ".",
+    points: pd.Series[str] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> pd.Series:
     """The numbers of a column of text, 1 and 0 where it holds nothing but on and off; NaN for what is none.
 
-    With the mark ',' a point is none of a number: it may stand between thousands.
+    With the mark ',' a point is none of a number: it may stand between thousands. `points` (n,): whose each cell is,
+    where they are of several signals; `units` by signal (or by the column's name): see `raw_table`.
     """
-    return pd.Series(_with_texts(column, decimal)[0], index=column.index)
+    codes, names = (None, [column.name]) if points is None else pd.factorize(points)
+    told = [(units or {}).get(str(name), "") for name in names]
+    of = None if codes is None else codes.astype(np.int32)
+    return pd.Series(_with_texts(column, decimal, of, told)[0], index=column.index)
 
 
 def has_units(column: pd.Series, decimal: str) -> bool:
@@ -314,11 +342,11 @@ def with_numbers(df: pd.DataFrame, words: Mapping[str, float], decimal: str) -> 
 
 
 def _with_texts(
-    column: pd.Series, decimal: str, of: NDArray[np.int32] | None = None
+    column: pd.Series, decimal: str, of: NDArray[np.int32] | None = None, told: Sequence[str] = ("",)
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Numbers (n,) of a column, and which of its cells hold text that is no number, no on or off and not 'missing'.
 
-    `of` (n,): the signal of each cell, where they are of several.
+    `of` (n,): the signal of each cell, where they are of several; `told` (k,): the unit of each signal, '' for none.
     """
     if pd.api.types.is_bool_dtype(column):
         column = column.astype(float)
@@ -341,7 +369,7 @@ def _with_texts(
             found = np.where(of_text, [_grouped(word, decimal) for word in words], found)
             of_text &= np.isnan(found)
         if of_text.any():
-            found = _of_quantities(codes, list(words), found, None if of is None else of[rest], decimal)
+            found = _of_quantities(codes, list(words), found, None if of is None else of[rest], decimal, told)
             of_text = of_text[codes] & np.isnan(found)
             numbers[rest], texts[rest] = found, of_text
         else:
@@ -363,12 +391,17 @@ def _grouped(cell: str, decimal: str) -> float:
 
 
 def _of_quantities(
-    codes: NDArray[np.intp], words: list[str], known: Array, of: NDArray[np.int32] | None, decimal: str
+    codes: NDArray[np.intp],
+    words: list[str],
+    known: Array,
+    of: NDArray[np.int32] | None,
+    decimal: str,
+    told: Sequence[str],
 ) -> Array:
-    """Numbers (n,) of cells with a unit behind, in the unit of the first such cell of each signal `of` (n,).
+    """Numbers (n,) of cells with a unit behind, in the `told` one of each signal `of` (n,), else that of the first.
 
     `codes` (n,): which of `words` (k,) a cell is; `known` (k,): numbers of words that are none of a quantity. A cell of
-    another quantity than the first one is no number.
+    another quantity is no number.
     """
     quantities = [quantity_of(word, decimal) for word in words]
     out = known[codes]
@@ -376,7 +409,8 @@ def _of_quantities(
     first: dict[int, tuple[str, float]] = {}
     for row in rows:
         value, what, scale = quantities[codes[row]] or (np.nan, "", 1.0)
-        kind, by = first.setdefault(0 if of is None else int(of[row]), (what, scale))
+        signal = 0 if of is None else int(of[row])
+        kind, by = first.setdefault(signal, _declared(told[signal]) if told[signal] else (what, scale))
         out[row] = value * scale / by if kind == what else np.nan
     return out
 
@@ -392,29 +426,53 @@ def quantity_of(cell: str, decimal: str) -> tuple[float, str, float] | None:
     return None if np.isnan(number) else (number, *known)
 
 
+def _declared(unit: str) -> tuple[str, float]:
+    """What a unit of a map measures, and in how many of the first of it."""
+    unit = unit.removesuffix(" per step").removesuffix(" counter")
+    return _DECLARED.get(unit) or _QUANTITIES.get(unit.lower(), (unit, 1.0))
+
+
 def unit_of_cells(column: pd.Series, decimal: str) -> str:
     """The unit that stands in the cells of a column behind their numbers; '' where none does."""
     if not (pd.api.types.is_object_dtype(column) or pd.api.types.is_string_dtype(column)):
         return ""
     for cell in column.dropna().astype(str).iloc[:_LOOKED_AT]:
         if (found := quantity_of(cell, decimal)) is not None:
-            _, what, scale = found
-            return {1.0: "", 1e3: "k", 1e6: "M"}[scale] + what
+            return _written(found)
     return ""
 
 
-def _numbers(column: pd.Series, key: str, table: RawTable, decimal: str) -> Array:
+def _written(quantity: tuple[float, str, float]) -> str:
+    """The unit of what `quantity_of` found."""
+    _, what, scale = quantity
+    return {1.0: "", 1e3: "k", 1e6: "M"}[scale] + what
+
+
+def _numbers(column: pd.Series, key: str, table: RawTable, decimal: str, unit: str) -> Array:
     if isinstance(column, pd.DataFrame):
         raise DataError(f"{table.name}: there are {column.shape[1]} columns '{key}'; give each a name of its own")
-    numbers, texts = _with_texts(column, decimal)
+    numbers, texts = _with_texts(column, decimal, told=(unit,))
     if texts.any():
-        _refuse(column, np.flatnonzero(texts).tolist(), key, table, decimal)
+        _refuse(column, np.flatnonzero(texts).tolist(), key, table, decimal, unit)
     return numbers
 
 
-def _refuse(column: pd.Series, rows: Sequence[int], key: str, table: RawTable, decimal: str) -> None:
+def other_unit(cell: str, decimal: str, unit: str) -> str:
+    """Why a cell such as '70.1 °F' is no number in `unit` ('': that of the cells before); '' where it says no unit."""
+    if (quantity := quantity_of(cell, decimal)) is None:
+        return ""
+    if not unit:
+        return f"says {_written(quantity)}, and the cells before another unit"
+    return "" if _declared(unit)[0] == quantity[1] else f"says {_written(quantity)}, and its unit in the map is {unit}"
+
+
+def _refuse(column: pd.Series, rows: Sequence[int], key: str, table: RawTable, decimal: str, unit: str) -> None:
     more = f" ({len(rows)} such cells)" if len(rows) > 1 else ""
     first = str(column.iloc[rows[0]])
+    if other := other_unit(first, decimal, unit):
+        raise DataError(
+            f"{table.where(int(rows[0]))}: column '{key}' holds {first!r}, which {other}{more}: check column and unit"
+        )
     advice = "if it stands for an empty cell, name it in csv.missing of the map"
     if decimal == "." and re.fullmatch(r"\s*-?[1-9]\d{0,2},\d{3}\s*", first):
         advice = "write numbers without marks between thousands, or, if it is a decimal comma, set csv: {decimal: ','}"
