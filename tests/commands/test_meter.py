@@ -127,8 +127,8 @@ def test_what_the_record_does_not_tell_is_not_said(what):
     assert learn_meter(CONTACT, seen) is None
 
 
-def test_plans_may_save_of_what_their_commands_move_beside_rooms_too():
+def test_plans_may_save_what_their_commands_move_beside_levels_and_of_peaks():
     of_rooms = spread_of_savings(0.4, 0.0, 0.0)
-    assert spread_of_savings(0.4, 0.4, 0.0) == pytest.approx(2.0 * of_rooms), "hot water that costs as much"
-    assert spread_of_savings(0.4, -0.1, 0.0) == of_rooms
-    assert spread_of_savings(0.0, 0.0, 0.2) == 0.2, "what a peak saves is known by the plan alone"
+    assert spread_of_savings(0.8, 0.0, 0.0) == pytest.approx(2.0 * of_rooms)
+    assert spread_of_savings(0.4, -0.3, 0.0) == pytest.approx(np.hypot(of_rooms, 0.3)), "hot water, at other hours"
+    assert spread_of_savings(0.0, 0.0, 0.2) == 0.2

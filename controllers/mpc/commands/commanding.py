@@ -445,7 +445,7 @@ class CommandedPlan:
         if by_chance is not None:
             sd = beyond_sd(float(moved), float(of_levels[0]), by_chance)
             saved = saved + sd * standard((len(z), 1), rng)[:, 0]
-        spread = spread_of_savings(float(of_levels[0]), float(beside_alone.cost[0]), float(off_peak[0]))
+        spread = spread_of_savings(float(of_levels[0]), float(moved), float(off_peak[0]))
         expected, low, high = expected_saving(saved, spread)
         outside = [self.boundary.outside_K(one.T_bounds_C[:, 1:]).sum(axis=1) * step_h for one in (with_plan, alone)]
         comfort = float((problem.weights.comfort * (outside[1] - outside[0])).sum())
