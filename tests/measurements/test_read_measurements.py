@@ -434,6 +434,17 @@ def test_cells_of_another_unit_than_the_map_says_are_refused(tmp_path):
     assert "power: {column: 'Power (W)', unit: 'kW'}" in starting_map(path)
 
 
+def test_words_of_a_device_are_to_get_their_numbers(tmp_path):
+    """As of `zigbee2mqtt/hall#running_state`; the advice can be followed."""
+    df = house(40)
+    df["u"] = ["heat" if level else "idle" for level in df["u"]]
+    path, _ = written(tmp_path, df)
+    with pytest.raises(DataError, match=r"'heat', .*; if it says .* csv: \{words: \{heat: NUMBER\}\} in the map; if"):
+        tf.read_measurements(path, BASE)
+    told = tf.read_measurements(path, BASE | {"csv": {"words": {"heat": 1}}}).record.u
+    np.testing.assert_array_equal(told, tf.read_measurements(house(40), BASE).record.u)
+
+
 COMMA = BASE | {"csv": {"decimal": ","}}
 
 

@@ -152,7 +152,7 @@ def _point(
         return replace(base, problem="nothing came of it: check the name, and whether its device reports")
     at_s, raw = _summed([((index - now).total_seconds().to_numpy(), values) for index, values in readings_of])
     if not np.isfinite(raw).any():
-        return replace(base, problem="never a number: check the column")
+        return replace(base, problem="never a number: check the column, and csv.words where it says words")
     known = np.isfinite(raw)
     gone_s = float(at_s[-1] - at_s[known][-1])  # empty since: not available, or a table whose columns have rows apart
     at_s, raw = at_s[known], raw[known]

@@ -51,7 +51,9 @@ ISO = re.compile(r"\s*\d{4}-\d{2}-\d{2}")
 """How stamps begin that are of the form 2025-01-31T14:30."""
 OFFSET = "(?:[+-][0-9]{2}(?::?[0-9]{2})?|Z) *$"
 """How stamps end that have an offset from UTC; databases leave minutes out where there are none."""
-_LOOKED_AT, _MOST_WORDS = 50, 20
+_LOOKED_AT, _MOST_WORDS, _SHOWN_WORDS = 50, 20, 4
+# One that says a state or mode.
+_WORD = re.compile(r"\s*[^\W\d_][^\W\d]*(?:[ -][^\W\d]+)*\s*")
 MOST_BESIDE = 2000
 """So many readings are kept of a signal that nobody asked for: what it is can be told from them."""
 _NONE = frozenset((*MISSING, "", "nan", "null", "none", "n/a", "na"))
@@ -474,6 +476,10 @@ def _refuse(column: pd.Series, rows: Sequence[int], key: str, table: RawTable, d
             f"{table.where(int(rows[0]))}: column '{key}' holds {first!r}, which {other}{more}: check column and unit"
         )
     advice = "if it stands for an empty cell, name it in csv.missing of the map"
+    if _WORD.fullmatch(first):
+        others = column.iloc[list(rows)].astype(str).str.strip().unique()
+        told = ", ".join(f"{word}: NUMBER" for word in others[:_SHOWN_WORDS] if _WORD.fullmatch(word))
+        advice = f"if it says what a device does, give its number, csv: {{words: {{{told}}}}} in the map; {advice}"
     if decimal == "." and re.fullmatch(r"\s*-?[1-9]\d{0,2},\d{3}\s*", first):
         advice = "write numbers without marks between thousands, or, if it is a decimal comma, set csv: {decimal: ','}"
     elif decimal == "." and re.fullmatch(r"\s*-?\d+,\d+\s*", first):
