@@ -333,8 +333,9 @@ def test_an_interrupted_run_gives_the_building_back():
             raise KeyboardInterrupt
 
     house.wait_until = interrupted
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt) as ended:
         controlled(house, 24)
+    assert ended.value.__notes__ == ["given back to the building's own control: actuator"]
     assert house.level is None
     assert house.written[-1][1:] == ({"actuator": None}, 0.0)
 
@@ -404,8 +405,9 @@ def test_an_interrupt_while_the_building_is_given_back_cuts_nothing_short(steps)
         write(levels, seconds)
 
     house.wait_until, house.write = interrupted, impatient
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt) as ended:
         controlled(house, steps)
+    assert ended.value.__notes__ == ["given back to the building's own control: actuator"]
     assert len(cut) == 3
     assert house.written[-1][1:] == ({"actuator": None}, 0.0)
 
@@ -679,11 +681,14 @@ def test_a_signal_to_end_gives_the_building_back(files, sent, code):
     env = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     levels = files / "levels.json"
     ours = signal.signal(sent, signal.SIG_DFL)  # inherited, and ignored where the tests run under nohup
-    with subprocess.Popen([*words, "--delay", "0"], env=env, stdout=subprocess.DEVNULL) as running:
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([*words, "--delay", "0"], env=env, **pipes) as running:
         signal.signal(sent, ours)
         wait_for("the first levels are set", lambda: levels.exists() or running.poll() is not None)
         running.send_signal(sent)
-        assert running.wait(timeout=LONG_S) == code
+        said = running.communicate(timeout=LONG_S)[1]
+        assert running.returncode == code
+    assert said.endswith("Terminated.\ngiven back to the building's own control: actuator\n")
     assert json.loads(levels.read_text())["levels"] == {"actuator": None}
 
 

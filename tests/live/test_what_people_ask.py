@@ -204,6 +204,26 @@ def test_what_is_set_by_hand_is_given_back_by_nobody(people):
     assert {told[1] for told in hears.heard if told[0] == "set"} == {("actuator",)}
 
 
+@pytest.mark.parametrize(
+    ("by_hand_at", "said"),
+    [(2, "left as people set it by hand: actuator"), (0, "nothing had to be given back: nothing is set")],
+)
+def test_an_interrupt_says_what_is_left_to_people(people, by_hand_at, said):
+    house, decisions = SimulatedBuilding(), []
+
+    def told(decision):
+        decisions.append(decision)
+        if len(decisions) == by_hand_at:
+            people.set_by_hand("actuator", 0.4, decision.instant)
+        if len(decisions) > by_hand_at:
+            raise KeyboardInterrupt
+
+    building = LiveBuilding(house, MeasurementMap.model_validate(SIMULATED_RULES), 3600.0, people=people)
+    with pytest.raises(KeyboardInterrupt) as ended:
+        control(building, mpc(), clock=house, steps=8, delay_s=0.0, told=told)
+    assert ended.value.__notes__ == [said]
+
+
 def test_a_mode_that_is_asked_gives_the_building_back_once_and_sets_it_again(people):
     """Meanwhile it is planned, what would be set is nowhere believed to have acted, and nothing is written."""
     house, decisions = SimulatedBuilding(), []

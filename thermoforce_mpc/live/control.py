@@ -7,6 +7,7 @@ it is started again.
 from __future__ import annotations
 
 import logging
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
@@ -20,7 +21,14 @@ from thermoforce_mpc.connections.sole import Sets, set_by, sole_control
 from thermoforce_mpc.connections.watchdog import Watchdog
 from thermoforce_mpc.data import Block, Boundary, CommandValue, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.errors import ControllerRaised, NoForecast, PlantError, ThermoForceError, raise_if_terminated
+from thermoforce_mpc.errors import (
+    ControllerRaised,
+    NoForecast,
+    PlantError,
+    ThermoForceError,
+    interruption,
+    raise_if_terminated,
+)
 from thermoforce_mpc.live.building import Applied, Kept, KeptState, LiveBuilding, SetCommand
 from thermoforce_mpc.loop.inputs import OUTAGE_H, UnitDoubts
 from thermoforce_mpc.loop.loop import Believed, Decided, Loop, not_followed
@@ -505,7 +513,11 @@ class _Building:
 
     def _release(self) -> None:
         """Give everything back, if anything was set; an interrupt meanwhile costs one attempt, and is raised after."""
+        error = sys.exc_info()[1]
+        ending = None if error is None else interruption(error)
         if not self._set:
+            if ending is not None:
+                ending.add_note("nothing had to be given back: nothing is set")
             return
         names = ", ".join(self.building.names)
         interrupt = until_taken(
@@ -515,8 +527,21 @@ class _Building:
             "give them back to its own control by hand",
         )
         self._end_applied()
+        if (last := interrupt or ending) is not None:
+            last.add_note(self._given_back())
         if interrupt is not None:
             raise interrupt
+
+    def _given_back(self) -> str:
+        """What was given back, and what was not since people set it, in words."""
+        names = (*self.building.names, *((TANK_NAME,) if self._sets_tank else ()))
+        told = self.building.to_set(dict.fromkeys(names))
+        parts = {"given back to the building's own control": True, "left as people set it by hand": False}
+        return "; ".join(
+            f"{words}: {', '.join(some)}"
+            for words, back in parts.items()
+            if (some := [name for name in names if (self.building.key(name) in told) == back])
+        )
 
     def _end_applied(self) -> None:
         if self._decided is None:
