@@ -207,6 +207,7 @@ class Connection(Protocol):
         """What was measured lately, a row per time, up to now or nearly so: a day at least, better four weeks.
 
         A table or the file with it; columns, units and clock are those of the building's map (docs/reference/map.md).
+        Where a data frame's `attrs["units"]` names the unit of a column, that one counts, or is refused.
         """
 
     def forecast(self) -> pd.DataFrame | str | Path:

@@ -115,6 +115,7 @@ def test_what_was_not_stored_while_the_core_was_down_is_not_measured(connect):
     pieces = days_of_states(now_s, (7.0, 5.5))
     stamp = datetime.fromtimestamp(now_s - 60.0, UTC).isoformat()
     states = [{"entity_id": n, "state": "20.5", "attributes": {}, "last_updated": stamp} for n in names]
+    states[0]["attributes"] = {"unit_of_measurement": "°F"}
     asked = {
         "type": "history/history_during_period", "entity_ids": names, "significant_changes_only": False,
         "minimal_response": False, "no_attributes": False,
@@ -125,6 +126,7 @@ def test_what_was_not_stored_while_the_core_was_down_is_not_measured(connect):
         exchanges.append({"at": now_s, "asked": json.dumps(asked, sort_keys=True), "answer": answer})
     with served(exchanges, "TOKEN") as url:
         table = connect(url, columns=names, days=2.0).measurements()
+    assert table.attrs["units"] == {"sensor.room": "°F"}
     ago_h = (table.index[-1] - table.index) / np.timedelta64(1, "h")
     missing = table["sensor.room"].isna().to_numpy()
     assert missing[(ago_h < 6.9) & (ago_h > 5.6)].all()

@@ -434,6 +434,20 @@ def test_cells_of_another_unit_than_the_map_says_are_refused(tmp_path):
     assert "power: {column: 'Power (W)', unit: 'kW'}" in starting_map(path)
 
 
+@pytest.mark.parametrize("now", [None, NOW])
+def test_the_unit_that_a_connection_tells_counts(now):
+    """As Home Assistant's `unit_of_measurement`."""
+    df, rules = house(40), BASE | {"time": {"zone": "UTC"}}
+    told = df.assign(P=df["P"] / 1000, u=100 * df["u"])
+    told.attrs["units"] = {"P": "kW", "u": "%", "T": "°C", "out": "SEK/kWh"}
+    found, same = (tf.read_measurements(one, rules, now=now).record for one in (told, df))
+    np.testing.assert_allclose(found.power_W, same.power_W)
+    np.testing.assert_allclose(found.u, same.u)
+    told.attrs["units"] = {"T": "°F"}
+    with pytest.raises(DataError, match="column 'T' is told in °F, and its unit in the map is °C"):
+        tf.read_measurements(told, rules, now=now)
+
+
 def test_words_of_a_device_are_to_get_their_numbers(tmp_path):
     """As of `zigbee2mqtt/hall#running_state`; the advice can be followed."""
     df = house(40)

@@ -156,7 +156,10 @@ class HomeAssistantConnection:
         return self.history(self._days)
 
     def history(self, days: float) -> pd.DataFrame:
-        """A row a minute of the last `days`, NaN while an entity was unavailable; raises `PlantError`."""
+        """A row a minute of the last `days`, NaN while an entity was unavailable; raises `PlantError`.
+
+        `attrs["units"]`: by column, in which unit Home Assistant tells it.
+        """
         now = datetime.now(UTC)
         begin = now - timedelta(days=days)
         entities = list(dict.fromkeys(_entity(column) for column in self._columns))
@@ -186,7 +189,12 @@ class HomeAssistantConnection:
                 row = np.where(grid_s < first, _of_hours(grid_s, *older[column]), row)
             table[column] = row
         index = pd.DatetimeIndex(pd.to_datetime(grid_s, unit="s", utc=True).round("us"), name="time")
-        return pd.DataFrame(table, index=index)
+        out = pd.DataFrame(table, index=index)
+        told = {one: known[_entity(one)].get("attributes", {}) for one in self._columns if _attribute(one) is None}
+        out.attrs["units"] = {
+            one: unit for one, of in told.items() if isinstance(unit := of.get("unit_of_measurement"), str)
+        }
+        return out
 
     def forecast(self) -> pd.DataFrame | str:
         """See `Connection.forecast`."""

@@ -42,6 +42,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     as_numbers,
     bad_status,
     has_units,
+    in_units,
     known_column,
     of_one_signal,
     other_unit,
@@ -352,6 +353,7 @@ def frame_appended(
     units: Mapping[str, str] | None = None,
 ) -> RawTable:
     """As `raw_table` of a data frame, without the rows and cells that cannot be read; `notes` collects them."""
+    df = in_units(df, units)
     of_stamps = isinstance(df.index, pd.DatetimeIndex) or not pd.api.types.is_numeric_dtype(df.index)
     if of_stamps and clock.column in (None, df.index.name):
         df = df.rename_axis(index=str(df.index.name or "time")).reset_index()

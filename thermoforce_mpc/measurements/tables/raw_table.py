@@ -147,6 +147,7 @@ def tables_of(
     `lines` (n,): of the file where its rows stand. Where not `strict`, some signals may be missing. `units` by signal:
     see `raw_table`.
     """
+    df = in_units(df, units)
     if form.point is None:
         return [raw_table(df, stamps, wanted, name, 1 if lines is None else lines, units=units)]
     table = readings_table(df, stamps, form, name, wanted=wanted, units=units)
@@ -432,6 +433,26 @@ def _declared(unit: str) -> tuple[str, float]:
     """What a unit of a map measures, and in how many of the first of it."""
     unit = unit.removesuffix(" per step").removesuffix(" counter")
     return _DECLARED.get(unit) or _QUANTITIES.get(unit.lower(), (unit, 1.0))
+
+
+def in_units(df: pd.DataFrame, units: Mapping[str, str] | None) -> pd.DataFrame:
+    """A data frame whose columns of numbers are in `units`, by column; `attrs["units"]` says in which they stand there.
+
+    Raises `DataError` where one is of another quantity.
+    """
+    out = df.copy(deep=False)
+    for key, told in df.attrs.get("units", {}).items():
+        unit = (units or {}).get(key, "")
+        if not unit or key not in df or not (told in _DECLARED or told.lower() in _QUANTITIES):
+            continue
+        (what, scale), (kind, by) = _declared(told), _declared(unit)
+        if what != kind:
+            raise DataError(
+                f"column '{key}' is told in {told}, and its unit in the map is {unit}: check column and unit"
+            )
+        if scale != by:
+            out[key] = df[key] * (scale / by)
+    return out
 
 
 def unit_of_cells(column: pd.Series, decimal: str) -> str:
