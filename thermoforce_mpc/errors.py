@@ -60,6 +60,14 @@ class NoConnection(PlantError):
     """Nobody is at the address of a building's connection, or it takes no one in: waiting alone does not help."""
 
 
+class NotAsTold(PlantError):
+    """Devices answered what they were told with another value. `names`: theirs, by the connection's own."""
+
+    def __init__(self, message: str, names: Iterable[str]) -> None:
+        super().__init__(message)
+        self.names = tuple(names)
+
+
 class NoForecast(PlantError):
     """The plant gave no forecast, while it may still be controlled. `past`: read from the journal of a resumed run."""
 

@@ -19,7 +19,7 @@ from benchmarks.chaos.mosquitto import Broker, Listener, missing, subscribed, wi
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.connections.discovery import device_message
 from thermoforce_mpc.connections.registry import build_connection
-from thermoforce_mpc.errors import ConfigError, NoConnection, PlantError
+from thermoforce_mpc.errors import ConfigError, NoConnection, NotAsTold, PlantError
 from thermoforce_mpc.measurements.load import read_measurements
 
 pytest.importorskip("paho.mqtt.client")
@@ -159,8 +159,9 @@ def test_what_the_device_says_is_waited_for(connect, broker, monkeypatch):
     home = connect(actuators={"hall": room})
     home.begin()
     home.write({"hall": 22.0}, 900.0)
-    with pytest.raises(PlantError, match=r"room/state#set says 24.0, not 25"):
+    with pytest.raises(NotAsTold, match=r"room/state#set says 24.0, not 25") as refused:
         home.write({"hall": 25.0}, 900.0)
+    assert refused.value.names == ("hall",)
     device.disconnect()
     device.loop_stop()
 
@@ -183,8 +184,9 @@ def test_what_a_device_said_before_does_not_say_that_it_was_put_back(connect, br
             wait_for("that it is gone", lambda: not home.connected)
             wait_for("that it is back", lambda: home.connected)
         else:
-            with pytest.raises(PlantError, match="deaf/state says 20, not 21"):
+            with pytest.raises(PlantError, match="deaf/state says 20, not 21") as silent:
                 home.write({"hall": 21.0}, 900.0)
+            assert not isinstance(silent.value, NotAsTold)
         with pytest.raises(PlantError, match="deaf/state says None, not 20"):
             home.put_back({"hall": 20.0})
         device.publish("deaf/state", "20", 1)

@@ -18,7 +18,7 @@ from simulated_building import SimulatedBuilding, mpc
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Block, Boundary, Plan, PlanStatus
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, NotAsTold, PlantError
 from thermoforce_mpc.files import write_json
 from thermoforce_mpc.live import Decision, LiveBuilding, People, control
 from thermoforce_mpc.live.shared import shared_with
@@ -327,6 +327,38 @@ def test_what_a_thermostat_makes_of_a_command_is_nobody_at_the_wall(people, made
     building.record(START + 2 * HOUR)
     assert people.by_hand(START)["actuator"][0] == 21.5
     assert building.to_set({"actuator": None}) == {}
+
+
+@pytest.mark.parametrize(
+    ("told", "error", "holds"), [(20.5, NotAsTold, True), (26.0, NotAsTold, False), (20.5, PlantError, False)]
+)
+def test_a_command_that_is_rounded_is_taken(people, caplog, told, error, holds):
+    """Else its hold runs out, and the watchdog gives the building back within the step; said once, as of a resolution.
+
+    One of other limits did not take it, and of one that did not answer nobody knows it.
+    """
+    home = SaysIt(3)
+    write = home.write
+
+    def answers(levels, seconds):
+        write(levels, seconds)
+        if levels["actuator"] is not None:
+            words = ("not taken: see resolution", levels)
+            raise error(*words) if error is NotAsTold else error(words[0])
+
+    home.write = answers
+    rules = MeasurementMap.model_validate(rules_of({name: name for name in SENSORS}))
+    building = LiveBuilding(home, rules, 3600.0, people=people)
+    for hour in range(2):
+        building.record(START + hour * HOUR)
+        if holds:
+            building.write({"actuator": told + 0.1 * hour}, 7200.0)
+            assert building.ours({"actuator": told}) == {"actuator": [(told, 0.26), (20.0 + hour, 0.26)]}
+        else:
+            with pytest.raises(error):
+                building.write({"actuator": told}, 7200.0)
+        home.wait_until(START + (hour + 1) * HOUR)
+    assert sum("rounds its command" in line.message for line in caplog.records) == holds
 
 
 def test_a_command_that_was_set_long_after_its_reading_is_compared_as_long_as_it_holds(people):

@@ -30,7 +30,7 @@ from pydantic import Field
 
 from thermoforce_mpc.connections.away import not_reached
 from thermoforce_mpc.connections.discovery import device_message
-from thermoforce_mpc.errors import ConfigError, NoConnection, PlantError, StorageError
+from thermoforce_mpc.errors import ConfigError, NoConnection, NotAsTold, PlantError, StorageError
 from thermoforce_mpc.files import no_secret_in, secret_from, storage_errors, written
 from thermoforce_mpc.measurements.tables.raw_table import SWITCH
 from thermoforce_mpc.providers.outlook import Outlook, OutlookConfig
@@ -333,7 +333,9 @@ class MqttConnection:
             self._change.notify_all()
 
     def _await(self, awaited: Mapping[str, str]) -> None:
-        """Wait until devices say what they were set to; raises `PlantError` where one does not in time."""
+        """Wait until devices say what they were set to; raises `PlantError` where one does not in time, `NotAsTold`
+        where all of these say another value instead.
+        """
         deadline = time.monotonic() + TAKEN_S
         with self._change:
             while wrong := {key: v for key, v in awaited.items() if not _alike(self._heard.get(key), v)}:
@@ -343,6 +345,10 @@ class MqttConnection:
                         told += ": does it round, or have limits? See resolution, minimum and maximum in the map"
                     for key in wrong.keys() - self._anew_said:  # what it held before may not be what it holds
                         self._heard.pop(key, None)
+                    if wrong.keys() <= self._anew_said:
+                        raise NotAsTold(
+                            f"not taken: {told}", [name for name, one in self._actuators.items() if one.state in wrong]
+                        )
                     raise PlantError(f"not taken: {told}")
 
     def tell(self, said: Mapping[str, Any]) -> None:

@@ -28,7 +28,7 @@ from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.tank import TANK_NAME, LearnedTank, TankRecord
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Names, Record, steps_in
 from thermoforce_mpc.data.clock import in_celsius
-from thermoforce_mpc.errors import DataError, InputError, NoConnection, NoForecast, PlantError, StorageError
+from thermoforce_mpc.errors import DataError, InputError, NoConnection, NoForecast, NotAsTold, PlantError, StorageError
 from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.experiment.run_models import origin
 from thermoforce_mpc.files import file_sha256, plain_json
@@ -107,6 +107,7 @@ class LiveBuilding:
         """`prices`: a file of them, read anew in each step, in the place of those of the map; `people`: who ask."""
         self._prices, self._people = prices, people
         self._told: dict[str, LastTold] = {}
+        self._rounds = set[str]()  # said already
         self.connection, self._rules, self._step_s = connection, rules, step_s
         if (reads := getattr(connection, "reads", None)) is not None:
             reads([column for _, signal in rules.signals() for column in signal.columns])
@@ -281,7 +282,7 @@ class LiveBuilding:
         now: pd.Timestamp | None = None,
     ) -> None:
         """Set what `to_set` says of levels (`told`, where it was asked) `now`, by default the time of the last reading;
-        raises what the connection raises, and where it does not answer.
+        raises what the connection raises, and where it does not answer. A device that rounds took its command.
         """
         told, now = self.to_set(levels) if told is None else told, self.now if now is None else now
         if self._people is not None and now is not None:
@@ -296,10 +297,30 @@ class LiveBuilding:
 
         try:
             self._answered(write)
-        except Exception:  # a device that made something else of it did not take it, and holds that
+        except Exception as error:  # a device that made something else of it did not take it, and holds that
             self._note_taken(levels)
-            raise
+            if not (isinstance(error, NotAsTold) and self._note_rounded(error, levels, told)):
+                raise
+            return
         self._note_taken(levels)
+
+    def _note_rounded(
+        self, error: NotAsTold, levels: Mapping[str, float | None], told: Mapping[str, float | None]
+    ) -> bool:
+        """Whether all that answered with another value only rounded what they were `told`, which is said and noted."""
+        held = self.held(error.names)
+        of = [name for name in levels if self.key(name) in error.names]
+        for name in of:
+            value, took = told.get(self.key(name)), held.get(self.key(name), math.nan)
+            if value is None or not abs(took - value) <= self._rounded(name):
+                return False
+        for name in of:
+            if name in self._told:
+                self._told[name] = replace(self._told[name], seen=True, took=held[self.key(name)])
+            if name not in self._rounds:
+                self._rounds.add(name)
+                _LOG.warning("%s rounds its command: %s", name, error)
+        return bool(of)
 
     def to_set(self, levels: Mapping[str, float | None]) -> dict[str, float | None]:
         """What the connection is told of levels, see `Connection.write`, by its own names.
