@@ -491,6 +491,13 @@ OPTIONS = [
 def test_a_dry_run_on_files_says_what_goes_on_and_what_it_would_set(files, monkeypatch):
     """It said nothing for most of a minute, on a computer that is busy, where programs are still compiled."""
     monkeypatch.setattr("thermoforce_mpc.report.display.SAID_AFTER_S", 0.0)
+    record = LiveBuilding.record
+
+    def slowly(*told):
+        time.sleep(0.3)
+        return record(*told)
+
+    monkeypatch.setattr(LiveBuilding, "record", slowly)
     done = CliRunner().invoke(cli, ["control", "--model", "model", "--map", "map.yaml", "--dry-run", *OPTIONS])
     assert done.exit_code == 0, done.output + str(done.exception)
     assert "measurements are read and a plan is made: " in done.output
