@@ -16,7 +16,9 @@ import yaml
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.map.starting_map import starting_map
+from thermoforce_mpc.measurements.points import read_points
 from thermoforce_mpc.measurements.tables.files import read_tables
 from thermoforce_mpc.measurements.tables.forms import Written
 
@@ -396,6 +398,7 @@ def test_exports_joined_end_to_end_are_one_table(tmp_path, quoted):
 
 
 NOW = pd.Timestamp("2025-01-12", tz="UTC")
+RULES_UTC = MeasurementMap.model_validate(BASE | {"time": {"zone": "UTC"}})
 
 
 @pytest.mark.parametrize("now", [None, NOW])
@@ -427,6 +430,9 @@ def test_cells_of_another_unit_than_the_map_says_are_refused(tmp_path):
         tf.read_measurements(path, BASE)
     left_out = tf.read_measurements(path, BASE | {"time": {"zone": "UTC"}}, now=NOW).left_out
     assert any("column 'T' says °F, and its unit in the map is °C" in note for note in left_out)
+    points = {point.key: point for point in read_points(path, RULES_UTC, NOW)}
+    problem = points["zones.room.temperature"].problem
+    assert re.match(r"never a number: .*column 'T' says °F, and its unit in the map is °C", problem), problem
     in_F = BASE | {"zones": {"room": {"temperature": {"column": "T", "unit": "°F"}}}}
     np.testing.assert_allclose(tf.read_measurements(path, in_F).record.T_zone_C[0, :3], [20.0, 20.0, 20.0], atol=0.05)
     df["P"] = [f"{power / 1000:.3f} kW" for power in df["P"]]

@@ -127,7 +127,7 @@ def read_points(files: str | Path | pd.DataFrame, rules: MeasurementMap, now: pd
             for column in signal.columns
             if rows is not None and column in rows.columns
         ]
-        out.append(_point(key, signal, rules, readings_of, now))
+        out.append(_point(key, signal, rules, readings_of, now, notes))
     return tuple(_beside_one_another(out, rules))
 
 
@@ -137,6 +137,7 @@ def _point(
     rules: MeasurementMap,
     readings_of: Sequence[tuple[pd.DatetimeIndex, Array]],
     now: pd.Timestamp,
+    notes: Sequence[str],
 ) -> LivePoint:
     usual_rule = readings.TANK if key == f"{TANK_NAME}.temperature" else _RULES[key.rpartition(".")[2]]
     rule, declared = readings.with_map(usual_rule, signal), getattr(signal, "unit", "")
@@ -152,7 +153,9 @@ def _point(
         return replace(base, problem="nothing came of it: check the name, and whether its device reports")
     at_s, raw = _summed([((index - now).total_seconds().to_numpy(), values) for index, values in readings_of])
     if not np.isfinite(raw).any():
-        return replace(base, problem="never a number: check the column, and csv.words where it says words")
+        of_cells = [note for note in notes if any(f"column '{column}' " in note for column in signal.columns)]
+        hint = "check column and unit, and csv.words where it says words"
+        return replace(base, problem=": ".join(("never a number", *of_cells[:1])) + f"; {hint}")
     known = np.isfinite(raw)
     gone_s = float(at_s[-1] - at_s[known][-1])  # empty since: not available, or a table whose columns have rows apart
     at_s, raw = at_s[known], raw[known]
