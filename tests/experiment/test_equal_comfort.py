@@ -146,7 +146,7 @@ def test_a_run_says_what_it_saves_at_equal_comfort(tmp_path):
     assert done.exit_code == 0, done.output
     said = json.loads((tmp_path / "r" / "kpis.json").read_text())["equal_comfort"]
     assert re.match(
-        r"thermoforce_mpc costs [\d.]+% (less|more) than a thermostat ([+-]\d\.\d\d K from|at) its set-point", said
+        r"thermoforce_mpc costs [\d.]+ % (less|more) than a thermostat ([+-]\d\.\d\d K from|at) its set-point", said
     )
     assert said in done.output
     assert said in (tmp_path / "r" / "report.html").read_text()

@@ -23,11 +23,11 @@ from thermoforce_mpc.measurements.map.guesses import rooms_beside
 from thermoforce_mpc.measurements.map.mapping import (
     LEAST_STEP_S,
     MOST_STEP_S,
-    Contact,
     Level,
     MappedActuator,
     MeasurementMap,
     Signal,
+    WindowContact,
     load_map,
     signal_of,
 )
@@ -499,7 +499,7 @@ def _held(state: Level) -> Level:
     return state.model_copy(update={"hold_h": _COMMAND_HOLDS_H})
 
 
-def _opened(reader: SignalReader, key: str, contact: Contact) -> Array:
+def _opened(reader: SignalReader, key: str, contact: WindowContact) -> Array:
     """Above 0.5 where a window was open, by its contact, at the boundaries (n + 1,)."""
     says = reader.scheduled(key, _held(contact), readings.COMMAND)
     return says if contact.open else len(contact.columns) - says

@@ -151,7 +151,7 @@ class Level(Signal):
     unit: LevelUnit = "0-1"
 
 
-class Contact(Level):
+class WindowContact(Level):
     """The contact of a window; of several columns the contacts of its windows."""
 
     open: Literal[0, 1] = Field(
@@ -241,7 +241,7 @@ def _in_celsius(bound: float | Temperature) -> float | Temperature:
 OfTemperature = Annotated[Temperature, BeforeValidator(_text_as_column, json_schema_input_type=str | Temperature)]
 OfPower = Annotated[Power, BeforeValidator(_text_as_column, json_schema_input_type=str | Power)]
 OfLevel = Annotated[Level, BeforeValidator(_text_as_column, json_schema_input_type=str | Level)]
-OfContact = Annotated[Contact, BeforeValidator(_text_as_column, json_schema_input_type=str | Contact)]
+OfContact = Annotated[WindowContact, BeforeValidator(_text_as_column, json_schema_input_type=str | WindowContact)]
 Bound = Annotated[
     float | Temperature,
     BeforeValidator(_number_or_column, json_schema_input_type=float | str | Temperature),
