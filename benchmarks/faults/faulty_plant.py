@@ -8,7 +8,18 @@ from typing import Literal
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import (
+    HOUR_S,
+    ZERO_C_K,
+    Array,
+    Boundary,
+    Levels,
+    Measurement,
+    Period,
+    PlantInfo,
+    Record,
+    steps_in,
+)
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, kernel
 from thermoforce_mpc.plants.shell import check_levels
 
@@ -130,7 +141,7 @@ class FaultyPlant:
 
     def _weak(self, u: float | None, duration_s: float) -> Measurement:
         """Advance at half the level; under native control that of its PI law, in short sub-steps."""
-        n = 1 if u is not None else max(1, round(duration_s / _NATIVE_S))
+        n = 1 if u is not None else steps_in(duration_s, _NATIVE_S)
         parts, wanted = [], []
         for _ in range(n):
             s = self.plant.snapshot().values["_scalars"]
@@ -141,7 +152,7 @@ class FaultyPlant:
 
     def _aired(self, u: float | None, duration_s: float) -> Measurement:
         """Advance in short sub-steps, each of which replaces a share of the air by outdoor air."""
-        n = max(1, round(duration_s / _EXCHANGE_S))
+        n = steps_in(duration_s, _EXCHANGE_S)
         share = 1.0 - math.exp(-_AIR_CHANGES_PER_H * duration_s / n / HOUR_S)
         parts = []
         for _ in range(n):

@@ -28,7 +28,7 @@ from itertools import groupby
 import numpy as np
 
 from controllers.actuation.actuator import Actuation, ActuationState
-from thermoforce_mpc.data import Array, Block, Layout, Names, Record
+from thermoforce_mpc.data import Array, Block, Layout, Names, Record, steps_in
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
 
 # Power nearer than this to a limit is at it, W; levels of that distance, and of the search.
@@ -330,7 +330,7 @@ class Actuators:
         the machine can feed them too, since a machine that cycles at a low load runs least where all are on together,
         then those with the least excess.
         """
-        loads = [shares[lead]] * max(1, round(runs_s / self.each[lead].config.block_s))
+        loads = [shares[lead]] * steps_in(runs_s, self.each[lead].config.block_s)
         is_on: dict[int, list[bool]] = {}
         for a in sorted(on_s, key=lambda a: -shares[a] * on_s[a]):
             count = round(on_s[a] / runs_s * len(loads)) if runs_s else 0

@@ -20,7 +20,7 @@ import numpy as np
 
 from controllers.actuation.commands import CommandState
 from thermoforce_mpc.commands.command import SAME, Command
-from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, Array, steps_in
 
 # Windows tried in a round one by one, those of them at runs at most, pairs of two, and shares of these that move a run
 # and that trade a window for another. With these and what follows, first plans of `bench commands` for seeds that they
@@ -220,7 +220,7 @@ def _anywhere(rng: np.random.Generator, i: int, knob: Knob, row: Array) -> _Wind
     """A window of commands (P,) of knob `i`: a value beside it, or one that is near as likely as far."""
     P = row.size
     begin = int(P * rng.random() ** 2)
-    end = min(P, begin + max(1, round(float(rng.choice(_WINDOW_H)) * HOUR_S / knob.part_s)))
+    end = min(P, begin + steps_in(float(rng.choice(_WINDOW_H)) * HOUR_S, knob.part_s))
     if rng.random() < _BESIDE:
         return _Window(i, begin, end, float((row[max(begin - 1, 0)], row[end % P], knob.state.value)[rng.integers(3)]))
     grid = knob.grids[begin // knob.parts]

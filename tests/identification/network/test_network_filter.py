@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from thermoforce_mpc.identification.network.filtering import likelihood, prediction_errors
+from thermoforce_mpc.identification.network.filtering import FilteredRun, likelihood, prediction_errors
 
 READINGS, STATES, INPUTS = 14, 4, 3
 
@@ -49,21 +49,21 @@ def problem(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_the_value_is_that_of_the_joint_distribution(seed):
     parts = problem(seed)
-    assert likelihood(*parts)[0] == pytest.approx(plain(*parts), rel=1e-10)
+    assert likelihood(FilteredRun(*parts))[0] == pytest.approx(plain(*parts), rel=1e-10)
 
 
 def test_errors_one_step_ahead_make_up_the_likelihood():
     parts = problem(0)
-    errors, variances = prediction_errors(*parts)
+    errors, variances = prediction_errors(FilteredRun(*parts))
     np.testing.assert_array_equal(np.isnan(errors), np.isnan(parts[-2]))
     of_each = 0.5 * (np.log(variances) + errors**2 / variances)
-    assert np.nansum(of_each) == pytest.approx(likelihood(*parts)[0], rel=1e-12)
+    assert np.nansum(of_each) == pytest.approx(likelihood(FilteredRun(*parts))[0], rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_derivatives_are_those_of_complex_steps(seed):
     parts = problem(seed)
-    _, slopes = likelihood(*parts)
+    _, slopes = likelihood(FilteredRun(*parts))
     places = {"A": 0, "B": 1, "Q": 2, "R": 3, "P0": 5}
     for name, place in places.items():
         found = np.atleast_1d(getattr(slopes, name))
@@ -79,7 +79,7 @@ def test_derivatives_are_those_of_complex_steps(seed):
 def test_a_run_without_readings_says_nothing():
     parts = list(problem(0))
     parts[-2] = np.full(READINGS, np.nan)
-    value, slopes = likelihood(*parts)
+    value, slopes = likelihood(FilteredRun(*parts))
     assert value == 0.0
     assert not np.any(slopes.A)
     assert slopes.R == 0.0
@@ -92,16 +92,16 @@ def test_a_signal_that_comes_while_it_is_computed_is_raised_after():
 import signal, sys
 import numpy as np
 from thermoforce_mpc.errors import Terminated, terminated_by
-from thermoforce_mpc.identification.network.filtering import likelihood
+from thermoforce_mpc.identification.network.filtering import FilteredRun, likelihood
 
 signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGTERM))
 parts = 0.9 * np.eye(4), np.ones((4, 3)), np.ones(4), 0.3, np.zeros(4), np.ones(4)
 run = np.ones((300_000, 3)), np.ones(300_000)
-likelihood(*parts, *run)
+likelihood(FilteredRun(*parts, *run))
 with terminated_by("SIGTERM"):
     try:
         signal.setitimer(signal.ITIMER_REAL, 0.001)
-        likelihood(*parts, *run)
+        likelihood(FilteredRun(*parts, *run))
     except Terminated as error:
         sys.exit(128 + error.number)
 """

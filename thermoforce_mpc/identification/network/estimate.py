@@ -11,12 +11,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.network.filtering import likelihood, prediction_errors
+from thermoforce_mpc.identification.network.filtering import FilteredRun, likelihood, prediction_errors
 from thermoforce_mpc.identification.network.room import ENVELOPE, ROOM, STRUCTURE, SUN_ON_SENSOR, RoomNetwork
 
 if TYPE_CHECKING:
@@ -72,6 +72,11 @@ class RoomRun:
     on_sensor: Array | None = None
     weight: float = 1.0
     aired_K2: Array | None = None
+
+    @property
+    def noise_share(self) -> float:
+        """Variance of the disturbances in this run, as a share of that in a run by itself."""
+        return _PAIR_SHARE**2 if self.pair else 1.0
 
 
 # Share of the disturbances that is left in the difference of two runs. By judgement: two runs of one weather share most
@@ -157,11 +162,10 @@ def posterior(room: RoomNetwork, theta: Array, runs: Sequence[RoomRun]) -> tuple
     for step_h in dict.fromkeys(run.step_h for run in runs):
         by_step, held, integral, A, B = _over_a_step(equations.matrix, step_h)
         by_A, by_B = np.zeros(A.shape), np.zeros(B.shape)
+        noise = Q, stationary, reading = room.noise(theta, step_h)
         for run in (run for run in runs if run.step_h == step_h):
-            Q, stationary, reading = room.noise(theta, step_h)
-            share = _PAIR_SHARE**2 if run.pair else 1.0
-            half, slopes = likelihood(A, B, *_seen_of(room, theta, run))
-            counts, part = run.weight, run.weight * share
+            half, slopes = likelihood(_filtered_run(room, theta, run, A, B, noise))
+            counts, part = run.weight, run.weight * run.noise_share
             if run.on_sensor is not None:
                 gradient[sensor] -= counts * run.on_sensor @ slopes.readings
             value += counts * half
@@ -182,7 +186,8 @@ def posterior(room: RoomNetwork, theta: Array, runs: Sequence[RoomRun]) -> tuple
 def step_errors(fit: RoomFit, run: RoomRun) -> tuple[Array, Array]:
     """Errors of a run's readings one step ahead (N,), K, and their variances (N,), K²; NaN in gaps."""
     _, _, _, A, B = _over_a_step(fit.room.equations(fit.theta).matrix, run.step_h)
-    return prediction_errors(A, B, *_seen_of(fit.room, fit.theta, run))
+    noise = fit.room.noise(fit.theta, run.step_h)
+    return prediction_errors(_filtered_run(fit.room, fit.theta, run, A, B, noise))
 
 
 def _over_a_step(matrix: Array, step_h: float) -> tuple[Array, Array, Array, Array, Array]:
@@ -201,23 +206,11 @@ def _over_a_step(matrix: Array, step_h: float) -> tuple[Array, Array, Array, Arr
     return by_step, held, integral, A, integral @ by_step[:, n:]
 
 
-class _Seen(NamedTuple):
-    """What the filter takes of a run, in its order, see `filtering.likelihood`."""
-
-    Q: Array
-    R: float
-    x0: Array
-    P0: Array
-    inputs: Array
-    readings: Array
-    aired_K2: Array | None
-    seen: int
-
-
-def _seen_of(room: RoomNetwork, theta: Array, run: RoomRun) -> _Seen:
-    """What the filter takes of a run at θ (p,)."""
-    Q, stationary, reading = room.noise(theta, run.step_h)
-    share = _PAIR_SHARE**2 if run.pair else 1.0
+def _filtered_run(
+    room: RoomNetwork, theta: Array, run: RoomRun, A: Array, B: Array, noise: tuple[Array, Array, float]
+) -> FilteredRun:
+    """A run as the filter takes it at θ (p,), with `A` and `B` of a step and the `noise` of one, see `RoomNetwork`."""
+    (Q, stationary, reading), share = noise, run.noise_share
     x0, P0 = np.zeros(room.n_states), start_K2(room, share * stationary)
     temperatures = np.ones(room.n_states, dtype=bool)
     temperatures[room.disturbances] = False
@@ -229,7 +222,7 @@ def _seen_of(room: RoomNetwork, theta: Array, run: RoomRun) -> _Seen:
     readings = run.readings.copy()  # one that may be written to: others would be compiled for once more
     if run.on_sensor is not None:
         readings -= run.on_sensor * theta[room.place[SUN_ON_SENSOR]]
-    return _Seen(share * Q, R, x0, P0, run.inputs, readings, run.aired_K2, room.seen)
+    return FilteredRun(A, B, share * Q, R, x0, P0, run.inputs, readings, run.aired_K2, room.seen)
 
 
 def estimate_room(

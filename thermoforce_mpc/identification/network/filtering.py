@@ -30,55 +30,46 @@ class Slopes(NamedTuple):
     readings: Array
 
 
-def likelihood(
-    A: Array,
-    B: Array,
-    Q: Array,
-    R: float,
-    x0: Array,
-    P0: Array,
-    inputs: Array,
-    readings: Array,
-    aired_K2: Array | None = None,
-    seen: int = 0,
-) -> tuple[float, Slopes]:
-    """Half the negative log likelihood of a run, up to a constant, and its derivatives.
+class FilteredRun(NamedTuple):
+    """A run and the system by which it is read; not for compiled code, which crashes over a signal while it makes one.
 
-    Args:
-        A, B: of one step (n, n), (n, m).
-        Q: variances of the process noise in a step (n,).
-        R: variance of a reading, K².
-        x0, P0: mean and variances at the first reading (n,).
-        inputs: of each step (N, m); that of the last reading is not used.
-        readings: of state `seen` (N,), K; NaN is a gap.
-        aired_K2: variance of the first state besides, in the step from each reading on (N,), K²; None: nowhere.
+    `A`, `B` of one step (n, n), (n, m); `Q`: variances of the process noise in a step (n,), `R`: of a reading, K²;
+    `x0`, `P0`: mean and variances at the first reading (n,); `inputs` of each step (N, m), of which that of the last
+    reading is not used; `readings` of state `seen` (N,), K, NaN in gaps; `aired_K2`: variance of the first state
+    besides, in the step from each reading on (N,), K²; None: nowhere.
     """
-    n = A.shape[0]
-    arrays = np.zeros((n, n)), np.zeros((n, B.shape[1])), np.zeros(n), np.zeros(n), np.zeros(readings.size)
-    by_A, by_B, by_Q, by_P0, by_readings = arrays
-    aired = np.zeros(readings.size) if aired_K2 is None else aired_K2
-    total, by_R = _likelihood(A, B, Q, R, x0, P0, inputs, readings, aired, seen, *arrays)
+
+    A: Array
+    B: Array
+    Q: Array
+    R: float
+    x0: Array
+    P0: Array
+    inputs: Array
+    readings: Array
+    aired_K2: Array | None = None
+    seen: int = 0
+
+    @property
+    def of_each_step(self) -> FilteredRun:
+        """The same with the variance of air in every step."""
+        return self._replace(aired_K2=np.zeros(self.readings.size)) if self.aired_K2 is None else self
+
+
+def likelihood(run: FilteredRun) -> tuple[float, Slopes]:
+    """Half the negative log likelihood of a run, up to a constant, and its derivatives."""
+    n, m = run.B.shape
+    by_A, by_B, by_Q, by_P0, by_readings = (np.zeros(shape) for shape in ((n, n), (n, m), n, n, run.readings.size))
+    total, by_R = _likelihood(*run.of_each_step, by_A, by_B, by_Q, by_P0, by_readings)
     return total, Slopes(by_A, by_B, by_Q, by_R, by_P0, by_readings)
 
 
-def prediction_errors(
-    A: Array,
-    B: Array,
-    Q: Array,
-    R: float,
-    x0: Array,
-    P0: Array,
-    inputs: Array,
-    readings: Array,
-    aired_K2: Array | None = None,
-    seen: int = 0,
-) -> tuple[Array, Array]:
-    """Errors of the readings one step ahead (N,), K, and their variances (N,), K²; NaN in gaps. See `likelihood`."""
-    N, n = readings.size, A.shape[0]
-    aired = np.zeros(N) if aired_K2 is None else aired_K2
+def prediction_errors(run: FilteredRun) -> tuple[Array, Array]:
+    """Errors of the readings one step ahead (N,), K, and their variances (N,), K²; NaN in gaps."""
+    N, n = run.readings.size, len(run.A)
     variances, errors = np.full(N, np.nan), np.full(N, np.nan)
     unused = np.zeros((N, n)), np.zeros((N, n, n)), np.zeros((N, n))
-    _filtered(A, B, Q, R, x0, P0, inputs, readings, aired, seen, *unused, variances, errors)
+    _filtered(*run.of_each_step, *unused, variances, errors)
     return errors, variances
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, steps_in
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.plants.drawn_houses import WATER_J_KG_K, year
 from thermoforce_mpc.plants.rooms.house import DrawnHouse
@@ -95,7 +95,7 @@ def _draw_off_W(house: DrawnHouse, rng: np.random.Generator) -> Array:
         for (hour, hours, share), usual in zip(_USES, shift, strict=True):
             begin = hour + usual + rng.normal(0.0, 0.25)
             first = day * of_day + max(round(begin * HOUR_S / (time_s[1] - time_s[0])), 0)
-            n = max(1, round(hours * HOUR_S / (time_s[1] - time_s[0])))
+            n = steps_in(hours * HOUR_S, time_s[1] - time_s[0])
             J = house.people * _PERSON_DAY_J * share * rng.gamma(8.0, 1.0 / 8.0)
             out[first : first + n] += J / (n * (time_s[1] - time_s[0]))
     return out
