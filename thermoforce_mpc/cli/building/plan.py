@@ -153,7 +153,7 @@ def plan(
         display.say("There is no plan: leave the building to its own control.")
         click.get_current_context().exit(NOT_COMPETENT if plan.status == "gate" else 1)
     table = plan_table(plan, ahead.head(plan.u.shape[1]), measured.layout)
-    _show(plan, table, measured.layout, display, by_commands=bool(commands))
+    sums = _show(plan, table, measured.layout, display, by_commands=bool(commands))
     by_commands = [a for a, name in enumerate(plan.names.actuators) if name in commands]
 
     def of_levels() -> PlannedSaving:
@@ -163,6 +163,8 @@ def plan(
     found = [*command_rows(plan, commands), *tank_rows(plan, None if tank is None else tank.command)]
     if found:
         _show_commands(found, display)
+    # What a plan saves counts what is not known of its levels too: other sums than those of the table.
+    display.say(sums if saving is None else f"{sums}, if the model were exact. On average over what it may err:")
     display.say(said)
     if plan.hot_water is not None:
         display.say(tank_in_words(plan.hot_water))
@@ -310,7 +312,8 @@ def _listed(what: str, said: str) -> str:
     return f"{what}: {said}" if len(parts) == 1 else "\n".join([f"{what}:", *(f"  {part}" for part in parts)])
 
 
-def _show(plan: Plan, table: pd.DataFrame, layout: Layout, display: RunDisplay, *, by_commands: bool) -> None:
+def _show(plan: Plan, table: pd.DataFrame, layout: Layout, display: RunDisplay, *, by_commands: bool) -> str:
+    """Show the plan; returns the sums of its table in words."""
     names, one_zone = plan.names, len(plan.names.zones) == 1
     zones_told, machines_told = _told(plan, layout)
     of = "Levels that the commands below are to bring" if by_commands else "Levels to set"
@@ -336,13 +339,12 @@ def _show(plan: Plan, table: pd.DataFrame, layout: Layout, display: RunDisplay, 
     step_s = (table.index[1] - table.index[0]).total_seconds() if len(table) > 1 else float("nan")
     slack = plan.slack_K[zones_told].sum() * step_s / HOUR_S
     outside = f"expected outside the bounds {slack:.1f} K·h"
-    if machines_told.any():
-        energy = energy_kWh(float(power_W.sum()), step_s)
-        display.say(f"Energy {energy:.1f} kWh, cost {table['cost'].sum():.2f}, {outside}")
-    else:
-        display.say(outside[0].upper() + outside[1:])
     if not plan.followed.all():
         display.say(_left_out(plan, zones_told, machines_told))
+    if not machines_told.any():
+        return outside[0].upper() + outside[1:]
+    energy = energy_kWh(float(power_W.sum()), step_s)
+    return f"Energy {energy:.1f} kWh, cost {table['cost'].sum():.2f}, {outside}"
 
 
 def _left_out(plan: Plan, zones_told: NDArray[np.bool_], machines_told: NDArray[np.bool_]) -> str:
