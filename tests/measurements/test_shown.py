@@ -292,7 +292,9 @@ def test_every_panel_of_the_picture_has_labels_on_both_axes_that_do_not_overlap(
         "time": {"column": "when"}, "outdoor": "out", "sun": "sun", "zones": {"living": {"temperature": "T"}},
         "actuators": {"hp": {"level": "u"}}, "machines": {"meter": {"power": "P"}},
     }  # fmt: skip
+    bare = measurements_figure(tf.read_measurements(df, {key: rules[key] for key in rules if key != "sun"}), "")
     figure = measurements_figure(tf.read_measurements(df, rules), "a title")
+    assert [[a.get_ylabel() for a in one.axes].count("sun, W/m²") for one in (bare, figure)] == [0, 1]
     figure.canvas.draw()
     assert figure.get_figwidth() <= 7.5, "at most a page wide, so that labels keep their size in print"
     for axes in figure.axes[:4]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from browser import Seen, chromium
 from report_runs import HOSTILE_NAMES, N, layout_of, planned, report_of
@@ -161,6 +162,20 @@ def test_the_slider_shows_the_plan_made_then_beside_what_came(seen, one_zone):
     width = place.bounding_box()["width"]
     place.click(position={"x": 0.5 * width + 3, "y": 40})
     assert seen.page.locator("#plan-slider").input_value() == "24"
+
+
+def test_the_page_of_a_real_building_has_its_dates_also_after_the_clock_went_forward(browser, one_zone, tmp_path):
+    """Day 10 is 29 March, which has 23 hours; no sun is mapped, and none has an axis."""
+    run, _ = one_zone
+    report_of(run, {}, tmp_path, Layout.single(), origin=pd.Timestamp("2026-03-19", tz="Europe/Berlin"))
+    page = Seen(browser, tmp_path / "report.html")
+    told = {hours: page.ask(f"Page.instant({run.steps[0].time_s + hours * HOUR_S})") for hours in (1, 5, 23, 29)}
+    assert told == {1: "Sun 29 Mar 01:00", 5: "Sun 29 Mar 06:00", 23: "Mon 30 Mar 00:00", 29: "Mon 30 Mar 06:00"}
+    labels = page.ask("Report.course.temperatures[0].plot.axes[0]._values.filter(Boolean)")
+    assert [label for label in labels if ":" not in label] == ["29 Mar", "30 Mar", "31 Mar"]
+    assert page.ask("Chart.all.filter((chart) => chart.spec.unit === 'outdoor, °C' && chart.spec.right).length") == 0
+    assert page.wrong == []
+    page.close()
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from math import inf, isfinite
@@ -13,6 +13,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, PlanStatus, steps_in
 from thermoforce_mpc.data.boundary import excess
+from thermoforce_mpc.data.clock import words_of
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL, UNDECIDED
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
@@ -210,10 +211,10 @@ class Spell:
     why: str
     why_back: str
 
-    def in_words(self) -> str:
-        """One sentence for people."""
+    def in_words(self, instant: Callable[[float], str] = words_of) -> str:
+        """One sentence for people; `instant`: a time, s, in words."""
         back = f"; {self.why_back}" if self.why_back else "; until the end of the run"
-        return f"day {self.start_s / DAY_S:.2f}, {(self.end_s - self.start_s) / HOUR_S:.1f} h: {self.why}{back}"
+        return f"{instant(self.start_s)}, {(self.end_s - self.start_s) / HOUR_S:.1f} h: {self.why}{back}"
 
 
 def watch_spells(result: RunResult) -> tuple[Spell, ...]:

@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Layout, PlanStatus
 from thermoforce_mpc.data.series import rms
@@ -228,6 +230,7 @@ def write_report(
     currency: str,
     layout: Layout,
     area_m2: float,
+    origin: pd.Timestamp | None = None,
     model: ThermalModel | None = None,
     manifest: Mapping[str, Any] | None = None,
     said: Sequence[str] = (),
@@ -236,7 +239,8 @@ def write_report(
     """Write `report.html` into a run folder, or the report to `path`.
 
     `kpis` and `manifest` are the contents of the files of that name, the latter by default that in the folder; `model`
-    is that of the controller, for step responses and other levels; `said` is shown at the top.
+    is that of the controller, for step responses and other levels; `said` is shown at the top. Seconds of a real
+    building count from `origin`: the page has dates then.
     """
     if manifest is None:
         manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
@@ -246,6 +250,9 @@ def write_report(
     data = report_data(result, courses, currency, layout, area_m2, model)
     everyone = {name: run.kpis for name, run in runs.items()}
     last = result.steps[-1].samples[-1]  # of a run that was cut off before its window ends
+    clock = ToldBuilding("", layout, currency, area_m2, origin)
+    if origin is not None:
+        data["dates"] = _dates(origin, last.start_s + last.duration_s)
     days = round((last.start_s + last.duration_s - result.period.start_s) / DAY_S, 2)
     names, others, stretches = layout.names, data["other_levels"], events(result)
     page = rendered(
@@ -266,11 +273,12 @@ def write_report(
         answers=data["answers"] is not None,
         forecast=forecast_errors(result),
         free_forecast=free_forecast_scores(result),
-        watch=[spell.in_words() for spell in watch_spells(result)],
+        watch=[spell.in_words(clock.in_words) for spell in watch_spells(result)],
         capped={name: Capped(**figures).in_words() for name, figures in kpis.get("power_cap", {}).items()},
         apart=apart(courses, everyone),
         scaled={name: course.scaled for name, course in courses.items() if course.scaled != 1.0},
         events=stretches[:_MOST_EVENTS],
+        when=clock.in_words,
         more_events=max(0, len(stretches) - _MOST_EVENTS),
         fallback_levels=result.fallback_levels(),
         planning=planning_of(result, model).in_words(),
@@ -310,6 +318,18 @@ def report_data(
         "other_levels": other_levels_json(result, model, layout),
         "answers": answers_json(model),
     }
+
+
+def _dates(origin: pd.Timestamp, end_s: float) -> Json:
+    """The clock of a building whose seconds count from `origin`, until `end_s`: the day on which they begin, and `from`
+    which second on its clock is `shift` more than they are, from the midnight of that day.
+    """
+    at_s = HOUR_S * np.arange(math.ceil(max(end_s, HOUR_S) / HOUR_S))
+    began = origin.normalize().tz_localize(None)
+    shown = (origin + pd.to_timedelta(at_s, unit="s")).tz_localize(None)
+    shift = np.round((shown - began).total_seconds().to_numpy() - at_s)
+    first = np.r_[True, np.diff(shift) != 0.0]
+    return {"began": f"{began:%Y-%m-%d}", "from": at_s[first].tolist(), "shift": shift[first].tolist()}
 
 
 def _different_prices(course: RunCourse) -> list[int]:
@@ -391,6 +411,7 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
         baselines=beside,
         layout=building.layout,
         area_m2=building.area_m2,
+        origin=building.origin,
         model=model,
         manifest=manifest,
         said=notes,

@@ -379,9 +379,10 @@ def measurements_figure(measured: Measurements, title: str) -> Figure:
     panels[1].set_ylabel("outdoors, °C", color="tab:blue")
     _flags(panels[1], measured, "outdoor")
     _gaps(panels[1], at, record.T_out_C, "tab:blue")
-    sun = panels[1].twinx()
-    sun.fill_between(at, record.solar_W_m2, color="tab:orange", alpha=0.35, linewidth=0)
-    sun.set_ylabel("sun, W/m²", color="tab:orange")
+    if measured.map.sun is not None:
+        sun = panels[1].twinx()
+        sun.fill_between(at, record.solar_W_m2, color="tab:orange", alpha=0.35, linewidth=0)
+        sun.set_ylabel("sun, W/m²", color="tab:orange")
     for a, actuator in enumerate(names.actuators):
         alone = len(names.actuators) == 1 and record.n_steps <= _MOST_BARS
         panels[2].stairs(record.u[a], at, **_look(a), fill=alone, alpha=0.6, label=actuator, baseline=0.0)

@@ -57,20 +57,32 @@ const Page = (() => {
   /* Digits after the point that show about three figures of a range. */
   const digitsFor = (range) => Math.max(0, Math.min(5, 2 - Math.floor(Math.log10(Math.max(range, 1e-9)))));
 
+  /* Seconds on the clock of the building since the midnight before its time 0. */
+  function wall(t) {
+    if (!data.dates) return t;
+    const { from, shift } = data.dates;
+    return t + shift[Math.max(0, indexAt(from, t))];
+  }
+
   const clock = (t) => {
-    const minutes = Math.round((t % DAY) / 60);
+    const minutes = Math.round((wall(t) % DAY) / 60);
     return `${String(Math.floor(minutes / 60) % 24).padStart(2, "0")}:${String(minutes % 60).padStart(2, "0")}`;
   };
 
-  /* An instant as `tf-mpc explain` writes it: day from 0 and clock. */
-  const instant = (t) => `day ${Math.floor((t + 1e-6) / DAY)} ${clock(t)}`;
+  const dayOf = (t) => Math.floor((wall(t) + 1e-6) / DAY);
 
-  /* The calendar day of an instant, of a year without 29 February. */
+  /* The calendar day of an instant; without dates of a year without 29 February. */
   const MONTHS = "Jan Feb Mar Apr May Jun Jul Aug Sep Oct Nov Dec".split(" ");
+  const WEEKDAYS = "Sun Mon Tue Wed Thu Fri Sat".split(" ");
   function calendar(t) {
-    const date = new Date(Date.UTC(2021, 0, 1) + Math.floor((t + 1e-6) / DAY) * DAY * 1000);
-    return `${date.getUTCDate()} ${MONTHS[date.getUTCMonth()]}`;
+    const date = new Date(Date.parse(data.dates ? data.dates.began : "2021-01-01") + dayOf(t) * DAY * 1000);
+    const day = `${date.getUTCDate()} ${MONTHS[date.getUTCMonth()]}`;
+    return data.dates ? `${WEEKDAYS[date.getUTCDay()]} ${day}` : day;
   }
+
+  /* A day as a label: its date where the run has dates, else as `tf-mpc explain` writes it, from 0. */
+  const day = (t) => (data.dates ? calendar(t).slice(4) : `day ${dayOf(t)}`);
+  const instant = (t) => (data.dates ? `${calendar(t)} ${clock(t)}` : `${day(t)} ${clock(t)} (${calendar(t)})`);
 
   /* Round numbers that divide a range into four or more. */
   function ticks(low, high) {
@@ -106,5 +118,5 @@ const Page = (() => {
 
   const byId = (id) => document.getElementById(id);
 
-  return { HOUR, DAY, data, numbers, indexAt, ticks, digitsOf, formatted, digitsFor, clock, instant, calendar, element, drawn, byId };
+  return { HOUR, DAY, data, numbers, indexAt, ticks, digitsOf, formatted, digitsFor, wall, clock, day, instant, element, drawn, byId };
 })();

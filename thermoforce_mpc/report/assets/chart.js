@@ -2,7 +2,7 @@
 "use strict";
 
 const Chart = (() => {
-  const { element, indexAt, formatted, instant, calendar, clock, HOUR, DAY } = Page;
+  const { element, indexAt, formatted, instant, wall, day, clock, HOUR, DAY } = Page;
   const INCREMENTS = [300, 900, 1800, HOUR, 2 * HOUR, 3 * HOUR, 6 * HOUR, 12 * HOUR]
     .concat([1, 2, 4, 7, 14, 28, 91, 182].map((days) => days * DAY));
   const all = [];
@@ -10,11 +10,10 @@ const Chart = (() => {
   /* Numbers as uPlot wants them: null where there is none. */
   const plain = (values) => Array.from(values, (value) => (Number.isFinite(value) ? value : null));
 
-  /* Seconds as labels: days at midnight, the clock in between. */
+  /* Seconds as labels: the day at its first one, which may not be at midnight in summer time, the clock in between. */
   const timeLabels = (plot, splits, axis, space, increment) => splits.map((t) => {
     if (t === null) return "";
-    if (increment >= DAY) return `day ${Math.round(t / DAY)}`;
-    return Math.abs(t % DAY) < 1 ? `day ${Math.round(t / DAY)}` : clock(t);
+    return (wall(t) + 1) % DAY < increment ? day(t) : clock(t);
   });
 
   function axis(scale, side, label, extra = {}) {
@@ -172,7 +171,7 @@ const Chart = (() => {
     }
 
     hover(event) {
-      const t = this.timeAt(event), lines = [element("div", { class: "tip-time" }, `${instant(t)} (${calendar(t)})`)];
+      const t = this.timeAt(event), lines = [element("div", { class: "tip-time" }, instant(t))];
       for (const part of this.parts.values()) {
         if (!this.isShown(part.key) || part.silent) continue;
         const text = this.valueAt(part, t);

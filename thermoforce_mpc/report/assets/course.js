@@ -86,11 +86,14 @@ const CourseView = (() => {
         colour: "--planned", fill: "--planned-fill", unit: "kW", width: 1,
       }],
     }));
+    const sunny = own.sun.some((W) => W > 0), sun = {
+      key: "sun", name: "sun", x: own.end, y: own.sun, colour: "--sun", fill: "--sun-fill", axis: "right", digits: 0,
+      unit: "W/m²", width: 1,
+    };
     charts.push(new Chart.Course(host, group, {
-      unit: "outdoor, °C", right: "sun, W/m²", height: 120,
+      unit: "outdoor, °C", ...(sunny ? { right: "sun, W/m²" } : { beside: true }), height: 120,
       lines: [
-        { key: "sun", name: "sun", x: own.end, y: own.sun, colour: "--sun", fill: "--sun-fill", axis: "right", digits: 0,
-          unit: "W/m²", width: 1 },
+        ...(sunny ? [sun] : []),
         { key: "outdoor", name: "outdoor", x: own.end, y: own.outdoor, colour: "--measured", unit: "°C" },
       ],
     }));

@@ -2,7 +2,7 @@
 "use strict";
 
 const OtherView = (() => {
-  const { numbers, byId, element, indexAt, formatted, instant, calendar } = Page;
+  const { numbers, byId, element, indexAt, formatted, instant } = Page;
   const { data, own } = Run;
   // Half width of a 90 % band of a normal distribution, standard deviations.
   const BAND = 1.645;
@@ -49,7 +49,7 @@ const OtherView = (() => {
         charts[z].update(changed);
       }
       group.move([t, end]);
-      byId("other-instant").textContent = `the day after ${instant(t)} (${calendar(t)})`;
+      byId("other-instant").textContent = `the day after ${instant(t)}`;
       const energy = [["as it was", packed.energy_applied_kWh[p]], ...packed.levels.map((name, l) => [`all ${name}`, packed.energy_kWh[l][p]])];
       byId("other-facts").replaceChildren(...energy.filter(([, kWh]) => kWh !== null).map(([name, kWh]) => element(
         "div", { class: "fact" }, element("span", {}, `energy by the model, ${name}`), element("b", {}, `${formatted(kWh, 1)} kWh`),

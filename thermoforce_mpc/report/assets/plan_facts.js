@@ -2,7 +2,7 @@
 "use strict";
 
 const PlanFacts = (() => {
-  const { element, byId, indexAt, formatted, digitsFor, instant, calendar, HOUR } = Page;
+  const { element, byId, indexAt, formatted, digitsFor, instant, HOUR } = Page;
   const { data, steps } = Run;
 
   const fact = (name, value) => element("div", { class: "fact" }, element("span", {}, name), element("b", {}, value));
@@ -28,7 +28,7 @@ const PlanFacts = (() => {
       facts.push(fact("measured inside the 80 % fan", `${formatted(figure.share, 0)} %`));
     }
     byId("plan-facts").replaceChildren(...facts);
-    byId("plan-instant").textContent = `${instant(t)} (${calendar(t)})`;
+    byId("plan-instant").textContent = instant(t);
     byId("plan-status").textContent = status;
     byId("plan-status").style.setProperty("--c", `var(--status-${status})`);
     byId("plan-why").textContent = Run.reason(i) + (hasPlan ? "" : " (there is no plan of this instant)");
