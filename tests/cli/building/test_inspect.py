@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -82,6 +83,11 @@ def test_what_heat_costs_at_the_levels_that_were_tried_is_told(tmp_path):
     assert (
         told.count("Tried: at level 0.25 heat costs 0.88 ± 0.10 times as much as at full level; heat per level 1.57")
         == 2
+    )
+    assert told.count("heat per level 1.57 ± 0.17 times that of full level; so it takes 35 % of its full power") == 2
+    assert "t: by how many standard errors the model's are smaller" in " ".join(told.split())
+    assert re.search(
+        r"ahead +model +unchanged +t +weather alone +t *\n[ ─]+\n +1 +0\.10 +0\.50 +nan +0\.40 +3\.0", told
     )
 
 

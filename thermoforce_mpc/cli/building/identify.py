@@ -356,7 +356,8 @@ def _show_card(card: ModelCard, console: Console, notes_shown: Set[str]) -> None
 
     for cost in level_costs(card.uncertainty):
         heat = f"; heat per level {cost.heat:.2f} ± {cost.heat_sd:.2f} times that of full level"
-        say(f"Tried: {cost}{heat}", soft_wrap=True)
+        power = f"; so it takes {100 * cost.cost * cost.heat * cost.level:.0f} % of its full power"
+        say(f"Tried: {cost}{heat}{power}", soft_wrap=True)
     _show_competence(card, console)
 
 
@@ -380,11 +381,13 @@ def _show_competence(card: ModelCard, console: Console) -> None:
     if verdict is None:
         console.print("Competence: not judged" + (f". {card.unfit}" if card.unfit else ""), soft_wrap=True)
         return
-    table = plain_table(["hours ahead", "model", "unchanged", "weather alone", "better by, t", "than unchanged, t"])
+    table = plain_table(["hours ahead", "model", "unchanged", "t", "weather alone", "t"])
     for score in verdict.horizons:
-        numbers = (f"{value:.2f}" for value in (score.model_K, score.persistence_K, score.weather_K))
-        table.add_row(f"{score.hours:g}", *numbers, f"{score.better_t:.1f}", f"{-score.persistence_t:.1f}")
-    _titled(f"Errors on the {verdict.held_out_h:.0f} h held out, RMSE in K (weather known)", table, console)
+        unchanged = (f"{score.persistence_K:.2f}", f"{-score.persistence_t:.1f}")
+        weather = (f"{score.weather_K:.2f}", f"{score.better_t:.1f}")
+        table.add_row(f"{score.hours:g}", f"{score.model_K:.2f}", *unchanged, *weather)
+    title = f"Errors on the {verdict.held_out_h:.0f} h held out, RMSE in K (weather known)"
+    _titled(f"{title}; t: by how many standard errors the model's are smaller", table, console)
     console.print(
         f"Effect of 8 h at full level: {verdict.effect_K:+.1f} ± {verdict.effect_sd_K:.1f} K, of the expected sign "
         f"with probability {verdict.sign_probability:.3f}; log odds that it acts at all {verdict.log_odds:.0f}"
