@@ -124,7 +124,7 @@ class NoModelController(ActuatedController):
         _, states = self._resume(observation, state, NoModelState)
         demands, actors = zip(*(fallback.standing_back(observation) for fallback in self._fallbacks), strict=True)
         realised = self._actuators.realise(demands, self._step_s, states)
-        acting = "; ".join(self._layout.names.of_actuator(a, actor) for a, actor in enumerate(actors))
+        acting = "; ".join(self._layout.names.of_actuators(dict(enumerate(actors))))
         if len(set(actors)) == 1:
             acting = actors[0]
         acting = "; ".join([acting, *self._actuators.excluded_in_words(realised)])

@@ -156,11 +156,8 @@ class ThermoForceMPC(ActuatedController):
         self.hot_water = hot_water
         self._tank = None if hot_water is None else HotWater(hot_water, layout, self.step_s)
         self._shared = SharedCommands(layout, by_number, cards)
-        reasons = (
-            layout.names.of_actuator(a, by_number[a].in_words if a in by_number else choice.why)
-            for a, choice in enumerate(choices)
-        )
-        self.actuation_in_words = "; ".join(dict.fromkeys(reasons))
+        reasons = {a: by_number[a].in_words if a in by_number else choice.why for a, choice in enumerate(choices)}
+        self.actuation_in_words = "; ".join(layout.names.of_actuators(reasons))
         self._handler = DirectHandler(BoundedCalls(len(zones) + _SOLVERS_ABANDONED))
         powers = [choices[fed[0]].power for fed in layout.actuators_of_machines]
         self._formulation = Formulation(c, model, self._actuators, powers)
@@ -455,7 +452,7 @@ class ThermoForceMPC(ActuatedController):
             plan = replace(plan, settings=own.settings(commanded, plan.time_s), saving=saving)
             if saving is not None and not saving.gain > 0.0:
                 plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
-            told = [self._layout.names.of_actuator(a, one.in_words) for a, one in joined_in.items()]
+            told = self._layout.names.of_actuators({a: one.in_words for a, one in joined_in.items()})
             plan = replace(plan, why=joined([*told, plan.why]))
         return Solved(plan, instance.problem, limit, commanded, solution.own_values)
 

@@ -109,7 +109,7 @@ class Realisation:
         plan = Plan(
             (),
             max((fallen[a].status for a in free), key=_LADDER.index),
-            joined([failure.reason, *doubts, *(self._layout.names.of_actuator(a, fallen[a].why) for a in free)]),
+            joined([failure.reason, *doubts, *names.of_actuators({a: fallen[a].why for a in free})]),
             solver_status=failure.solver_status,
             seconds=failure.seconds,
             names=names,
@@ -151,7 +151,7 @@ class Realisation:
         for a in acted.excluded:
             if acted.states[a].native:
                 acting[a] = PlanStatus.NATIVE
-        told = [self._layout.names.of_actuator(a, override.why) for a, override in overrides.items()]
+        told = self._layout.names.of_actuators({a: override.why for a, override in overrides.items()})
         status = min((o.status for o in overrides.values()), key=_FIRST_NAMED.index) if overrides else plan.status
         return replace(
             plan,
@@ -193,7 +193,7 @@ class Realisation:
         redone = self._with_blocks(replace(plan, why="", state=state), levels, overrides, limit, capacity)
         if redone.blocks == begun.blocks:  # minimum on or off time: the machine cannot do more
             return begun
-        told = [self._layout.names.of_actuator(a, override.why) for a, override in guarded.items()]
+        told = self._layout.names.of_actuators({a: override.why for a, override in guarded.items()})
         why = joined([*told, *excluded, begun.why])
         acting = tuple(PlanStatus.GUARD if a in guarded else status for a, status in enumerate(begun.acting))
         return replace(redone, status=PlanStatus.GUARD, acting=acting, why=why)

@@ -27,3 +27,10 @@ def test_an_empty_name_in_a_map_is_refused(kind):
     MeasurementMap.model_validate(rules)
     with pytest.raises(ValueError, match=rf"{kind} are \[''\]: one has no name"):
         MeasurementMap.model_validate(rules | {kind: {"": next(iter(rules[kind].values()))}})
+
+
+def test_what_is_said_of_several_actuators_is_said_once_with_their_names():
+    names = Names(("a", "b", "c"), ("radiator", "floor", "towel"))
+    told = names.of_actuators({0: "on/off", 1: "modulating", 2: "on/off"})
+    assert told == ["radiator, towel: on/off", "floor: modulating"]
+    assert Names().of_actuators({0: "on/off"}) == ["on/off"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeGuard
 
@@ -52,6 +53,13 @@ class Names:
     def of_actuator(self, a: int, text: str) -> str:
         """`text`, with the actuator's name before it where there are several."""
         return text if len(self.actuators) == 1 else f"{self.actuators[a]}: {text}"
+
+    def of_actuators(self, told: Mapping[int, str]) -> list[str]:
+        """The texts of actuators by number, each once, with the names of those that it is of where there are several."""
+        same: dict[str, list[str]] = {}
+        for a, text in told.items():
+            same.setdefault(text, []).append(self.actuators[a])
+        return list(same) if len(self.actuators) == 1 else [f"{', '.join(of)}: {text}" for text, of in same.items()]
 
     def columns(self, **signals: Array) -> dict[str, Array]:
         """The rows of `signals` (rows, n) by `label`, as columns of a table."""
