@@ -248,21 +248,24 @@ def test_days_and_months_are_told_apart_by_the_length_of_the_record(tmp_path, wr
 
 def test_names_in_brackets_and_round_times_are_shown(capsys):
     at = pd.date_range("2025-01-10", periods=600, freq="60060ms")
+    room = "sensor.wohnzimmer_erdgeschoss_raumtemperatur_links"
     df = pd.DataFrame(
         {
-            "T": 20.0 + np.arange(600) % 5,
+            room: 20.0 + np.arange(600) % 5,
             "out": np.where(np.arange(600) % 150, np.nan, np.arange(600) / 60),
             "P [kW]": np.arange(600) % 3,
         },
         index=at,
     )
-    rules = {"outdoor": {"column": "out", "hold_h": 3}, "zones": {"room": {"temperature": "T"}}}
+    rules = {"outdoor": {"column": "out", "hold_h": 3}, "zones": {"room": {"temperature": room}}}
     rules["machines"] = {"hp": {"power": {"column": "P [kW]", "unit": "kW"}}}
     show_measurements(tf.read_measurements(df, rules), RunDisplay().console)
     told = capsys.readouterr().out
     assert "600 rows, every 1 min" in told
     assert re.search(r"hp\.power +P \[kW\] +1 min", told)
     assert re.search(r"outdoor +out +2.5 h", told)
+    first, *parts = ("sensor.wohnzimmer_", "erdgeschoss_", "raumtemperatur_links")
+    assert re.search(rf"room\.temperature +{first} .*\n +{parts[0]} *\n +{parts[1]} *\n", told), told
 
 
 @pytest.mark.slow

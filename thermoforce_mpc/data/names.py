@@ -55,7 +55,7 @@ class Names:
         return text if len(self.actuators) == 1 else f"{self.actuators[a]}: {text}"
 
     def of_actuators(self, told: Mapping[int, str]) -> list[str]:
-        """The texts of actuators by number, each once, with the names of those that it is of where there are several."""
+        """The texts of actuators by number, each once; with the names that it is of where there are several."""
         same: dict[str, list[str]] = {}
         for a, text in told.items():
             same.setdefault(text, []).append(self.actuators[a])

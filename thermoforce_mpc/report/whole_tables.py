@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from rich import box
@@ -21,6 +22,18 @@ def plain_table(headings: Sequence[str], title: str | None = None, *, folded: bo
     for k, heading in enumerate(headings):
         table.add_column(heading, justify="right" if k else "left", no_wrap=bool(k) or not folded, overflow="fold")
     return table
+
+
+def in_lines(name: str, most: int = 24) -> str:
+    """A name in lines of `most` characters where they part behind its marks (. _ - / : and spaces); longer words
+    stay whole.
+    """
+    lines = [""]
+    for word in re.findall(r"[^._\-/: ]*[._\-/: ]?", name):
+        if lines[-1] and len(lines[-1] + word) > most:
+            lines.append("")
+        lines[-1] += word
+    return "\n".join(lines)
 
 
 def width_of(table: Table, console: Console, *, folded: bool = False) -> int:

@@ -24,7 +24,7 @@ from thermoforce_mpc.files import write_json, written
 from thermoforce_mpc.measurements.load import Measurements
 from thermoforce_mpc.measurements.signals import Understood
 from thermoforce_mpc.report.display import RunDisplay
-from thermoforce_mpc.report.whole_tables import plain_table
+from thermoforce_mpc.report.whole_tables import in_lines, plain_table, print_whole
 from thermoforce_mpc.whatif.dates import label_dates, on_dates
 
 if TYPE_CHECKING:
@@ -246,14 +246,14 @@ def show_measurements(measured: Measurements, console: Console) -> None:
     table = plain_table((), "Signals")
     for heading in ("signal", "column", "every", "known", "longest gap", "least", "median", "most", ""):
         words = heading in ("signal", "column", "")
-        table.add_column(heading, justify="left" if words else "right", overflow="fold")
+        table.add_column(heading, justify="left" if words else "right", no_wrap=True)
     for signal in understood.signals:
         numbers = map(figure, (signal.least, signal.median, signal.most))
         gap = f"{signal.longest_gap_h:.3g} h" if signal.longest_gap_h else "none"
         name = signal.key.removeprefix("zones.").removeprefix("actuators.").removeprefix("machines.")
         every, known = _time(signal.usual_s), f"{100 * signal.measured:.1f} %"
-        table.add_row(name, signal.source, every, known, gap, *numbers, signal.unit)
-    say(table)
+        table.add_row(in_lines(name), in_lines(signal.source), every, known, gap, *numbers, signal.unit)
+    print_whole(table, console)
     show_doubts(understood, console)
     told = {"doubtful": understood.beside, "assumed": understood.assumed, "missing": understood.missing}
     for what, texts in told.items():
