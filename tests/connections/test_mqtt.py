@@ -276,8 +276,10 @@ def test_a_disk_that_is_full_is_said_once_and_stops_no_control(connect, broker, 
             raise OSError(errno.ENOSPC, "No space left on device")
         return opened(path, mode, *args, **more)
 
-    say("1", "2")
-    now[0] += pd.Timedelta("3D")
+    say("1")
+    now[0] += pd.Timedelta("2D")
+    say("2")
+    now[0] += pd.Timedelta("1D")
     monkeypatch.setattr(Path, "open", no_room)
     assert home.measurements() == file  # though what is old cannot be left out
     say("3", "4")
@@ -366,6 +368,25 @@ def test_a_record_reads_as_measurements(tmp_path):
         assert not clean.left_out
         for signal in ("time_s", "T_zone_C", "T_out_C", "u"):
             np.testing.assert_array_equal(getattr(clean.record, signal), getattr(torn, signal))
+
+
+@pytest.mark.parametrize("wrong", [0, 20])
+def test_a_clock_that_is_wrong_for_a_while_does_not_cut_the_record(tmp_path, monkeypatch, wrong):
+    """A year ahead, with some rows stamped so; of what is older than its days most is cut all the same."""
+    file, days = tmp_path / "mqtt.csv", pd.date_range("2026-01-01", "2026-01-31 23:00", freq="1h", tz="UTC")
+    late = [f"{(days[-1] + pd.Timedelta('366D')).isoformat()},t,0" for _ in range(wrong)]
+    file.write_text(
+        "\n".join(["time,topic,value", *(f"{at.isoformat()},t,{k}" for k, at in enumerate(days)), *late, ""])
+    )
+    monkeypatch.setattr("thermoforce_mpc.connections.mqtt.utc_now", lambda: days[-1] + pd.Timedelta("366D"))
+    monkeypatch.setattr("paho.mqtt.client.Client.connect", lambda *_, **__: None)
+    monkeypatch.setattr("paho.mqtt.client.Client.loop_start", lambda _: None)
+    home = build_connection("mqtt", {"record": str(file), "days": 15})
+    home.begin()
+    home.drop()
+    kept = pd.read_csv(file)["time"]
+    assert "2026-01-05" < kept[0][:10] <= "2026-01-17"
+    assert len(kept) == len(days[days.date >= pd.Timestamp(kept[0]).date()]) + wrong
 
 
 @needs_broker

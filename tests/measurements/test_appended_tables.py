@@ -225,6 +225,29 @@ def test_its_second_pass_is_told_by_the_order_and_a_late_row_does_not_matter(pat
     np.testing.assert_array_equal(shuffled.record.T_zone_C[0, -3:], found.record.T_zone_C[0, -3:])
 
 
+@pytest.mark.parametrize("jump", ["3h", "30h", "400D"])
+@pytest.mark.parametrize("zone_is_wrong", [False, True])
+def test_what_a_clock_stamped_before_it_was_set_back_blocks_no_later_reading(path, jump, zone_is_wrong):
+    """An hour of rows of a record of topics in the order in which they came, the last of it said but once; rows whose
+    zone is wrong are ahead to the end, and stay: what reads them says so.
+    """
+    rules = RULES | {"table": {"point": "topic", "value": "value"}}
+    rows, now = [], NOW.tz_convert("UTC").floor("15min")
+    for k, line in enumerate(lines(end=f"{now:%Y-%m-%d %H:%M}")):
+        at, *cells = line.strip().split(",")
+        wrong = pd.Timedelta(jump) * int(k >= 184 if zone_is_wrong else 184 <= k < 188)
+        at = f"{pd.Timestamp(at, tz='UTC') + wrong:%Y-%m-%dT%H:%M:%S+00:00}"
+        rows += [f"{at},{name},{cell}\n" for name, cell in zip(("T", "out", "u", "P"), cells, strict=True)]
+        rows += [f"{at},once,1\n"] if k == 187 else []
+    path.write_text("time,topic,value\n" + "".join(rows))
+    measured = read_measurements(str(path), rules, step_s=900.0, now=NOW)
+    ahead = pd.Timestamp(measured.understood.ends) > NOW
+    assert ahead == zone_is_wrong
+    assert any("stamped after the clock, which was set back since" in note for note in measured.left_out) != ahead
+    if not zone_is_wrong:
+        assert measured.record.T_zone_C[0, -2:].tolist() == pytest.approx([21.0, 21.1], abs=0.11)
+
+
 def test_offsets_in_whole_hours_are_read_over_the_change_of_summer_time(tmp_path):
     at = pd.date_range("2025-03-29 12:00", "2025-03-31", freq="15min", tz="Europe/Vienna")
     table = pd.DataFrame({"T": 21.0, "out": np.arange(at.size) % 9, "u": 0.5, "P": 500.0})

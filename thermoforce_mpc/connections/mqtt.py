@@ -17,9 +17,10 @@ import ssl
 import struct
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -49,6 +50,8 @@ _MOST_PAYLOAD = 100_000
 # A step of control should see some readings of what changes.
 _LONGEST_EVERY_S = 300.0
 _MOST_PORT = 65535
+# Share of a record that a wrong clock may have stamped.
+_FEW = 0.1
 # How often a record that is written to for months is looked through for what is too old.
 _KEEP_EVERY = timedelta(days=1)
 
@@ -629,15 +632,30 @@ def _break_off(client: Any) -> None:
         connection.close()
 
 
+def _since(of_days: Mapping[bytes, int], days: float) -> bytes:
+    """From which day on lines are kept, by how many there are `of_days`: `days` before the last of which more than a
+    few lines are, since those may be from before the clock was set back, and before today, for it may be wrong too.
+    """
+    few = _FEW * sum(of_days.values())
+    last = utc_now().date()
+    for day in sorted(of_days, reverse=True):
+        few -= of_days[day]
+        if few < 0.0:
+            with suppress(ValueError):
+                last = min(last, date.fromisoformat(day.decode("ascii", "replace")))
+                break
+    return (last - timedelta(days=days)).isoformat().encode()
+
+
 def _keep_lately(record: Path, days: float) -> None:
     """Leave out of the record what is older than `days`, where that is a good part of it; and end a torn line."""
     if not record.exists():
         with storage_errors(record.parent):
             record.parent.mkdir(parents=True, exist_ok=True)
         return
-    since = (utc_now() - timedelta(days=days)).date().isoformat().encode()
+    of_days = Counter[bytes]()
     with storage_errors(record), record.open("rb") as file:  # line by line: it may be of a hundred million bytes
-        last, lines, old = file.readline(), 0, 0
+        last = file.readline()
         # Another table, an export say, would be cut and added to.
         if not _HEADER.encode().startswith(last.rstrip(b"\r\n")):
             raise ConfigError(
@@ -645,8 +663,10 @@ def _keep_lately(record: Path, days: float) -> None:
                 f"'{_HEADER.strip()}': name another file; a model takes both (--data {record} --data …)"
             )
         for last in file:
-            lines, old = lines + 1, old + (last[:10] < since)
-    if last.endswith(b"\n") and old <= 0.2 * lines:
+            of_days[last[:10]] += 1
+    since = _since(of_days, days)
+    old = sum(n for day, n in of_days.items() if day < since)
+    if last.endswith(b"\n") and old <= 0.2 * of_days.total():
         return
     with written(record) as aside, record.open("rb") as file, aside.open("wb") as kept:
         file.readline()

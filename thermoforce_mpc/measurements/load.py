@@ -279,7 +279,7 @@ def read_measurements(
             head = head_of(paths[0], _ROWS, first.csv) if first.table == TableForm() else None
             decimal = first.csv.decimal
         else:
-            tables = read_appended(paths, columns, rules.written, now + _LATEST, left_out, units=rules.units())
+            tables = read_appended(paths, columns, rules.written, now + _LATEST, left_out, units=rules.units(), now=now)
     rows = timed(tables, clock, now)
     rows = replace(rows, notes=(*notes, *rows.notes))
     found = _from_table(tables, rows, rules, step_s, at, refuse=now is None)

@@ -116,7 +116,8 @@ def read_points(files: str | Path | pd.DataFrame, rules: MeasurementMap, now: pd
             tables = tables_of(files, clock.column, columns, rules.table, "table", units=rules.units())
     else:
         paths = found_files([files], MOST_BYTES)
-        tables = read_appended(paths, columns, rules.written, now + _LATEST, notes, absent, rules.units())
+        latest = now + _LATEST
+        tables = read_appended(paths, columns, rules.written, latest, notes, absent, rules.units(), now)
     rows = timed(tables, clock, now) if tables else None
     if rows is not None and rows.index.tz is None:
         raise ConfigError("time.zone: the time stamps have no zone: name the building's, as Europe/Berlin, in the map")

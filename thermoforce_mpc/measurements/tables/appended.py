@@ -54,6 +54,10 @@ from thermoforce_mpc.measurements.tables.raw_table import (
 
 # A stamp so far from its place in the file is none, s; after the clock it is none where few rows have such.
 _FAR_S, _FEW = 86400.0, 0.01
+# Two clocks differ by so much, s: what is stamped later than that is of a time to come.
+_CLOCKS_S = 300.0
+# Stamps of a wall clock go back in autumn, s.
+_HOUR_TWICE_S = 3600.0
 # Where rows are not in the order of time, so far from most others.
 _FAR_FROM_MOST_S = 5 * 365 * 86400.0
 _EMPTY = frozenset(("", "nan", "NaN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A", *MISSING))
@@ -96,10 +100,12 @@ def read_appended(
     notes: list[str],
     absent: list[str] | None = None,
     units: Mapping[str, str] | None = None,
+    now: pd.Timestamp | None = None,
 ) -> list[RawTable]:
     """As `read_tables`, without the lines and cells that cannot be read; `notes` collects them.
 
-    Of rows stamped after `latest` few are wrong, and many left as they are. Raises `DataError` where no row of a file
+    Of rows stamped after `latest` few are wrong, and many left as they are. Where no row is of a time to come, `now` is
+    the time: rows from before a clock was set back are wrong, however many. Raises `DataError` where no row of a file
     is left, or a column is missing that `absent` does not collect.
     """
     found: list[RawTable] = []
@@ -111,7 +117,7 @@ def read_appended(
             found += [replace(one, clock=clock) for one in read_tables([path], wanted, written, notes, units)]
             known |= dict.fromkeys(name for one in found for name in one.names)
             continue
-        here = _read(path, wanted, clock, of.csv, of.table, latest, notes, known, units or {})
+        here = _read(path, wanted, clock, of.csv, of.table, (latest, now), notes, known, units or {})
         if here is not None:
             found.append(replace(here, clock=clock))
     for key in wanted:
@@ -128,12 +134,15 @@ def _read(
     clock: TimeStampRules,
     form: CsvFormat,
     table: TableForm,
-    latest: pd.Timestamp,
+    times: tuple[pd.Timestamp, pd.Timestamp | None],
     notes: list[str],
     known: dict[str, None],
     units: Mapping[str, str],
 ) -> RawTable | None:
-    """The `wanted` signals of a file, None where it has none; `known` collects the names of its signals."""
+    """The `wanted` signals of a file, None where it has none; `known` collects the names of its signals.
+
+    `times`: `latest` and `now` of `read_appended`.
+    """
     with reading(path):
         separator, names, header, cells = header_of(path, form)
         with opened(path) as file:
@@ -152,7 +161,7 @@ def _read(
     for part in parts:
         left.add_all(part.left, part.line)
         known |= dict.fromkeys(part.known)
-    found = _joined(text, parts, latest, left)
+    found = _joined(text, parts, *times, left)
     notes += left.notes()
     if found is None:
         raise DataError(f"{path}: nothing of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
@@ -203,14 +212,25 @@ class _Part:
     alone: bool = True
 
 
-def _joined(text: _Text, parts: Sequence[_Part], latest: pd.Timestamp, left: _Left) -> RawTable | None:
+def _joined(
+    text: _Text, parts: Sequence[_Part], latest: pd.Timestamp, now: pd.Timestamp | None, left: _Left
+) -> RawTable | None:
     """One table of the rows of parts, without those whose time cannot be right; None where none is left."""
     tables = [replace(part.table, line=part.line + np.asarray(part.table.line)) for part in parts if part.table]
     if not tables:
         return None
     at, offset = pd.concat([part.at for part in parts], ignore_index=True), np.concatenate([p.offset for p in parts])
     lines = np.concatenate([np.asarray(one.line) for one in tables])
-    keep = _with_times(at, offset, latest, lines, left, in_order=not text.table.points)
+    codes = [one.codes for one in tables if one.codes is not None]
+    keep = np.ones(len(at), dtype=bool)
+    if now is not None:
+        signal = np.concatenate(codes) if codes else np.zeros(len(at), dtype=np.int32)
+        wall = now.tz_convert(text.clock.zone).tz_localize(None).tz_localize("UTC") if text.clock.zone else now
+        latest_s = np.where(offset, now.timestamp(), wall.timestamp() + _HOUR_TWICE_S) + _CLOCKS_S
+        keep = ~_before_set_back(at, signal, latest_s)
+        for row in np.flatnonzero(~keep):
+            left.add("stamped after the clock, which was set back since", int(lines[row]), _second(at.iloc[row]))
+    keep[keep] = _with_times(at[keep], offset[keep], latest, lines[keep], left, in_order=not text.table.points)
     if not keep.any():
         return None
     if text.clock.unit is not None or text.clock.zone is None:
@@ -218,7 +238,6 @@ def _joined(text: _Text, parts: Sequence[_Part], latest: pd.Timestamp, left: _Le
     else:
         stamps = at if offset[keep][0] else at.dt.tz_localize(None)
     columns = {key: np.concatenate([one.columns[key] for one in tables])[keep] for key in tables[0].columns}
-    codes = [one.codes for one in tables if one.codes is not None]
     beside: dict[str, Array] = {}
     for one in tables:
         for name, values in one.beside.items():
@@ -522,7 +541,7 @@ def _with_times(
     )
     keep = ~few
     for row in np.flatnonzero(few):
-        left.add(reason, int(lines[row]), f"{at.iloc[row]:%Y-%m-%d %H:%M:%S}")
+        left.add(reason, int(lines[row]), _second(at.iloc[row]))
     rows = np.flatnonzero(keep)
     at_s = np.asarray((at[keep] - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=np.float64)
     if in_order and newest_first(at_s):
@@ -533,9 +552,30 @@ def _with_times(
     if late.any() and late.sum() <= max(1, _FEW * late.size):
         far |= late
     for row in rows[far]:
-        left.add("a time far from those of the rows around", int(lines[row]), f"{at.iloc[row]:%Y-%m-%d %H:%M:%S}")
+        left.add("a time far from those of the rows around", int(lines[row]), _second(at.iloc[row]))
     keep[rows[far]] = False
     return keep
+
+
+def _before_set_back(at: pd.Series, signal: NDArray[np.int32], latest_s: Array) -> NDArray[np.bool_]:
+    """Which rows (n,), in the order in which they were written, are stamped after `latest_s` (n,) and stand before one
+    that is not, of a `signal` (n,) with both. In a table whose zone is wrong none is: its last rows are stamped after
+    it too.
+    """
+    at_s = np.asarray((at - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=np.float64)
+    ahead = at_s > latest_s
+    if not ahead.any() or newest_first(at_s):
+        return np.zeros(at_s.size, dtype=bool)
+    until = 0
+    for one in np.unique(signal[ahead]):
+        rows = np.flatnonzero(signal == one)
+        later = rows[np.argmax(ahead[rows]) :]
+        until = max(until, int(later[~ahead[later]].max(initial=0)))
+    return np.asarray(ahead & (np.arange(at_s.size) < until))
+
+
+def _second(at: pd.Timestamp) -> str:
+    return f"{at:%Y-%m-%d %H:%M:%S}"
 
 
 def _far(at_s: NDArray[np.float64]) -> NDArray[np.bool_]:
