@@ -455,7 +455,7 @@ def test_the_unit_that_a_connection_tells_counts(now):
 
 
 def test_words_of_a_device_are_to_get_their_numbers(tmp_path):
-    """As of `zigbee2mqtt/hall#running_state`; the advice can be followed."""
+    """As of a mode, which is asked for: 'heat' does not say that it heats; the advice can be followed."""
     df = house(40)
     df["u"] = ["heat" if level else "idle" for level in df["u"]]
     path, _ = written(tmp_path, df)
@@ -463,6 +463,22 @@ def test_words_of_a_device_are_to_get_their_numbers(tmp_path):
         tf.read_measurements(path, BASE)
     told = tf.read_measurements(path, BASE | {"csv": {"words": {"heat": 1}}}).record.u
     np.testing.assert_array_equal(told, tf.read_measurements(house(40), BASE).record.u)
+
+
+@pytest.mark.parametrize("now", [None, NOW])
+@pytest.mark.parametrize("long", [False, True])
+def test_what_a_thermostat_says_that_it_does_is_a_level(tmp_path, long, now):
+    """As of `zigbee2mqtt/hall#running_state`, and the `hvac_action` of a climate entity."""
+    df, same = house(40), tf.read_measurements(house(40), BASE | {"time": {"zone": "UTC"}}, now=now).record.u
+    for name, on in (("zigbee2mqtt/hall#running_state", "heat"), ("climate.hall.hvac_action", "heating")):
+        said = df.assign(u=[on if level else "idle" for level in df["u"]]).rename(columns={"u": name})
+        rules = BASE | {"actuators": {"heater": {"level": name}}, "time": {"column": "time", "zone": "UTC"}}
+        if long:
+            said = said.melt("time", var_name="topic").sort_values("time")
+            rules |= {"table": {"point": "topic", "value": "value"}}
+        path = tmp_path / "house.csv"
+        said.to_csv(path, index=False)
+        np.testing.assert_array_equal(tf.read_measurements(path, rules, now=now).record.u, same)
 
 
 COMMA = BASE | {"csv": {"decimal": ","}}

@@ -26,6 +26,10 @@ _OFF = (
 )  # fmt: skip
 SWITCH = dict.fromkeys(_ON, 1.0) | dict.fromkeys(_OFF, 0.0)
 """Numbers of words that say on or off."""
+# Names of what a thermostat does now (Zigbee2MQTT, Home Assistant), and its words beside `idle` and `off`; those of a
+# mode, which it was asked for, say nothing of that.
+_ACTION = re.compile(r"(?:running_state|hvac_action)$")
+_ACTIONS = {"heat": 1.0, "heating": 1.0, "cool": 1.0, "cooling": 1.0, "fan_only": 0.0, "fan": 0.0}
 # Units that stand behind a number in its cell, in small letters: what is measured, and in how many of the first of it.
 _QUANTITIES: dict[str, tuple[str, float]] = {
     "°c": ("°C", 1.0), "℃": ("°C", 1.0), "deg c": ("°C", 1.0), "degc": ("°C", 1.0), "c": ("°C", 1.0),
@@ -212,7 +216,7 @@ def readings_table(
             continue
         empty = np.isnan(readings)
         told = [(units or {}).get(point, "") for point in table.points]
-        numbers, texts = _with_texts(df[key], decimal, table.codes, told)
+        numbers, texts = _with_texts(df[key], decimal, table.codes, told, table.points)
         for code in np.unique(codes[texts]):
             cells = df[key][texts & (codes == code)].astype(str).str.strip().value_counts()
             wordy[str(names[code])] = dict(zip(cells.index[:_MOST_WORDS], cells.tolist(), strict=False)) | {
@@ -317,7 +321,7 @@ def as_numbers(
     codes, names = (None, [column.name]) if points is None else pd.factorize(points)
     told = [(units or {}).get(str(name), "") for name in names]
     of = None if codes is None else codes.astype(np.int32)
-    return pd.Series(_with_texts(column, decimal, of, told)[0], index=column.index)
+    return pd.Series(_with_texts(column, decimal, of, told, [str(name) for name in names])[0], index=column.index)
 
 
 def has_units(column: pd.Series, decimal: str) -> bool:
@@ -345,11 +349,16 @@ def with_numbers(df: pd.DataFrame, words: Mapping[str, float], decimal: str) -> 
 
 
 def _with_texts(
-    column: pd.Series, decimal: str, of: NDArray[np.int32] | None = None, told: Sequence[str] = ("",)
+    column: pd.Series,
+    decimal: str,
+    of: NDArray[np.int32] | None = None,
+    told: Sequence[str] = ("",),
+    names: Sequence[str] = ("",),
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Numbers (n,) of a column, and which of its cells hold text that is no number, no on or off and not 'missing'.
 
-    `of` (n,): the signal of each cell, where they are of several; `told` (k,): the unit of each signal, '' for none.
+    `of` (n,): the signal of each cell, where they are of several; `told` (k,): the unit of each signal, '' for none;
+    `names` (k,): theirs.
     """
     if pd.api.types.is_bool_dtype(column):
         column = column.astype(float)
@@ -377,6 +386,11 @@ def _with_texts(
             numbers[rest], texts[rest] = found, of_text
         else:
             numbers[rest] = found[codes]
+        acts = np.array([bool(_ACTION.search(name)) for name in names])
+        if acts.any():
+            said = np.array([_ACTIONS.get(word, np.nan) for word in words])[codes]
+            of_action = texts[rest] & np.isfinite(said) & (acts[0] if of is None else acts[of[rest]])
+            numbers[rest[of_action]], texts[rest[of_action]] = said[of_action], False
     return numbers, texts
 
 
@@ -474,7 +488,7 @@ def _written(quantity: tuple[float, str, float]) -> str:
 def _numbers(column: pd.Series, key: str, table: RawTable, decimal: str, unit: str) -> Array:
     if isinstance(column, pd.DataFrame):
         raise DataError(f"{table.name}: there are {column.shape[1]} columns '{key}'; give each a name of its own")
-    numbers, texts = _with_texts(column, decimal, told=(unit,))
+    numbers, texts = _with_texts(column, decimal, told=(unit,), names=(key,))
     if texts.any():
         _refuse(column, np.flatnonzero(texts).tolist(), key, table, decimal, unit)
     return numbers
