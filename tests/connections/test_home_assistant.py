@@ -109,6 +109,34 @@ def days_of_states(now_s: float, silent_h: tuple[float, float], days: float = 2.
     return pieces
 
 
+@pytest.mark.parametrize("house", ["°C", "°F"])
+def test_attributes_of_a_climate_have_the_unit_of_the_house(connect, house):
+    """They carry none, and its API tells all temperatures of a climate in the unit of its system of units."""
+    now_s = time.time()
+    columns = ["climate.hall.current_temperature", "climate.hall.temperature", "climate.hall.hvac_action"]
+    columns += ["climate.hall.current_humidity", "weather.home.temperature", "sensor.gas"]
+    begun = datetime.fromtimestamp(now_s - 3600.0, UTC).isoformat()
+    hall = {"current_temperature": 68.0, "temperature": 70.0, "hvac_action": "heating", "current_humidity": 40}
+    of = {"climate.hall": hall, "weather.home": {"temperature": 4.0, "temperature_unit": "°C"}}
+    of["sensor.gas"] = {"unit_of_measurement": "ft³"}
+    states = [{"entity_id": n, "state": "1", "attributes": a, "last_updated": begun} for n, a in of.items()]
+    asked = {
+        "type": "history/history_during_period", "entity_ids": list(of), "significant_changes_only": False,
+        "minimal_response": False, "no_attributes": False,
+    }  # fmt: skip
+    rows = {name: [{"s": "1", "a": a, "lu": now_s - 3600.0 * h} for h in (2, 1)] for name, a in of.items()}
+    told = {"/api/states": states, "/api/config": {"unit_system": {"temperature": house}}}
+    exchanges = [{"at": now_s, "asked": f"GET {at}", "status": 200, "text": json.dumps(x)} for at, x in told.items()]
+    answer = {"type": "result", "success": True, "result": rows}
+    exchanges.append({"at": now_s, "asked": json.dumps(asked, sort_keys=True), "answer": answer})
+    with served(exchanges, "TOKEN") as url:
+        table = connect(url, columns=columns, days=0.1).measurements()
+    assert table.attrs["units"] == {
+        "climate.hall.current_temperature": house, "climate.hall.temperature": house, "sensor.gas": "ft³",
+        "climate.hall.current_humidity": "%", "weather.home.temperature": "°C",
+    }  # fmt: skip
+
+
 def test_what_was_not_stored_while_the_core_was_down_is_not_measured(connect):
     now_s = time.time()
     names = ["sensor.room", "sensor.hall"]

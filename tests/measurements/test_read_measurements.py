@@ -420,38 +420,72 @@ def test_what_cells_say_of_their_unit_counts(tmp_path, now, one_a_row):
         np.testing.assert_allclose(record.u[0, :38], levels[:38])
 
 
-def test_cells_of_another_unit_than_the_map_says_are_refused(tmp_path):
-    """Twenty degrees of another scale may be possible ones."""
+def test_cells_of_what_the_map_does_not_mean_are_refused(tmp_path):
     df = house(40)
-    df["T"] = [f"{1.8 * T + 32:.1f} °F" for T in df["T"]]
+    df["T"] = [f"{T:.1f} kWh" for T in df["T"]]
     path, _ = written(tmp_path, df)
-    told = r"house\.csv, line 2: column 'T' holds '68\.0 °F', which says °F, and its unit in the map is °C"
+    told = r"house\.csv, line 2: column 'T' holds '20\.0 kWh', which says kWh, and its unit in the map is °C"
     with pytest.raises(DataError, match=told):
         tf.read_measurements(path, BASE)
     left_out = tf.read_measurements(path, BASE | {"time": {"zone": "UTC"}}, now=NOW).left_out
-    assert any("column 'T' says °F, and its unit in the map is °C" in note for note in left_out)
+    assert any("column 'T' says kWh, and its unit in the map is °C" in note for note in left_out)
     points = {point.key: point for point in read_points(path, RULES_UTC, NOW)}
     problem = points["zones.room.temperature"].problem
-    assert re.match(r"never a number: .*column 'T' says °F, and its unit in the map is °C", problem), problem
-    in_F = BASE | {"zones": {"room": {"temperature": {"column": "T", "unit": "°F"}}}}
-    np.testing.assert_allclose(tf.read_measurements(path, in_F).record.T_zone_C[0, :3], [20.0, 20.0, 20.0], atol=0.05)
+    assert re.match(r"never a number: .*column 'T' says kWh, and its unit in the map is °C", problem), problem
+
+
+def test_a_starting_map_has_the_unit_of_the_cells(tmp_path):
+    df = house(40)
     df["P"] = [f"{power / 1000:.3f} kW" for power in df["P"]]
-    df.rename(columns={"T": "Living room", "out": "Outdoor temperature", "P": "Power (W)"}).to_csv(path, index=False)
-    assert "power: {column: 'Power (W)', unit: 'kW'}" in starting_map(path)
+    df = df.rename(columns={"T": "Living room", "out": "Outdoor temperature", "P": "Power (W)"})
+    df.to_csv(tmp_path / "house.csv", index=False)
+    assert "power: {column: 'Power (W)', unit: 'kW'}" in starting_map(tmp_path / "house.csv")
+
+
+# Of a row: what is told, of which column, and what one of the unit in the map is of it.
+TOLD = (
+    ("kW", "P", lambda W: W / 1000), ("mW", "P", lambda W: 1000 * W), ("BTU/h", "P", lambda W: W / 0.29307107),
+    ("kcal/h", "P", lambda W: W / 1.163), ("%", "u", lambda u: 100 * u), ("°F", "T", lambda C: 1.8 * C + 32),
+    ("K", "out", lambda C: C + 273.15), ("°R", "T", lambda C: 1.8 * (C + 273.15)), ("℃", "T", lambda C: C),
+    ("GJ", "E", lambda kWh: kWh / 277.777778), ("MJ", "E", lambda kWh: 3.6 * kWh), ("Wh", "E", lambda kWh: 1000 * kWh),
+    ("Mcal", "E", lambda kWh: kWh / 1.163), ("SEK/kWh", "price", lambda p: p), ("öre/kWh", "price", lambda p: 100 * p),
+    ("EUR/MWh", "price", lambda p: 1000 * p), ("kW/m2", "sun", lambda W: W / 1000),
+    ("BTU/(h⋅ft²)", "sun", lambda W: W / 3.154591),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("unit", "column", "as_told"), TOLD, ids=[one[0] for one in TOLD])
+@pytest.mark.parametrize("in_cells", [False, True])
+def test_what_is_told_in_another_unit_of_the_same_is_converted(unit, column, as_told, in_cells):
+    """As Home Assistant's `unit_of_measurement`, and as cells of a file."""
+    df = house(40)
+    df["E"], df["price"], df["sun"] = df["P"].cumsum() / 4000, 0.25 + 0.001 * np.arange(40), 10.0 * np.arange(40)
+    power = {"column": "E", "unit": "kWh counter"} if column == "E" else "P"
+    rules = BASE | {"machines": {"grid": {"power": power, "price": "price"}}, "time": {"zone": "UTC"}, "sun": "sun"}
+    told = df.assign(**{column: as_told(df[column])})
+    if in_cells:
+        told[column] = [f"{value:.6f} {unit}" for value in told[column]]
+    else:
+        told.attrs["units"] = {column: unit}
+    found, same = (tf.read_measurements(one, rules) for one in (told, df))
+    for signal in ("T_zone_C", "T_out_C", "u", "power_W", "solar_W_m2"):
+        np.testing.assert_allclose(getattr(found.record, signal), getattr(same.record, signal), atol=2e-4, rtol=1e-4)
+    np.testing.assert_allclose(found.conditions.price_per_kWh, same.conditions.price_per_kWh, rtol=1e-5)
 
 
 @pytest.mark.parametrize("now", [None, NOW])
-def test_the_unit_that_a_connection_tells_counts(now):
-    """As Home Assistant's `unit_of_measurement`."""
-    df, rules = house(40), BASE | {"time": {"zone": "UTC"}}
-    told = df.assign(P=df["P"] / 1000, u=100 * df["u"])
-    told.attrs["units"] = {"P": "kW", "u": "%", "T": "°C", "out": "SEK/kWh"}
-    found, same = (tf.read_measurements(one, rules, now=now).record for one in (told, df))
-    np.testing.assert_allclose(found.power_W, same.power_W)
-    np.testing.assert_allclose(found.u, same.u)
-    told.attrs["units"] = {"T": "°F"}
-    with pytest.raises(DataError, match="column 'T' is told in °F, and its unit in the map is °C"):
-        tf.read_measurements(told, rules, now=now)
+@pytest.mark.parametrize(
+    ("unit", "what"), [("gal", "which is not known"), ("ft³", "which is not known"), ("kWh", "which is no power")]
+)
+def test_what_is_told_in_no_such_unit_is_refused_with_what_to_do(unit, what, now):
+    df = house(40)
+    df.attrs["units"] = {"P": unit, "another": "imp"}
+    rules = BASE | {"time": {"zone": "UTC"}}
+    with pytest.raises(DataError, match=f"column 'P' is told in {unit}, {what}, and its unit in the map is W: name"):
+        tf.read_measurements(df, rules, now=now)
+    as_it_stands = rules | {"machines": {"grid": {"power": {"column": "P", "factor": 1}, "price": 0.3}}}
+    found = tf.read_measurements(df, as_it_stands, now=now).record.power_W
+    np.testing.assert_array_equal(found, tf.read_measurements(house(40), rules, now=now).record.power_W)
 
 
 def test_words_of_a_device_are_to_get_their_numbers(tmp_path):

@@ -53,6 +53,11 @@ _GONE = ("unavailable", "unknown")
 # What thermostats say that they do (`hvac_action`), as a level.
 _ACTIONS = {"heating": 1.0, "preheating": 1.0, "cooling": 1.0, "idle": 0.0, "defrosting": 0.0, "fan": 0.0}
 _HOLDS_TEMPERATURE = ("climate", "water_heater")
+# Attributes without a unit of their own.
+_TEMPERATURES = (
+    "current_temperature", "temperature", "target_temp_low", "target_temp_high", "apparent_temperature", "dew_point",
+)  # fmt: skip
+_IN_PERCENT = ("current_humidity", "humidity", "current_position", "percentage")
 _HOLDS_NUMBER = ("number", "input_number")
 _HOLDS_SWITCH = ("switch", "input_boolean")
 _HOLDS_OPTION = ("select", "input_select")
@@ -190,10 +195,8 @@ class HomeAssistantConnection:
             table[column] = row
         index = pd.DatetimeIndex(pd.to_datetime(grid_s, unit="s", utc=True).round("us"), name="time")
         out = pd.DataFrame(table, index=index)
-        told = {one: known[_entity(one)].get("attributes", {}) for one in self._columns if _attribute(one) is None}
-        out.attrs["units"] = {
-            one: unit for one, of in told.items() if isinstance(unit := of.get("unit_of_measurement"), str)
-        }
+        told = {one: self._unit_of(one, known[_entity(one)].get("attributes", {})) for one in self._columns}
+        out.attrs["units"] = {one: unit for one, unit in told.items() if isinstance(unit, str)}
         return out
 
     def forecast(self) -> pd.DataFrame | str:
@@ -324,8 +327,23 @@ class HomeAssistantConnection:
             return _Target("set_temperature", {"temperature": number}, "temperature", number, 0.5 * float(step or 0.1))
         return _Target("set_value", {"value": number}, None, number, 0.5 * float(step or 0.01))
 
+    def _unit_of(self, column: str, attributes: Mapping[str, Any]) -> Any:
+        """The unit of an entity, or of an attribute: those of a climate have the unit of the house, and say none."""
+        attribute = _attribute(column)
+        if attribute is None:
+            return attributes.get("unit_of_measurement")
+        if attribute in _IN_PERCENT:
+            return "%"
+        if attribute not in _TEMPERATURES:
+            return None
+        own = attributes.get("temperature_unit")  # of a weather entity
+        return own or (self._unit_of_house() if column.partition(".")[0] in _HOLDS_TEMPERATURE else None)
+
+    def _unit_of_house(self) -> str:
+        return str(self._get("/api/config")["unit_system"]["temperature"])
+
     def _in_fahrenheit(self) -> bool:
-        return bool(self._get("/api/config")["unit_system"]["temperature"] == "°F")
+        return self._unit_of_house() == "°F"
 
     def _read_states(self, ask: _Ask, entities: list[str], begin: datetime, now: datetime) -> None:
         """Add to what is known of states what came since."""

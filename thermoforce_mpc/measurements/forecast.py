@@ -30,7 +30,6 @@ from thermoforce_mpc.measurements.map.mapping import (
     Price,
     Signal,
     Temperature,
-    converted,
     units_of,
 )
 from thermoforce_mpc.measurements.readings import (
@@ -51,6 +50,7 @@ from thermoforce_mpc.measurements.tables.files import found_files, head_of, read
 from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules, Written, each_column
 from thermoforce_mpc.measurements.tables.raw_table import NoColumn, as_numbers, tables_of, with_offset
 from thermoforce_mpc.measurements.tables.recognition import Recognised, counted_clock, guessed_form, recognised
+from thermoforce_mpc.measurements.units import converted
 from thermoforce_mpc.scenario.bill import SUFFIXES, Bill, file_beside, read_bill
 from thermoforce_mpc.scenario.building import PRICES
 

@@ -19,12 +19,13 @@ from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.progress import duration, figure
 from thermoforce_mpc.measurements import readings
-from thermoforce_mpc.measurements.map.mapping import COUNTER, PER_STEP, MeasurementMap, Signal, converted, likelier
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap, Signal, likelier
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import timed
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files
 from thermoforce_mpc.measurements.tables.forms import TableForm
 from thermoforce_mpc.measurements.tables.raw_table import tables_of
+from thermoforce_mpc.measurements.units import COUNTER, PER_STEP, converted
 
 # What is logged for longer than a day after the clock has a wrong stamp (as `measurements.load`).
 _LATEST = pd.Timedelta("2D")

@@ -21,13 +21,10 @@ from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.measurements.map.guesses import tags
 from thermoforce_mpc.measurements.map.mapping import (
-    COUNTER,
-    PER_STEP,
     Irradiance,
     MeasurementMap,
     Power,
     Signal,
-    converted,
 )
 from thermoforce_mpc.measurements.readings import (
     PRICE,
@@ -49,6 +46,7 @@ from thermoforce_mpc.measurements.readings import (
     with_map,
 )
 from thermoforce_mpc.measurements.tables.clock import Timed
+from thermoforce_mpc.measurements.units import COUNTER, PER_STEP, converted
 
 # About three days: a table of three has a step less.
 _ABOUT_THREE_DAYS_H = 70.0

@@ -18,13 +18,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.boundary.tariffs import price_unit_of
+from thermoforce_mpc.boundary.tariffs import PriceUnit, price_unit_of
 from thermoforce_mpc.data import DAY_S, Array
-from thermoforce_mpc.measurements.map.mapping import MeasurementMap, converted
+from thermoforce_mpc.measurements.map.mapping import (
+    IrradianceUnit,
+    LevelUnit,
+    MeasurementMap,
+    PowerUnit,
+    TemperatureUnit,
+)
+from thermoforce_mpc.measurements.units import COUNTER, PER_STEP, UNITS, converted, unit_named
 
 # Tag: (whole words, beginnings or ends and parts of compound words of five letters and more).
 _WORDS: dict[str, tuple[str, str]] = {
@@ -268,20 +276,6 @@ _GENERAL = frozenset(
         *("deg", "c", "f", "k", "w", "kw", "pct", "in", "o", "air", "rate", "low", "high", "therm"),
     )
 )
-_UNITS = {
-    "°c": "°C", "degc": "°C", "deg c": "°C", "c": "°C", "celsius": "°C", "grad c": "°C", "°f": "°F", "degf": "°F",
-    "deg f": "°F", "f": "°F", "fahrenheit": "°F", "k": "K", "kelvin": "K", "%": "%", "percent": "%", "pct": "%",
-    "prozent": "%", "w": "W", "watt": "W", "kw": "kW", "mw": "MW", "btu/h": "BTU/h", "wh": "Wh", "kwh": "kWh",
-    "mwh": "MWh", "j": "J", "kj": "kJ", "mj": "MJ", "gj": "GJ", "btu": "BTU", "kbtu": "kBTU", "mmbtu": "MMBTU",
-    "therm": "therm", "therms": "therm", "kcal": "kcal", "kbtu/h": "kBTU/h", "kbtu/hr": "kBTU/h", "btu/hr": "BTU/h",
-    "kbtuh": "kBTU/h", "btuh": "BTU/h", "mbh": "kBTU/h", "mmbtu/h": "MMBTU/h", "kj/h": "kJ/h", "mj/h": "MJ/h",
-    "kcal/h": "kcal/h", "ton": "ton", "tons": "ton", "sec": "s", "s": "s", "seconds": "s", "rps": "rps", "rpm": "rpm",
-    "u/min": "rpm", "w/m²": "W/m²", "w/m2": "W/m²", "w m-2": "W/m²",
-    "w/m^2": "W/m²",
-    "kw/m²": "kW/m²", "kw/m2": "kW/m²", "hz": "Hz", "ppm": "ppm", "hpa": "hPa", "pa": "Pa", "lx": "lx", "v": "V",
-    "a": "A", "l/h": "l/h", "m³": "m³", "m3": "m³", "m³/h": "m³/h", "cfm": "cfm", "m/s": "m/s", "km/h": "km/h",
-    "cent/kwh": "cent per kWh", "kwhs": "kWh", "watts": "W", "°": "°C", "deg": "°C",
-}  # fmt: skip
 # What is before the unit of energy of a price.
 _MONEY = "ct|cents?|eurocents?|c|öre|øre|p|pence|euro?|[€$£]"
 # Units at the end of a name, behind a space or underscore.
@@ -299,7 +293,7 @@ def _of_brackets(match: re.Match[str]) -> str:
     told = match[1].strip()
     if told.lower() in _OFTEN:
         return " "
-    says = re.search(r"[^\W\d_]{4}", told) and told.lower() not in _UNITS and "S/N" not in told
+    says = re.search(r"[^\W\d_]{4}", told) and not unit_named(told) and "S/N" not in told
     return f" {told} " if says else " "
 
 
@@ -326,11 +320,8 @@ def unit_of(name: str) -> str:
     if load:
         return load[1]
     for told in re.findall(r"[\[(]([^\])]*)[\])]", name):
-        one_letter = unicodedata.normalize("NFKC", told).strip().lower()  # ℃ is one character
-        if (unit := _UNITS.get(told.strip().lower(), _UNITS.get(one_letter))) is not None:
-            return unit
-        if re.fullmatch(rf"(?i)(?:\w{{2,4}}|{_MONEY})/[kM]Wh", told.strip()):
-            return price_unit_of(told) or ""
+        if unit := unit_named(told) or unit_named(unicodedata.normalize("NFKC", told)):
+            return unit if unit in _KNOWN else ""
     if told := re.search(rf"(?:^|[ _])(?:[A-Z]{{3}}|(?i:{_MONEY})) ?/ ?[kM]Wh$", name.strip()):
         return price_unit_of(told[0]) or ""
     if re.search(r"(?i)w[/_ ]?m-?\^?[²2]", name):
@@ -338,7 +329,7 @@ def unit_of(name: str) -> str:
     if match := re.search(r"(?:[ _\-/]|\bin )(%|°[CF]|[A-Za-z]+)$", name.strip()):
         told = match[1].lower()
         if told in _AT_END and (len(told) > 1 or told == "%" or match[1].isupper() or "_" in name):
-            return _UNITS[told]
+            return unit_named(told)
     return ""
 
 
@@ -408,12 +399,16 @@ _ROUNDED_K, _SAME_SHARE = 0.051, 0.99
 _NO_ROOM = frozenset(
     ("outdoor", "supply", "return", "water", "hot water", "humidity", "power", "energy", "valve", "other", "sun")
 )
-_ENERGIES = ("Wh", "kWh", "MWh", "J", "kJ", "MJ", "GJ", "BTU", "kBTU", "MMBTU", "therm", "kcal")
-_LOADS = ("W", "kW", "MW", "BTU/h", "kBTU/h", "MMBTU/h", "kJ/h", "MJ/h", "kcal/h", "ton", *_ENERGIES)
+_LOADS = tuple(dict.fromkeys(re.sub(f"{PER_STEP}|{COUNTER}", "", unit) for unit in get_args(PowerUnit)))
+_ENERGIES = tuple(unit for unit in _LOADS if UNITS[unit].quantity == "energy")
 _OF_LOADS = frozenset(("energy", "power", "heat", "heating machine", "electric", "gas"))
 # Units of what a map has no place for, and words of numbers that count rows.
 _OTHER_UNITS = ("Hz", "rps", "rpm", "s", "ppm", "hPa", "Pa", "lx", "V", "A", "l/h", "m³", "m³/h", "cfm", "m/s", "km/h")
 _TURNS = ("Hz", "rps", "rpm")
+_KNOWN = frozenset(
+    [*_LOADS, *_OTHER_UNITS]
+    + [unit for of in (TemperatureUnit, LevelUnit, IrradianceUnit, PriceUnit) for unit in get_args(of)]
+)
 # Heat rather than what a machine takes for it.
 _HEAT = re.compile(
     r"(?i)^q[_ .-]|qdot|therm|w[aä]e?rme(menge|leist)|heat.?(meter|flow|output)|wmz|qh|^phi|^ph\b|heizleist|chaleur|"

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.measurements.map.guesses import Column
-from thermoforce_mpc.measurements.map.mapping import converted
+from thermoforce_mpc.measurements.units import converted
 
 # Comfort bounds of a room of which nothing is known, °C: the least of EN 16798-1's category II for dwellings in winter,
 # and 4 K above it.

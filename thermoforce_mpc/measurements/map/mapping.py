@@ -15,7 +15,7 @@ from thermoforce_mpc.boundary.tariffs import PriceUnit, price_unit_of
 from thermoforce_mpc.commands.command import Command, TemperatureCommand
 from thermoforce_mpc.commands.kinds import KINDS, AnyCommand, names_of
 from thermoforce_mpc.commands.tank import AnyTankCommand
-from thermoforce_mpc.data import J_PER_KWH, ZERO_C_K, Array, Layout, Names
+from thermoforce_mpc.data import Array, Layout, Names
 from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.tables.forms import (
@@ -26,46 +26,21 @@ from thermoforce_mpc.measurements.tables.forms import (
     WrittenOtherwise,
     each_column,
 )
+from thermoforce_mpc.measurements.units import converted
 from thermoforce_mpc.scenario.comfort import OfComfort, OfTankComfort
 from thermoforce_mpc.scenario.settings import StrictModel, check_no_folder, read_yaml, validate
 
-TemperatureUnit = Literal["°C", "C", "degC", "K", "°F", "F", "degF"]
+TemperatureUnit = Literal["°C", "C", "degC", "K", "°F", "F", "degF", "°R"]
 PowerUnit = Literal[
-    "W", "kW", "MW", "BTU/h", "kBTU/h", "MMBTU/h", "kJ/h", "MJ/h", "kcal/h", "ton",
+    "W", "kW", "MW", "BTU/h", "kBTU/h", "MMBTU/h", "kJ/h", "MJ/h", "GJ/h", "kcal/h", "Mcal/h", "Gcal/h", "ton",
     "Wh per step", "kWh per step", "MWh per step", "J per step", "kJ per step", "MJ per step", "GJ per step",
-    "BTU per step", "kBTU per step", "MMBTU per step", "therm per step", "kcal per step",
+    "BTU per step", "kBTU per step", "MMBTU per step", "therm per step", "kcal per step", "Mcal per step",
+    "Gcal per step",
     "Wh counter", "kWh counter", "MWh counter", "J counter", "kJ counter", "MJ counter", "GJ counter",
-    "BTU counter", "kBTU counter", "MMBTU counter", "therm counter", "kcal counter",
+    "BTU counter", "kBTU counter", "MMBTU counter", "therm counter", "kcal counter", "Mcal counter", "Gcal counter",
 ]  # fmt: skip
 LevelUnit = Literal["0-1", "%"]
-IrradianceUnit = Literal["W/m²", "W/m2", "kW/m²", "kW/m2"]
-
-PER_STEP, COUNTER = " per step", " counter"
-
-_TEMPERATURES = {"C": (1.0, 0.0), "K": (1.0, -ZERO_C_K), "F": (5.0 / 9.0, -160.0 / 9.0)}
-# British thermal units of the International Table (1055.05585262 J, also the therm of 100,000), calories likewise.
-_BTU_J, _KCAL_J = 1055.05585262, 4186.8
-_ENERGIES_J = {
-    "Wh": 3600.0, "kWh": J_PER_KWH, "MWh": 3.6e9, "J": 1.0, "kJ": 1e3, "MJ": 1e6, "GJ": 1e9, "BTU": _BTU_J,
-    "kBTU": 1e3 * _BTU_J, "MMBTU": 1e6 * _BTU_J, "therm": 1e5 * _BTU_J, "kcal": _KCAL_J,
-}  # fmt: skip
-# A ton of refrigeration is 12,000 BTU/h.
-_LINEAR = {
-    "W": 1.0, "kW": 1e3, "MW": 1e6, "ton": 12e3 * _BTU_J / 3600.0, "0-1": 1.0, "%": 0.01,
-    **{f"{unit}/h": _ENERGIES_J[unit] / 3600.0 for unit in ("BTU", "kBTU", "MMBTU", "kJ", "MJ", "kcal")},
-    "W/m²": 1.0, "W/m2": 1.0, "kW/m²": 1e3, "kW/m2": 1e3, "per kWh": 1.0, "per MWh": 1e-3,
-    "cent per kWh": 1e-2, "cent per MWh": 1e-5,
-}  # fmt: skip
-
-
-def converted(values: Array, unit: str) -> Array:
-    """`values` (n,) in `unit` as °C, W, W/m², share or price per kWh; energies per step and counters as J."""
-    if unit.endswith((PER_STEP, COUNTER)):
-        return np.asarray(values * _ENERGIES_J[unit.split(" ")[0]])
-    if unit in _LINEAR:
-        return np.asarray(values * _LINEAR[unit])
-    factor, offset = _TEMPERATURES[unit.removeprefix("°").removeprefix("deg")]
-    return np.asarray(values * factor + offset)
+IrradianceUnit = Literal["W/m²", "W/m2", "kW/m²", "kW/m2", "BTU/(h⋅ft²)"]
 
 
 def likelier(values: Array, declared: str, kind: str, usual: tuple[float, float]) -> str:
@@ -206,14 +181,14 @@ class Price(Signal):
 
 
 def units_of(signals: Iterable[Signal]) -> dict[str, str]:
-    """The unit of each column, which its cells must not contradict. A factor is of the numbers as they stand there.
+    """The unit of each column, which its cells must not contradict. A factor, 1 too, is of numbers as they stand there.
 
     Of a column with several units it is none that cells could have, such as 'kW and °C'.
     """
     units: dict[str, list[str]] = {}
     for signal in signals:
         unit = getattr(signal, "unit", "")
-        if unit and abs(signal.factor) == 1.0:
+        if unit and (signal.factor == -1.0 or "factor" not in signal.model_fields_set):
             for column in signal.columns:
                 units.setdefault(column, []).append(unit)
     return {column: " and ".join(dict.fromkeys(told)) for column, told in units.items()}
@@ -292,7 +267,7 @@ class Sun(StrictModel):
         """The column that was measured, None where the irradiance is estimated."""
         if self.column is None:
             return None
-        return Irradiance(**self.model_dump(exclude={"estimate", "humidity"}))
+        return Irradiance(**self.model_dump(exclude={"estimate", "humidity"}, exclude_unset=True))
 
 
 OfSun = Annotated[Sun, BeforeValidator(_text_as_column, json_schema_input_type=str | Sun)]

@@ -16,7 +16,6 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError, suggestion
 from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses, place_in_order, tags, unit_of, words_of
 from thermoforce_mpc.measurements.map.habits import COMFORT_C, SETBACK_K, Habit, bounds_around, habit_of
-from thermoforce_mpc.measurements.map.mapping import converted
 from thermoforce_mpc.measurements.tables.clock import all_year, instants, plain
 from thermoforce_mpc.measurements.tables.files import all_readings, found_files, head_of, named_after, stamps_of
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
@@ -36,6 +35,7 @@ from thermoforce_mpc.measurements.tables.recognition import (
     units_of_points,
     written_alike,
 )
+from thermoforce_mpc.measurements.units import converted
 
 # Rows of a file that are looked at where its columns are signals, and readings of a signal where rows are readings.
 _ROWS, _READINGS, _FEW = 20_000, 5_000, 20

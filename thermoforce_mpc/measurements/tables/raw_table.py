@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.tables.forms import TableForm, TimeStampRules
+from thermoforce_mpc.measurements.units import UNITS, Unit, in_unit, unit_named, unit_of_map
 from thermoforce_mpc.scenario.settings import suggestion
 
 # Words of a column that says on or off, in the languages of the maps.
@@ -30,25 +31,10 @@ SWITCH = dict.fromkeys(_ON, 1.0) | dict.fromkeys(_OFF, 0.0)
 # mode, which it was asked for, say nothing of that.
 _ACTION = re.compile(r"(?:running_state|hvac_action)$")
 _ACTIONS = {"heat": 1.0, "heating": 1.0, "cool": 1.0, "cooling": 1.0, "fan_only": 0.0, "fan": 0.0}
-# Units that stand behind a number in its cell, in small letters: what is measured, and in how many of the first of it.
-_QUANTITIES: dict[str, tuple[str, float]] = {
-    "°c": ("°C", 1.0), "℃": ("°C", 1.0), "deg c": ("°C", 1.0), "degc": ("°C", 1.0), "c": ("°C", 1.0),
-    "celsius": ("°C", 1.0), "°f": ("°F", 1.0), "℉": ("°F", 1.0), "deg f": ("°F", 1.0), "degf": ("°F", 1.0),
-    "f": ("°F", 1.0), "k": ("K", 1.0), "%": ("%", 1.0), "%rh": ("%", 1.0), "pct": ("%", 1.0), "percent": ("%", 1.0),
-    "w": ("W", 1.0), "kw": ("W", 1e3), "watt": ("W", 1.0), "wh": ("Wh", 1.0), "kwh": ("Wh", 1e3), "mwh": ("Wh", 1e6),
-    "btu/h": ("BTU/h", 1.0), "kbtu/h": ("BTU/h", 1e3), "w/m²": ("W/m²", 1.0), "w/m2": ("W/m²", 1.0), "hz": ("Hz", 1.0),
-    "ppm": ("ppm", 1.0), "hpa": ("hPa", 1.0), "lx": ("lx", 1.0), "v": ("V", 1.0), "a": ("A", 1.0), "l/h": ("l/h", 1.0),
-    "m/s": ("m/s", 1.0), "km/h": ("km/h", 1.0), "€/kwh": ("per kWh", 1.0), "eur/kwh": ("per kWh", 1.0),
-}  # fmt: skip
-# Units that a map alone says, and a share of it as what stands in percent.
-_DECLARED: dict[str, tuple[str, float]] = {
-    "0-1": ("%", 100.0), "MW": ("W", 1e6), "MMBTU/h": ("BTU/h", 1e6), "kW/m²": ("W/m²", 1e3), "kW/m2": ("W/m²", 1e3),
-    "per kWh": ("per kWh", 1.0), "per MWh": ("per kWh", 1e-3), "cent per kWh": ("per kWh", 1e-2),
-    "cent per MWh": ("per kWh", 1e-5),
-}  # fmt: skip
-_QUANTITY = re.compile(r"([+-]?\d[\d.,'’\s]*?)\s*([^\d\s.,'’+-][^\d]{0,7}2?)")
+# A number and the unit behind it.
+_QUANTITY = re.compile(r"([+-]?\d[\d.,'’\s]*?)\s*([^\d\s.,'’+-][^\d]{0,10}2?)")
 # A telegram in front of what it says, as '0C 3F | 21.3 °C'.
-_TELEGRAM = re.compile(r"[$0-9a-f ]+\| *")
+_TELEGRAM = re.compile(r"[$0-9a-fA-F ]+\| *")
 # Words of programs for a reading that there is not, beside those that pandas knows.
 MISSING = ("unavailable", "unknown", "undefined", "undef", "uninitialized", "no data", "-", "--", "---")
 ISO = re.compile(r"\s*\d{4}-\d{2}-\d{2}")
@@ -374,9 +360,10 @@ def _with_texts(
     rest = np.flatnonzero(np.isnan(numbers) & column.notna().to_numpy())
     texts = np.zeros(len(column), dtype=bool)
     if rest.size:
-        codes, words = pd.factorize(column.iloc[rest].astype(str).str.strip().str.lower())
-        found = np.array([SWITCH.get(word, np.nan) for word in words])
-        of_text = np.array([word not in SWITCH and word not in _NONE for word in words])
+        codes, words = pd.factorize(column.iloc[rest].astype(str).str.strip())
+        small = [word.lower() for word in words]
+        found = np.array([SWITCH.get(word, np.nan) for word in small])
+        of_text = np.array([word not in SWITCH and word not in _NONE for word in small])
         if of_text.any():
             found = np.where(of_text, [_grouped(word, decimal) for word in words], found)
             of_text &= np.isnan(found)
@@ -388,7 +375,7 @@ def _with_texts(
             numbers[rest] = found[codes]
         acts = np.array([bool(_ACTION.search(name)) for name in names])
         if acts.any():
-            said = np.array([_ACTIONS.get(word, np.nan) for word in words])[codes]
+            said = np.array([_ACTIONS.get(word, np.nan) for word in small])[codes]
             of_action = texts[rest] & np.isfinite(said) & (acts[0] if of is None else acts[of[rest]])
             numbers[rest[of_action]], texts[rest[of_action]] = said[of_action], False
     return numbers, texts
@@ -423,30 +410,25 @@ def _of_quantities(
     quantities = [quantity_of(word, decimal) for word in words]
     out = known[codes]
     rows = np.flatnonzero([quantities[code] is not None for code in codes])
-    first: dict[int, tuple[str, float]] = {}
+    first: dict[int, Unit] = {}
     for row in rows:
-        value, what, scale = quantities[codes[row]] or (np.nan, "", 1.0)
+        value, name = quantities[codes[row]] or (np.nan, "0-1")
+        unit = UNITS[name]
         signal = 0 if of is None else int(of[row])
-        kind, by = first.setdefault(signal, _declared(told[signal]) if told[signal] else (what, scale))
-        out[row] = value * scale / by if kind == what else np.nan
+        wanted = first.setdefault(signal, unit_of_map(told[signal]) if told[signal] else unit)
+        out[row] = in_unit(value, unit, wanted) if wanted.quantity == unit.quantity else np.nan
     return out
 
 
-def quantity_of(cell: str, decimal: str) -> tuple[float, str, float] | None:
-    """Number of a cell such as '21.3 °C', what is measured, and in how many of its first unit; None for other cells."""
-    match = _QUANTITY.fullmatch(_TELEGRAM.sub("", cell.strip().lower(), count=1))
-    if match is None or (known := _QUANTITIES.get(match[2].strip())) is None:
+def quantity_of(cell: str, decimal: str) -> tuple[float, str] | None:
+    """Number and unit, as in `UNITS`, of a cell such as '21.3 °C'; None for other cells."""
+    match = _QUANTITY.fullmatch(_TELEGRAM.sub("", cell.strip(), count=1))
+    if match is None or not (name := unit_named(match[2])):
         return None
     if re.fullmatch(rf"[+-]?\d+(?:\{decimal}\d+)?", match[1]):
-        return float(match[1].replace(decimal, ".")), *known
+        return float(match[1].replace(decimal, ".")), name
     number = _grouped(match[1], decimal)
-    return None if np.isnan(number) else (number, *known)
-
-
-def _declared(unit: str) -> tuple[str, float]:
-    """What a unit of a map measures, and in how many of the first of it."""
-    unit = unit.removesuffix(" per step").removesuffix(" counter")
-    return _DECLARED.get(unit) or _QUANTITIES.get(unit.lower(), (unit, 1.0))
+    return None if np.isnan(number) else (number, name)
 
 
 def in_units(df: pd.DataFrame, units: Mapping[str, str] | None) -> pd.DataFrame:
@@ -456,16 +438,18 @@ def in_units(df: pd.DataFrame, units: Mapping[str, str] | None) -> pd.DataFrame:
     """
     out = df.copy(deep=False)
     for key, told in df.attrs.get("units", {}).items():
-        unit = (units or {}).get(key, "")
-        if not unit or key not in df or not (told in _DECLARED or told.lower() in _QUANTITIES):
+        wanted = (units or {}).get(key, "")
+        if not wanted or not told.strip() or key not in df:
             continue
-        (what, scale), (kind, by) = _declared(told), _declared(unit)
-        if what != kind:
+        unit, of_map = UNITS.get(unit_named(told)), unit_of_map(wanted)
+        if unit is None or unit.quantity != of_map.quantity:
+            known = "which is not known" if unit is None else f"which is no {of_map.quantity}"
             raise DataError(
-                f"column '{key}' is told in {told}, and its unit in the map is {unit}: check column and unit"
+                f"column '{key}' is told in {told}, {known}, and its unit in the map is {wanted}: name another column, "
+                "give the device another unit, or say in the map what one of it is, as factor (1: as the number stands)"
             )
-        if scale != by:
-            out[key] = df[key] * (scale / by)
+        if unit != of_map:
+            out[key] = in_unit(df[key].to_numpy(dtype=np.float64), unit, of_map)
     return out
 
 
@@ -475,14 +459,8 @@ def unit_of_cells(column: pd.Series, decimal: str) -> str:
         return ""
     for cell in column.dropna().astype(str).iloc[:_LOOKED_AT]:
         if (found := quantity_of(cell, decimal)) is not None:
-            return _written(found)
+            return found[1]
     return ""
-
-
-def _written(quantity: tuple[float, str, float]) -> str:
-    """The unit of what `quantity_of` found."""
-    _, what, scale = quantity
-    return {1.0: "", 1e3: "k", 1e6: "M"}[scale] + what
 
 
 def _numbers(column: pd.Series, key: str, table: RawTable, decimal: str, unit: str) -> Array:
@@ -499,8 +477,9 @@ def other_unit(cell: str, decimal: str, unit: str) -> str:
     if (quantity := quantity_of(cell, decimal)) is None:
         return ""
     if not unit:
-        return f"says {_written(quantity)}, and the cells before another unit"
-    return "" if _declared(unit)[0] == quantity[1] else f"says {_written(quantity)}, and its unit in the map is {unit}"
+        return f"says {quantity[1]}, and the cells before another unit"
+    other = unit_of_map(unit).quantity != UNITS[quantity[1]].quantity
+    return f"says {quantity[1]}, and its unit in the map is {unit}" if other else ""
 
 
 def _refuse(column: pd.Series, rows: Sequence[int], key: str, table: RawTable, decimal: str, unit: str) -> None:

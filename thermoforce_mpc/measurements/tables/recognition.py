@@ -38,6 +38,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     unit_of_cells,
     with_offset,
 )
+from thermoforce_mpc.measurements.units import UNITS
 
 ROWS = 2000
 """Rows of a table that are looked at."""
@@ -715,7 +716,7 @@ def _of_quantities(column: pd.Series) -> bool:
         return False
     cells = column.dropna().astype(str).iloc[:200]
     found = [quantity_of(cell, mark) for cell in cells for mark in (",", ".")]
-    kinds = {one[1] for one in found if one is not None}
+    kinds = {UNITS[one[1]].quantity for one in found if one is not None}
     return len(kinds) > 1 and sum(one is not None for one in found) > 0.8 * len(cells)
 
 
