@@ -139,28 +139,59 @@ def test_the_band_is_the_uncertainty_of_the_effect(model: ThermalModel) -> None:
     assert np.isnan(counterfactual(without, _run(u), 1.0, start=_FIRST * HOUR_S).sd_K).all()
 
 
+_TWO = Names(("hall", "bath"), ("one", "other"), ("pump",))
+
+
+def _two_valves(model: ThermalModel) -> ThermalModel:
+    """Two rooms such as the simple house, on the water of one machine."""
+    pair = model.operator.of_actuator(0)
+    return ThermalModel(
+        BuildingOperator(_TWO.zones, _TWO.actuators, ((pair, None), (None, pair)), (0, 1)),
+        model.power,
+        (None, None),
+        model.cards * 2,
+        _TWO.machines,
+        (0, 0),
+        (0.5, 0.5),
+    )
+
+
+def _two_rooms(run: Record) -> Record:
+    both = {name: np.repeat(getattr(run, name), 2, axis=0) for name in ("T_zone_C", "u", "heat_W")}
+    return replace(run, **both, names=_TWO)
+
+
+def test_valves_held_at_half_of_their_level_take_more_than_half(model: ThermalModel) -> None:
+    """Emitters of valves that are less open are colder: by the linear law half of the levels was half of the energy."""
+    u = np.repeat([0.3, 0.9, 0.6, 0.45, 0.75, 0.6], 24)  # means of days, which are held
+    run = _run(u)
+    by_law = replace(run, power_W=model.powers_by_law(run.u, run.T_out_C[:-1]))
+    found = counterfactual(_two_valves(model), _two_rooms(by_law), 0.5 * u[_FIRST], start="2026-01-05 00:00")
+    was, other = float(found.energy_kWh[0]), float(found.energy_other_kWh[0])
+    assert 0.55 * was < other < 0.7 * was
+    assert float(found.energy_low_kWh[0]) < 0.55 * was
+    assert float(found.energy_high_kWh[0]) > 0.7 * was
+
+
+def test_a_valve_that_is_little_open_in_the_record_leaves_its_energy_unknown(model: ThermalModel) -> None:
+    u, hour = np.repeat([0.4, 0.9, 0.6, 0.5, 0.75, 0.6], 24), np.arange(_DAYS * 24)
+    two, widths = _two_valves(model), []
+    for hours in (48, 6):  # that the other valve was open
+        record = replace(_two_rooms(_run(u)), u=np.array([u, np.where(hour < hours, 0.6, 0.0)]))
+        record = replace(record, power_W=two.powers_by_law(record.u, record.T_out_C[:-1]))
+        found = counterfactual(two, record, np.full((2, 24), 0.6), start="2026-01-05 00:00")
+        widths.append(float((found.energy_high_kWh - found.energy_low_kWh)[0] / found.energy_other_kWh[0]))
+    assert widths[1] > widths[0] + 0.1, widths
+
+
 @pytest.mark.parametrize(("held", "asked", "known"), [(False, 0.4, False), (True, 0.4, True), (False, 1.0, True)])
 def test_energy_of_valves_that_were_never_held_between_is_not_told(
     model: ThermalModel, held: bool, asked: float, known: bool
 ) -> None:
     """Rooms whose valves only open and close: 0.4 was 9.8 kWh (9.8 to 9.9) by the law, and 17.3 in the house."""
-    names = Names(("hall", "bath"), ("one", "other"), ("pump",))
-    pair = model.operator.of_actuator(0)
-    two = ThermalModel(
-        BuildingOperator(names.zones, names.actuators, ((pair, None), (None, pair)), (0, 1)),
-        model.power,
-        (None, None),
-        model.cards * 2,
-        names.machines,
-        (0, 0),
-        (0.5, 0.5),
-    )
     u = np.where(np.random.default_rng(2).random(_DAYS * 24) < 0.5, 0.4 if held else 1.0, 0.0)
     u = np.repeat(u[::3], 3)
-    run = _run(u)
-    both = {name: np.repeat(getattr(run, name), 2, axis=0) for name in ("T_zone_C", "u", "heat_W")}
-    record = replace(run, **both, names=names)
-    found = counterfactual(two, record, asked, start="2026-01-05 00:00")
+    found = counterfactual(_two_valves(model), _two_rooms(_run(u)), asked, start="2026-01-05 00:00")
     assert np.isfinite(found.energy_kWh).all()
     assert (found.energy_high_kWh[0] < 2.0 * found.energy_other_kWh[0]) == known
 

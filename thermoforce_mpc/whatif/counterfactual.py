@@ -46,7 +46,7 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters, featur
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.whatif.dates import label_dates, on_dates
-from thermoforce_mpc.whatif.water import VALVES_SD, of_water, others_by
+from thermoforce_mpc.whatif.water import EMITTERS, VALVES_SD, emitted, of_water, others_by
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -284,10 +284,14 @@ _EXACT = 0.1
 # energy that the record's law says (`house:3rooms:101`, 28 November 2026); the band reaches to `_HELD` times.
 _PART, _WITHIN, _SEEN, _HELD = (0.1, 0.9), 0.15, 0.05, 2.5
 # What a level takes more per K by which a day of other levels makes its room colder, as a share, where water of several
-# valves carries it, and its standard deviation: with 0.04 to 0.055 days without heat at night, or with levels of three
-# hours later, came out right in the mean in `house:3rooms:31000`, `house:4rooms:31001` and `house:5rooms:31002` (4.5 %
-# root mean square; 6.9 % with 0, 8 % with what holds for weeks of plans; 30 November 2026).
-_COLDER = (0.05, 0.04)
+# valves carries it, beside what its emitter takes, and its standard deviation: with 0.03 days without heat at night, or
+# with levels of three hours later, come out right in the mean in eight houses (3.9 and 2.3 % root mean square; 5.0 and
+# 2.2 % with 0, 9.4 and 4.0 % with 0.08; seeds 33021 and 33022 of `bench effects --mode operation`, 30 November 2026).
+_COLDER = (0.03, 0.04)
+# A valve that was open less than this share of a record says little of its heat: standard deviation of that, as a
+# share. Where such valves of four drawn houses (seeds 33021, 33022) open every other hour with all others, laws say 12
+# to 23 % too little.
+_RARE, _RARE_SD = 0.05, 0.4
 # Least days of a record that tell how far its law is off on one, and what it is with fewer. By judgement.
 _LEAST_DAYS, _FEW_DAYS_SD = 6, 0.1
 
@@ -403,25 +407,29 @@ def counterfactuals(
                 "there is nothing to compare with; choose a stretch in which it was"
             )
     whole, _ = bridged(model.own_heat(record.slice(0, first + n)))
-    context, stretch = _known_from(model, whole, first), whole.slice(first, first + n)
+    context, stretch, before = _known_from(model, whole, first), whole.slice(first, first + n), whole.u[:, :first]
 
     @cache
     def told(m: int) -> _Told:
-        return _Told(model.power_change(m, record), *_beside_law(model, m, record, stretch))
+        rare = np.nanmean(record.u[model.layout.fed_by(m)], axis=1) < _RARE
+        return _Told(model.power_change(m, record), *_beside_law(model, m, record, stretch), rare)
 
     measured_C = np.asarray(record.T_zone_C[:, first + 1 : first + n + 1])
     each = [np.asarray(one, dtype=np.float64) for one in several]
-    return [_under(model, record, levels, context, stretch, measured_C, told) for levels in each]
+    return [_under(model, record, levels, context, stretch, before, measured_C, told) for levels in each]
 
 
 @dataclass(frozen=True)
 class _Told:
-    """What a record tells of the power of a machine: how much of a change by its law, and see `_beside_law`."""
+    """What a record tells of the power of a machine: how much of a change by its law, see `_beside_law`, and which of
+    its actuators (a,) hardly acted.
+    """
 
     share: Share
     metered: float
     usual: float
     errors: float
+    rare: NDArray[np.bool_]
 
 
 def _under(
@@ -430,10 +438,11 @@ def _under(
     levels: Array,
     context: PredictionContext,
     stretch: Record,
+    before: Array,
     measured_C: Array,
     told: Callable[[int], _Told],
 ) -> Counterfactual:
-    """A stretch under other levels."""
+    """A stretch under other levels, after levels `before` (A, k)."""
     applied = np.clip(stretch.u, model.operator.u_min[:, None], 1.0)
     if levels.ndim == 0:
         levels = np.full(applied.shape, levels)
@@ -445,7 +454,8 @@ def _under(
         model.powers_by_law(levels, stretch.T_out_C[:-1]),
     )
     was, other = (energy_kWh(power.sum(axis=1), record.step_s) for power in (power_W, power_other_W))
-    energies = [_energy(model, m, told, stretch, levels, effect, was[m], other[m]) for m in range(len(was))]
+    emitters = _of_emitters(model, stretch, before, applied, levels)
+    energies = [_energy(model, m, told, stretch, levels, effect, was[m], other[m], emitters) for m in range(len(was))]
     was, other, energy_low, energy_high = np.array(energies).T
     unseen = [_never_held(model, m, record, levels) for m in range(len(model.machines))]
     energy_high = np.where(unseen, np.fmax(energy_high, _HELD * other), energy_high)
@@ -479,14 +489,17 @@ def _energy(
     effect_K: Array,
     was: float,
     other: float,
+    emitters: tuple[Array, Array],
 ) -> tuple[float, float, float, float]:
     """Energy of machine `m` as it was and under levels `u` (A, N) with its 90 % band, kWh.
 
-    `was`, `other`: by the law of power; `effect_K` (Z, N): what the levels change. What the meter said more or less
-    than the law of the stretch it says of the other levels too. Rooms that are colder take more from the water.
+    `was`, `other`: by the law of power; `effect_K` (Z, N): what the levels change; `emitters`: see `_of_emitters`. What
+    the meter said more or less than the law of the stretch it says of the other levels too. Rooms that are colder take
+    more from the water.
     """
     if not np.isfinite(other):
         return was, other, np.nan, np.nan
+    other, emitters_sd = other * emitters[0][m], emitters[1][m] * other
     of_record = told(m)
     metered, usual, errors, share = of_record.metered, of_record.usual, of_record.errors, of_record.share
     known = bool(np.isfinite(metered)) and was > 0.0
@@ -503,8 +516,11 @@ def _energy(
     was = metered if known else was
     differs = others_by(stretch.u[fed], u[fed])
     several = VALVES_SD if weights.any() else 0.0
+    opened: Array = (weights * np.maximum(u[fed] - stretch.u[fed], 0.0))[of_record.rare]
+    of_rare = _RARE_SD * float(opened.sum() / max(float(weights.sum()), 1e-9))
     of_change, of_levels = share.sd * abs(said - was), float(np.hypot(several, errors)) * differs * said
-    sd = float(np.linalg.norm([of_change, of_levels, less_sd * warmer_K * other * ratio]))
+    of_rooms = less_sd * warmer_K * other * ratio
+    sd = float(np.linalg.norm([of_change, of_levels, of_rare * said, of_rooms, emitters_sd * ratio]))
     ends = [was + (said - was) * share.mean + sign * NORMAL_95 * sd for sign in (-1.0, 1.0)]
     ends += [said, by_law, said * usual]
     if share.spread > _EXACT:  # levels that follow the demand stand for it in the law
@@ -512,6 +528,29 @@ def _energy(
         asked = np.nanmean(over_K + effect_K[homes]) / max(float(np.nanmean(over_K)), 1.0)
         ends.append(was * max(float(asked), 0.0))
     return was, said, max(min(ends), 0.0), max(ends)
+
+
+def _of_emitters(model: ThermalModel, stretch: Record, before: Array, was: Array, other: Array) -> tuple[Array, Array]:
+    """How much more machines (M,) take under levels `other` than `was` (A, N) than their laws say, and its standard
+    deviation, since emitters whose valves were open for less long take more from the water. `before` (A, k): levels
+    until then.
+    """
+    valves = of_water(model)[:, None] > 0.0
+
+    def more(emitters: float) -> Array:
+        levels = [np.concatenate([before, u], axis=1) for u in (was, other)]
+        heats = [emitted(u, stretch.step_s, emitters) for u in levels]
+        usual = levels[0].sum() / max(float(heats[0].sum()), 1e-9)
+        each = []
+        for level, heat in zip(levels, heats, strict=True):
+            both = (u[:, before.shape[1] :] for u in (np.where(valves, usual * heat, level), level))
+            of_heat, of_level = (model.powers_by_law(u, stretch.T_out_C[:-1]).sum(axis=1) for u in both)
+            each.append(np.divide(of_heat, of_level, out=np.ones(len(of_level)), where=of_level > 0.0))
+        return np.asarray(each[1] / each[0])
+
+    median, log_sd = EMITTERS
+    mean = more(median)
+    return mean, np.abs(more(median * float(np.exp(log_sd))) - mean)
 
 
 def _beside_law(model: ThermalModel, m: int, record: Record, stretch: Record) -> tuple[float, float, float]:
