@@ -161,11 +161,27 @@ def test_days_on_which_the_clock_changes_are_as_long_as_they_are(day):
         (lambda df: df.assign(T_room=df.T_room.astype(str) + " °C"), r"column 'T_room' holds a cell that is no number"),
         (lambda df: df.iloc[:0], r"record: the table has no rows"),
         (lambda df: pd.concat([df, df[["T_out"]]], axis=1), "record: there are 2 columns 'T_out'; give each a name"),
+        (lambda df: df.assign(T_room=df.T_room + 273.15), r"zone: column 'T_room': 385 of 385 .*convert K by x - 273"),
+        (lambda df: df.assign(T_out=df.T_out + 273.15), r"outdoor: column 'T_out': .* between -60 and 60 °C, first 2"),
+        (lambda df: df.assign(u=100.0 * df.u), r"level: column 'u': .* between -1 and 1, first .* divide % by 100"),
+        (lambda df: df["T_room"], r"record: the table is of class Series, expected DataFrame: .*to_frame"),
     ],
 )
 def test_a_table_that_cannot_be_used_is_refused_with_what_to_do(tables, change, message):
     with pytest.raises(DataError, match=message):
         tf.Record.from_dataframe(change(tables[0]), **NAMES)
+
+
+def test_what_a_broken_sensor_says_for_a_while_is_no_unit(tables):
+    """A loop of somebody's own goes on: the controller does not believe these readings."""
+    df = tables[0].assign(T_room=tables[0].T_room.where(tables[0].index < tables[0].index[-100], 327.67))
+    assert (tf.Record.from_dataframe(df, **NAMES).T_zone_C[0, -100:] == 327.67).all()
+
+
+@pytest.mark.parametrize("name", [None, 0, ["T_room"], pd.Series([20.0])])
+def test_a_room_is_named_by_its_column(tables, name):
+    with pytest.raises(DataError, match=r"record: zone is of class .*, expected str: give the name of a column"):
+        tf.Record.from_dataframe(tables[0], **NAMES | {"zone": name})
 
 
 def test_a_table_through_summer_time_says_how_to_read_it_and_then_reads(tmp_path):
@@ -197,6 +213,8 @@ def test_a_room_is_not_outdoors(tables):
         (lambda f: f.tz_localize(None), "time zones: the record has one and forecast has none"),
         (lambda f: f.iloc[3:], "the rows must begin there"),
         (lambda f: f.iloc[::-1], "in order of time"),
+        (lambda f: f.assign(T_out=f.T_out + 273.15), r"forecast: outdoor: column 'T_out': 49 of 49 cells"),
+        (lambda f: f["T_out"], "forecast: the table is of class Series"),
     ],
 )
 def test_a_forecast_that_does_not_follow_is_refused(tables, change, message):
@@ -212,12 +230,31 @@ def test_a_forecast_that_does_not_follow_is_refused(tables, change, message):
         ({"lower": "T_max", "upper": "T_min"}, "exchange lower and upper"),
         ({"lower": 68, "upper": 75}, r"lower is 68 at 20.* between -30 and 60 °C; convert °F or K"),
         ({"lower": 21, "upper": 297}, "upper is 297 at"),
+        (
+            {"lower": np.full(49, 21.0)},
+            "lower is a ndarray, expected the name of a column, or one number.*lower='lower'",
+        ),
+        ({"price": pd.Series(0.3)}, "price is a Series, expected the name of a column, or one number"),
+        ({"price": True}, "price is a bool"),
     ],
 )
 def test_bounds_that_would_heat_without_end_are_refused(tables, bounds, message):
     record = tf.Record.from_dataframe(tables[0], **NAMES)
     with pytest.raises(DataError, match=message):
         tf.Boundary.from_dataframe(tables[1], record, **AHEAD, **bounds)
+
+
+def test_what_is_no_observation_model_or_options_is_refused_by_name(tables):
+    record = tf.Record.from_dataframe(tables[0], **NAMES)
+    weather = tf.Boundary.from_dataframe(tables[1], record, **AHEAD)
+    with pytest.raises(DataError, match="observation: history is of class Boundary, expected Record"):
+        tf.Observation(weather, record)
+    with pytest.raises(
+        DataError, match="model is of class str, expected ThermalModel: identify or load_model gives one"
+    ):
+        tf.ThermoForceMPC("my_house")
+    with pytest.raises(DataError, match="runs: one of them is of class str, expected Record"):
+        tf.identify(tables[0])
 
 
 def test_a_forecast_needs_the_step_of_its_record(tables):

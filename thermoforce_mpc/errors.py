@@ -185,6 +185,13 @@ def out_of_memory(error: BaseException) -> bool:
     return False
 
 
+def check_kind(given: object, kind: type, what: str, remedy: str = "") -> None:
+    """Raise `DataError` where what a program gives as `what` is not of class `kind`; `remedy`: what to do."""
+    if not isinstance(given, kind):
+        hint = f": {remedy}" if remedy else ""
+        raise DataError(f"{what} is of class {type(given).__name__}, expected {kind.__name__}{hint}")
+
+
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Return ", did you mean ...?" if a known word is close, else an empty string."""
     close = difflib.get_close_matches(word, list(known), n=1)

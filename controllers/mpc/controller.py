@@ -74,7 +74,7 @@ from thermoforce_mpc.commands.meter import scatter_of_days
 from thermoforce_mpc.commands.tank import LearnedTank
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, Record, steps_in
 from thermoforce_mpc.data.dataframes import clock_s
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import DataError, check_kind
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
@@ -124,11 +124,14 @@ class ThermoForceMPC(ActuatedController):
         machines heats too; `name`: in reports.
 
         Raises:
+            DataError: `model` or `config` is none.
             ControllerConfigError: the horizon is shorter than a step, the model is not certified at that step and
                 horizon, the actuation does not fit the step, an option names what there is not, or a term of the user
                 cannot be stated.
             BackboneError, ConfigError: the free response cannot be built.
         """
+        check_kind(model, ThermalModel, "model", "identify or load_model gives one")
+        check_kind(config or MPCConfig(), MPCConfig, "config", "give MPCConfig(...)")
         learned = dict(commands or {})
         self.config = c = with_commands(config or MPCConfig(), learned)
         model, n_steps = at_step(model, c)
@@ -277,6 +280,7 @@ class ThermoForceMPC(ActuatedController):
 
         It changes nothing but caches: one controller may make the plans of several buildings of the same model.
         """
+        check_kind(observation, Observation, "observation", "give Observation(record, boundary)")
         aims, others = self.config.objective, observation.boundary.others_W.size
         if aims.prices_peaks and aims.at_the_meter and others and not observation.history.meter_W.size:
             raise DataError(

@@ -17,7 +17,7 @@ from thermoforce_mpc.data.clock import CLOCK_ROUNDING_S, CLOCK_TOLERANCE_S, HOUR
 from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.data.names import AXIS, SINGLE, Names, frozen
 from thermoforce_mpc.data.record import Record
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import DataError, check_kind
 
 if TYPE_CHECKING:  # loaded only where tables come in
     import pandas as pd
@@ -116,14 +116,16 @@ class Boundary:
             emission: kg CO2/kWh; a column, or one number.
 
         Raises:
-            DataError: a column is missing, rows are not in order or do not begin at the end of `record`, `record` is
-                one
-                instant, or a bound is no room temperature in °C or the lower one above the upper one.
+            DataError: `df` is no data frame, a column is missing or most of it impossible in its unit, a bound or price
+                is neither a column nor a number, rows are not in order or do not begin at the end of `record`, `record`
+                is one instant, or a bound is no room temperature in °C or the lower one above the upper one.
         """
         import pandas as pd
 
-        from thermoforce_mpc.data.dataframes import seconds_since, series, stamps
+        from thermoforce_mpc.data.dataframes import check_table, measured_column, seconds_since, series, stamps
 
+        check_table(df, "forecast")
+        check_kind(record, Record, "forecast: record")
         if record.origin is None:
             raise DataError("forecast: the record has no time stamps; make it with Record.from_dataframe")
         if not record.n_steps:
@@ -150,14 +152,22 @@ class Boundary:
         # Temperatures go straight between two rows; what follows a schedule holds until the next row.
         held = np.clip(np.searchsorted(at_s, time_s + CLOCK_ROUNDING_S, side="right") - 1, 0, at_s.size - 1)
 
-        def line(source: str | float | None) -> Array:
-            return np.interp(time_s, at_s, series(df, source, "forecast"))
+        def line(name: str, argument: str, signal: str) -> Array:
+            return np.interp(time_s, at_s, measured_column(df, name, "forecast", argument, signal))
 
-        def step(source: str | float | None) -> Array:
-            return series(df, source, "forecast")[held]
+        def step(source: str | float | None, argument: str) -> Array:
+            return series(df, source, "forecast", argument)[held]
 
-        sun = np.zeros(time_s.size) if solar is None else line(solar)
-        ahead = cls(time_s, line(outdoor), sun, step(occupancy), step(lower), step(upper), step(price), step(emission))
+        ahead = cls(
+            time_s,
+            line(outdoor, "outdoor", "T_out_C"),
+            np.zeros(time_s.size) if solar is None else line(solar, "solar", "solar_W_m2"),
+            step(occupancy, "occupancy"),
+            step(lower, "lower"),
+            step(upper, "upper"),
+            step(price, "price"),
+            step(emission, "emission"),
+        )
         ahead._check_bounds(stamps(time_s, record.origin))
         return ahead
 
@@ -263,6 +273,11 @@ class Observation:
     boundary: Boundary
     tank_C: float = math.nan
     tank_charges: bool = False
+
+    def __post_init__(self) -> None:
+        """Raise `DataError` for a history that is no record, and conditions that are none."""
+        check_kind(self.history, Record, "observation: history")
+        check_kind(self.boundary, Boundary, "observation: boundary")
 
     @property
     def time_s(self) -> float:

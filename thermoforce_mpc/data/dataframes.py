@@ -4,16 +4,31 @@ from __future__ import annotations
 
 import re
 from datetime import datetime
+from numbers import Real
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data.clock import DAY_S
-from thermoforce_mpc.errors import DataError, suggestion
+from thermoforce_mpc.data.limits import LEVEL, RULES, outside
+from thermoforce_mpc.errors import DataError, check_kind, suggestion
 
 # pandas takes 03.04.2026 for March and 25.03.2026 for March too.
 _YEAR_LAST = re.compile(r"\s*\d{1,2}[./-]\d{1,2}[./-]\d{2,4}\b")
+
+# What is probably wrong with a column of which most is impossible.
+_REMEDIES = {
+    "temperature": "convert K by x - 273.15, °F by (x - 32) / 1.8, or is it another column?",
+    "level": "divide % by 100, or is it a set-point or a power?",
+    "irradiance": "convert kW/m² or J/m² to W/m², or is it another column?",
+}
+
+
+def check_table(df: object, what: str) -> None:
+    """Raise `DataError` where what is given as the table of `what` is no data frame."""
+    remedy = "read a file by pd.read_csv(file, index_col=0, parse_dates=True), make one of a Series by .to_frame(name)"
+    check_kind(df, pd.DataFrame, f"{what}: the table", remedy)
 
 
 def new_year(index: pd.Index, what: str) -> pd.Timestamp:
@@ -136,8 +151,36 @@ def column(df: pd.DataFrame, name: str, what: str) -> NDArray[np.float64]:
         raise DataError(f"{what}: column '{name}' holds a cell that is no number ({error})") from error
 
 
-def series(df: pd.DataFrame, source: str | float | None, what: str) -> NDArray[np.float64]:
-    """A column by name, one number for all rows, or NaN for all where None is given; shape (n,). Raises `DataError`."""
+def series(df: pd.DataFrame, source: str | float | None, what: str, argument: str) -> NDArray[np.float64]:
+    """A column by name, one number for all rows, or NaN for all where None is given; shape (n,).
+
+    Raises `DataError` for what is none of them, naming `what` it is of and the `argument`.
+    """
     if isinstance(source, str):
         return column(df, source, what)
+    if source is not None and (isinstance(source, bool | np.bool_) or not isinstance(source, Real)):
+        raise DataError(
+            f"{what}: {argument} is a {type(source).__name__}, expected the name of a column, or one number: put "
+            f"values into the table, by their time stamps (df['{argument}'] = ...), and give {argument}='{argument}'"
+        )
     return np.full(len(df), np.nan if source is None else float(source))
+
+
+def measured_column(df: pd.DataFrame, name: str, what: str, argument: str, signal: str) -> NDArray[np.float64]:
+    """A column of readings of a signal of `limits.RULES`, shape (n,).
+
+    Raises `DataError` where it is none, or most cells (zeros do not count) are impossible: another unit, or column.
+    """
+    check_kind(name, str, f"{what}: {argument}", "give the name of a column")
+    values, rule = column(df, name, what), RULES[signal]
+    low, high = (-LEVEL[1], LEVEL[1]) if signal == "u" else rule.range
+    known = np.flatnonzero(np.isfinite(values) & (values != 0.0))
+    wrong = known[outside(values[known], (low, high))]
+    if 2 * wrong.size > known.size:
+        k = int(wrong[0])
+        raise DataError(
+            f"{what}: {argument}: column '{name}': {wrong.size} of {known.size} cells are no {rule.kind} between "
+            f"{low:.4g} and {high:.4g} {rule.unit}".rstrip()
+            + f", first {values[k]:.6g} at {df.index[k]}: {_REMEDIES.get(rule.kind, 'is it another column?')}"
+        )
+    return values

@@ -90,25 +90,33 @@ class Record:
             return_water: column of the return water temperature, °C.
 
         Raises:
-            DataError: a column is missing, twice there or holds text, zone and outdoor are one column, or the index
-                holds no
-                equally spaced time stamps; says what to do.
+            DataError: `df` is no data frame, a column is missing, twice there or holds text, most of it is impossible
+                in its unit, zone and outdoor are one column, or the index holds no equally spaced time stamps; says
+                what to do.
         """
-        from thermoforce_mpc.data.dataframes import new_year, seconds_since, series
+        from thermoforce_mpc.data.dataframes import check_table, measured_column, new_year, seconds_since
 
+        def of(argument: str, name: str | None, signal: str) -> Array:
+            return np.full(len(df), np.nan) if name is None else measured_column(df, name, "record", argument, signal)
+
+        check_table(df, "record")
+        columns = {"zone": (zone, "T_zone_C"), "outdoor": (outdoor, "T_out_C"), "level": (level, "u")}
+        T_zone_C, T_out_C, u = (
+            measured_column(df, name, "record", argument, signal) for argument, (name, signal) in columns.items()
+        )
         if zone == outdoor:
             raise DataError(f"record: zone and outdoor are the same column, '{zone}'")
         origin = new_year(df.index, "record")
         steps = slice(0, len(df) - 1)
         return cls(
             time_s=seconds_since(origin, df.index, "record"),
-            T_zone_C=series(df, zone, "record"),
-            T_out_C=series(df, outdoor, "record"),
-            solar_W_m2=np.zeros(len(df)) if solar is None else series(df, solar, "record"),
-            u=series(df, level, "record")[steps],
-            power_W=series(df, power, "record")[steps],
-            heat_W=series(df, heat, "record")[steps],
-            T_return_C=series(df, return_water, "record")[steps],
+            T_zone_C=T_zone_C,
+            T_out_C=T_out_C,
+            solar_W_m2=np.zeros(len(df)) if solar is None else of("solar", solar, "solar_W_m2"),
+            u=u[steps],
+            power_W=of("power", power, "power_W")[steps],
+            heat_W=of("heat", heat, "heat_W")[steps],
+            T_return_C=of("return_water", return_water, "T_return_C")[steps],
             origin=origin,
         )
 

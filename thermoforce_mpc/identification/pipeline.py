@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from thermoforce_mpc.data import DAY_S, Layout, Record
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import DataError, check_kind
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.confounding import unknown_heat
 from thermoforce_mpc.identification.effects.couplings import (
@@ -94,6 +94,8 @@ def identify(
     """
     config = config or IdentificationConfig()
     runs = (runs,) if isinstance(runs, Record) else tuple(runs)
+    for one in runs:
+        check_kind(one, Record, "runs: one of them", "Record.from_dataframe makes one of a table")
     source = source or _times_of([*runs, *(pair.a for pair in pairs)])
     say = progress or (lambda text: None)
     if (mode == "both") != (u_min < 0.0):
