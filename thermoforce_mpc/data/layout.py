@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from thermoforce_mpc.data.clock import DAY_S, Array
-from thermoforce_mpc.data.names import SINGLE, Names
+from thermoforce_mpc.data.names import SINGLE, Names, check_same_building
 from thermoforce_mpc.errors import DataError
 
 
@@ -127,6 +127,21 @@ class Layout:
                 if a != kept:
                     left[a], excluded_by[a] = 0.0, kept
         return excluded_by
+
+
+def check_same_layout(what: str, layout: Layout, of: str, other: Layout) -> None:
+    """Raise `DataError` where two things (`what` and `of` in words) are not of the same names, or an actuator serves
+    another zone, is fed by another machine or does something else.
+    """
+    check_same_building(what, layout.names, of, other.names)
+    names = layout.names
+    for a, name in enumerate(names.actuators):
+        ours, theirs = (
+            f"{one.mode(a)} {names.zones[one.home[a]]}, fed by {names.machines[one.machine_of[a]]}"
+            for one in (layout, other)
+        )
+        if ours != theirs:
+            raise DataError(f"by {what.removesuffix(':')} {name} is {ours}, by {of} {theirs}: which is right?")
 
 
 @dataclass(frozen=True)

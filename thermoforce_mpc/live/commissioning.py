@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from controllers.state_classes import model_key
-from thermoforce_mpc.data.names import check_same_building
+from thermoforce_mpc.data.layout import check_same_layout
 from thermoforce_mpc.errors import ConfigError, DataError, InputError, PlantError, ThermoForceError, counted
 from thermoforce_mpc.execution.keys import digest
 from thermoforce_mpc.execution.progress import duration, figure
@@ -309,8 +309,7 @@ def _of_model(found: PointsFound, files: CommissioningFiles) -> tuple[Commission
     try:
         model = load_model(Path(files.model))
         if found.measured is not None:
-            names = found.measured.served().record.names
-            check_same_building("the model", model.names, "the map", names)
+            check_same_layout("the model", model.layout, "the map", found.measured.served().layout)
     except ThermoForceError as error:
         return CommissioningStage("model", "open", f"{files.model}: {error}", files.identified), ""
     unfit = [

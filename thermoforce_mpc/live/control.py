@@ -20,7 +20,7 @@ from thermoforce_mpc.commands.tank import TANK_NAME
 from thermoforce_mpc.connections.sole import Sets, set_by, sole_control
 from thermoforce_mpc.connections.watchdog import Watchdog
 from thermoforce_mpc.data import Block, Boundary, CommandValue, Plan, PlanStatus
-from thermoforce_mpc.data.names import check_same_building
+from thermoforce_mpc.data.layout import check_same_layout
 from thermoforce_mpc.errors import (
     ControllerRaised,
     NoForecast,
@@ -255,7 +255,7 @@ class _Building:
         record, doubts = screened_history(as_read, self._allowed)
         model = getattr(controller, "model", None)
         if model is not None:
-            check_same_building("the model", model.names, "the map", record.names)
+            check_same_layout("the model", model.layout, "the map", building.layout)
         tank = building.tank_now()
         return Believed(record, as_read, doubts, controller.step_s, building.layout.u_min, tank)
 

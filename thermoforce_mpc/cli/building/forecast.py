@@ -14,7 +14,7 @@ from thermoforce_mpc.cli.building.courses import finish_axes, levels_of, on_cloc
 from thermoforce_mpc.cli.options import FiniteRange, course_options, measured_options, model_option
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.dataframes import seconds_at, stamps
-from thermoforce_mpc.data.names import check_same_building
+from thermoforce_mpc.data.layout import check_same_layout
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.predictor import Prediction
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole
@@ -74,7 +74,7 @@ def forecast(
     thermal = load_model(model)
     measured = read_measurements(list(files), map_file, at="begin" if start else "end").served()
     record = measured.record
-    check_same_building(f"--model {model}:", thermal.names, f"the map {map_file}", record.names)
+    check_same_layout(f"--model {model}:", thermal.layout, f"the map {map_file}", measured.layout)
     n = round(hours * HOUR_S / record.step_s)
     truth = np.full((len(record.names.zones), n), np.nan)
     applied: Array | None = None

@@ -29,7 +29,7 @@ from thermoforce_mpc.cli.options import (
 from thermoforce_mpc.commands.loop import USUAL_COMMANDS, command_rows, saving_in_words
 from thermoforce_mpc.commands.tank import tank_in_words, tank_rows
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan, PlannedSaving, energy_kWh
-from thermoforce_mpc.data.names import check_same_building
+from thermoforce_mpc.data.layout import check_same_layout
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.map.mapping import MOST_STEP_S
 from thermoforce_mpc.report.display import RunDisplay
@@ -111,7 +111,7 @@ def plan(
     thermal = load_model(model)
     measured = read_measurements(files, map_file, step_s=step_s, at="end").served()
     record = measured.record
-    check_same_building(f"--model {model}:", thermal.names, str(map_file), record.names)
+    check_same_layout(f"--model {model}:", thermal.layout, str(map_file), measured.layout)
     notes: list[str] = []
     ahead = read_forecast(forecast, measured, prices=prices, left_out=notes)
     there_h = ahead.n_steps * step_s / HOUR_S

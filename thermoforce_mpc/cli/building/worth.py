@@ -26,7 +26,7 @@ from thermoforce_mpc.cli.options import (
 )
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record, energy_kWh
 from thermoforce_mpc.data.dataframes import seconds_at
-from thermoforce_mpc.data.names import check_same_building
+from thermoforce_mpc.data.layout import check_same_layout
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.report.display import RunDisplay
 from thermoforce_mpc.scenario.settings import parse_overrides, validate
@@ -103,7 +103,7 @@ def worth(
     thermal = load_model(model)
     measured = read_measurements(list(files), map_file, step_s=HOUR_S).served()
     record = measured.record
-    check_same_building(f"--model {model}:", thermal.names, str(map_file), record.names)
+    check_same_layout(f"--model {model}:", thermal.layout, str(map_file), measured.layout)
     if commands and not measured.commands:
         raise ConfigError(f"--commands: --map {map_file} names no command of an actuator")
     learned = learned_commands(measured) if commands else {}
