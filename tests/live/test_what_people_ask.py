@@ -293,6 +293,24 @@ def test_a_thermostat_that_does_not_take_its_set_point_is_nobody_at_the_wall(tmp
     assert not any("by hand" in note for decision in decisions for note in decision.notes)
 
 
+@pytest.mark.parametrize("holds_min", [0, 5, 60])
+def test_a_thermostat_that_gives_its_command_back_is_said_after_three_steps(people, holds_min):
+    """Nobody else tells: each plan counts on a command that did not act."""
+    home, said = TimedHome(3), []
+    building = LiveBuilding(
+        home, MeasurementMap.model_validate(rules_of({name: name for name in SENSORS})), 3600.0, people=people
+    )
+    for hour in range(5):
+        home.wait_until(START + hour * HOUR)
+        building.record(home.at)
+        said.append([note for note in building.left_out if "does not take its command, or gives it back" in note])
+        building.write({"actuator": 22.0 + hour % 2}, 7200.0)
+        home.ends = home.at + pd.Timedelta(minutes=holds_min)
+    assert [len(notes) for notes in said] == ([0, 0, 0, 1, 1] if holds_min < 60 else [0] * 5)
+    assert len({note for notes in said for note in notes}) <= 1, "said anew by nobody who says each note once a day"
+    assert not people.by_hand(home.at)
+
+
 class MakesItsOwn(TimedHome):
     """A thermostat of whole degrees up to 23 °C, that may say what it holds."""
 

@@ -58,6 +58,8 @@ _SAME_CLOCK_S, _CLOCKS_S, _ZONE_S = 60.0, 300.0, 1200.0
 # A device that takes whole degrees makes of a temperature one so far from it, K, and one that takes halves, which may
 # repeat what it was told before it says so (Zigbee2MQTT does).
 _ROUNDED_K, _HALVED_K = 0.51, 0.26
+# Steps in which a device says what it said before its command, from which on that is said: one that sleeps is late.
+_REVERTED = 3
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,7 @@ class LiveBuilding:
         self._prices, self._people = prices, people
         self._told: dict[str, LastTold] = {}
         self._rounds = set[str]()  # said already
+        self._reverted: dict[str, int] = {}
         self.connection, self._rules, self._step_s = connection, rules, step_s
         if (reads := getattr(connection, "reads", None)) is not None:
             reads([column for _, signal in rules.signals() for column in signal.columns])
@@ -429,7 +432,13 @@ class LiveBuilding:
             return ()
         notes = []
         for name in dict(self._told):
-            self._compare(name, _last_command(measured, name), now)
+            value = _last_command(measured, name)
+            if self._reverts(name, value, now):
+                notes.append(
+                    f"{name}: for {_REVERTED} steps or more it says what stood there before, not what was set: it does "
+                    "not take its command, or gives it back; look at its mode, its app and what else sets it"
+                )
+            self._compare(name, value, now)
         for name, (value, until) in self._people.by_hand(now).items():
             command = self.command_of(name)
             what = f"{value:g}" if command is None else command.in_words(value)
@@ -482,6 +491,17 @@ class LiveBuilding:
         elif told.seen or (math.isfinite(told.before) and abs(value - told.before) > near):
             self._people.set_by_hand(name, value, now)
             del self._told[name]
+
+    def _reverts(self, name: str, value: float, now: pd.Timestamp) -> bool:
+        """Whether a device that says `value` (NaN: nothing) has not held its commands for so long that it is said."""
+        told, near = self._told[name], self.nearness(name)
+        if near is None or not math.isfinite(value) or now > pd.Timestamp(told.until):
+            return False
+        if told.holds(value, near):
+            self._reverted[name] = 0
+        elif abs(value - told.before) <= near:
+            self._reverted[name] = self._reverted.get(name, 0) + 1
+        return self._reverted.get(name, 0) >= _REVERTED
 
     def _rounded(self, name: str) -> float:
         """How far from its command a device may be that rounds it."""
