@@ -483,6 +483,10 @@ def test_what_is_told_in_no_such_unit_is_refused_with_what_to_do(unit, what, now
     rules = BASE | {"time": {"zone": "UTC"}}
     with pytest.raises(DataError, match=f"column 'P' is told in {unit}, {what}, and its unit in the map is W: name"):
         tf.read_measurements(df, rules, now=now)
+    df.attrs["units"] = {"P": unit, "out": "imp"}
+    with pytest.raises(DataError, match=rf"'P' is told in {unit}, .* is W; column 'out' is told in imp, which is not"):
+        tf.read_measurements(df, rules, now=now)
+    df.attrs["units"] = {"P": unit}
     as_it_stands = rules | {"machines": {"grid": {"power": {"column": "P", "factor": 1}, "price": 0.3}}}
     found = tf.read_measurements(df, as_it_stands, now=now).record.power_W
     np.testing.assert_array_equal(found, tf.read_measurements(house(40), rules, now=now).record.power_W)

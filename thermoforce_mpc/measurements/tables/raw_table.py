@@ -436,7 +436,7 @@ def in_units(df: pd.DataFrame, units: Mapping[str, str] | None) -> pd.DataFrame:
 
     Raises `DataError` where one is of another quantity.
     """
-    out = df.copy(deep=False)
+    out, wrong = df.copy(deep=False), list[str]()
     for key, told in df.attrs.get("units", {}).items():
         wanted = (units or {}).get(key, "")
         if not wanted or not told.strip() or key not in df:
@@ -444,12 +444,14 @@ def in_units(df: pd.DataFrame, units: Mapping[str, str] | None) -> pd.DataFrame:
         unit, of_map = UNITS.get(unit_named(told)), unit_of_map(wanted)
         if unit is None or unit.quantity != of_map.quantity:
             known = "which is not known" if unit is None else f"which is no {of_map.quantity}"
-            raise DataError(
-                f"column '{key}' is told in {told}, {known}, and its unit in the map is {wanted}: name another column, "
-                "give the device another unit, or say in the map what one of it is, as factor (1: as the number stands)"
-            )
-        if unit != of_map:
+            wrong.append(f"column '{key}' is told in {told}, {known}, and its unit in the map is {wanted}")
+        elif unit != of_map:
             out[key] = in_unit(df[key].to_numpy(dtype=np.float64), unit, of_map)
+    if wrong:
+        raise DataError(
+            f"{'; '.join(wrong)}: name another column, give the device another unit, or say in the map what one of it "
+            "is, as factor (1: as the number stands)"
+        )
     return out
 
 
