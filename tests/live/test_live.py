@@ -488,9 +488,11 @@ OPTIONS = [
 ]  # fmt: skip
 
 
-def test_a_dry_run_on_files_says_what_goes_on_and_what_it_would_set(files, monkeypatch):
+@pytest.mark.parametrize("how", [("--dry-run",), ("--mode", "advise", "--steps", "1", "--delay", "0")])
+def test_what_goes_on_until_the_first_plan_is_said_with_what_is_set(files, monkeypatch, how):
     """It said nothing for most of a minute, on a computer that is busy, where programs are still compiled."""
     monkeypatch.setattr("thermoforce_mpc.report.display.SAID_AFTER_S", 0.0)
+    monkeypatch.setattr(WallClock, "wait_until", lambda self, at: None)
     record = LiveBuilding.record
 
     def slowly(*told):
@@ -498,7 +500,7 @@ def test_a_dry_run_on_files_says_what_goes_on_and_what_it_would_set(files, monke
         return record(*told)
 
     monkeypatch.setattr(LiveBuilding, "record", slowly)
-    done = CliRunner().invoke(cli, ["control", "--model", "model", "--map", "map.yaml", "--dry-run", *OPTIONS])
+    done = CliRunner().invoke(cli, ["control", "--model", "model", "--map", "map.yaml", *how, *OPTIONS])
     assert done.exit_code == 0, done.output + str(done.exception)
     assert "measurements are read and a plan is made: " in done.output
     assert re.search(r"actuator \d+ % for [\d.]+ min", done.output)

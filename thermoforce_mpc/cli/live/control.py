@@ -6,7 +6,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, ExitStack, closing, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from itertools import groupby
@@ -284,7 +284,13 @@ class _Run:
             shadowed = (self.out, thermal, mpc, commands, key, live.tank_log)
             book = ShadowBook(*shadowed) if mode == "shadow" else None
             told = _advised(told, self.out / "advice.json", book, self.say)
-        with self.phase("measurements are read and a plan is made") if dry else nullcontext():
+        with ExitStack() as until_told:
+            until_told.enter_context(self.phase("measurements are read and a plan is made"))
+
+            def told_first(decision: Decision) -> None:
+                until_told.close()
+                told(decision)
+
             control(
                 live,
                 mpc,
@@ -294,7 +300,7 @@ class _Run:
                 told=shared_with(
                     self.building,
                     people,
-                    told,
+                    told_first,
                     lambda decision: in_words(decision, commands),
                     self.out,
                     mode,
