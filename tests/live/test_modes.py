@@ -16,7 +16,7 @@ from simulated_building import RULES, START, SimulatedBuilding, files_of_now, mp
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.connections.sole import sole_control
-from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.errors import ConfigError, DataError, PlantError
 from thermoforce_mpc.live import KeptState, LiveBuilding, WallClock, control
 from thermoforce_mpc.live.building import real_run
 from thermoforce_mpc.live.probing import ProbingPlan, probe_building, probing_key
@@ -124,6 +124,25 @@ def test_a_shadow_says_what_control_then_does(tmp_path, monkeypatch):
     low, high = map(float, re.search(r"90 % band (\S+) to ([-+0-9.]+)", said[-1]).groups())
     assert low < 0.25 * (was_kWh - did_kWh + stored_kWh) < high
     assert saved == pytest.approx(0.25 * (was_kWh - did_kWh + stored_kWh), abs=0.1 * 0.25 * was_kWh)
+
+
+@pytest.mark.parametrize("steps", [1, 2], ids=["before midnight", "after midnight"])
+def test_a_day_is_judged_where_a_shadow_is_started_again_around_midnight(tmp_path, steps):
+    """Else one that a timer starts again each night would count none; here too little of it was decided."""
+    house = SimulatedBuilding()
+    house.wait_until(START + pd.Timedelta("23h"))
+    assert shadow(tmp_path, house, steps)[0] == []
+    with pytest.raises(DataError, match="12 Jan: 1 of 24 decisions were made in it: the day does not count"):
+        shadow(tmp_path, house, 3)
+
+
+def test_a_day_in_which_control_acted_is_no_day_of_a_shadow(tmp_path):
+    """What was is then what control did, and nothing is told of what it saves."""
+    house = SimulatedBuilding()
+    house.wait_until(START + pd.Timedelta("21h"))
+    controlled(tmp_path, house, 2, acts=True)
+    with pytest.raises(DataError, match="12 Jan: control acted in 2 of 3 steps: the day does not count"):
+        shadow(tmp_path, house, 3)
 
 
 class KilledError(BaseException):

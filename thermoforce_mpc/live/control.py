@@ -310,7 +310,8 @@ class _Building:
             asked = (self.controller.horizon_s, self.controller.step_s)
             decision = replace(decided, notes=notes)
             origin, layout = self.building.origin.isoformat(), self.building.layout
-            self.journal.decided(decision, time_s, self._given, asked, origin, layout)
+            acts = self.acts and not self.building.paused
+            self.journal.decided(decision, time_s, self._given, asked, origin, layout, acts=acts)
         if self.dry:
             self.left = 0
             return decided.after

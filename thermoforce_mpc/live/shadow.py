@@ -42,6 +42,7 @@ from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.records.journal import NAME, making_sense, read_run
 from thermoforce_mpc.records.run_folder import MOST_BYTES, SHADOW
 from thermoforce_mpc.records.told_steps import (
+    ToldStep,
     forecast_of,
     history_before,
     told_building,
@@ -145,6 +146,8 @@ class ShadowBook:
     def day_over(self, instant: pd.Timestamp) -> str:
         """What the days so far say, at the second decision of a day, when the journal has the last; else ''.
 
+        Where a controller was started again, the day before counts too, if the journal has it.
+
         Raises `DataError` where a day cannot be judged, and as `read_run`.
         """
         if self._over is not None:
@@ -156,9 +159,12 @@ class ShadowBook:
                 of = {"of": self._key, "model": model_key(self._model)}
                 write_json(self._folder / SHADOW, {"said": self.in_words, **of, "days": days})
             return self.in_words
-        if self._today is not None and instant.date() != self._today:
-            self._over = pd.Timestamp(self._today, tz=instant.tz)
-        self._today = instant.date()
+        before, self._today = self._today, instant.date()
+        if before is None:  # started again: the day before may have ended meanwhile
+            yesterday = instant.normalize() - pd.DateOffset(days=1)
+            self._over = yesterday if _decided_in(self._folder / NAME, yesterday) else None
+        elif before != self._today:
+            self._over = pd.Timestamp(before, tz=instant.tz)
         return ""
 
     @property
@@ -248,21 +254,38 @@ class _ToldDay:
     period: Period
 
 
+def _steps_told(path: Path, begin: pd.Timestamp) -> tuple[pd.Timestamp, list[ToldStep], float, float]:
+    """What seconds count from, the steps of the journal, and begin and end of the day from `begin` on, s."""
+    entries = read_run(path).entries
+    origin = told_building(entries[0].content).origin
+    if origin is None:
+        raise InputError(f"{path}: is of a simulated building")
+    steps = list(told_steps(told_loops(entries).get("thermoforce_mpc", [])))
+    # Days of 23 and 25 hours, too.
+    begin_s, end_s = (float((at - origin).total_seconds()) for at in (begin, begin.normalize() + pd.DateOffset(days=1)))
+    return origin, steps, begin_s, end_s
+
+
+def _decided_in(path: Path, begin: pd.Timestamp) -> bool:
+    """Whether the journal, if there is one, has a decision of the day from `begin` on; raises as `read_run`."""
+    if not path.exists():
+        return False
+    with making_sense(path):
+        _, steps, begin_s, end_s = _steps_told(path, begin)
+        return any(begin_s - 1.0 < step.time_s < end_s - 1.0 for step in steps)
+
+
 def _told_day(path: Path, begin: pd.Timestamp) -> _ToldDay:
     with making_sense(path):
-        entries = read_run(path).entries
-        origin = told_building(entries[0].content).origin
-        if origin is None:
-            raise InputError(f"{path}: is of a simulated building")
-        steps = list(told_steps(told_loops(entries).get("thermoforce_mpc", [])))
-        # Days of 23 and 25 hours, too.
-        begin_s, end_s = (
-            float((at - origin).total_seconds()) for at in (begin, begin.normalize() + pd.DateOffset(days=1))
-        )
+        origin, steps, begin_s, end_s = _steps_told(path, begin)
         at = [i for i, step in enumerate(steps) if begin_s - 1.0 < step.time_s < end_s - 1.0]
         later = next((i for i, step in enumerate(steps) if step.time_s > end_s - 1.0), None)
-        if not at or later is None:
-            raise DataError(f"{begin:%d %b}: no decision was made in it: the day does not count")
+        acted = sum(any(u is not None for block in steps[i].blocks for u in block.u) for i in at)
+    if not at or later is None:
+        raise DataError(f"{begin:%d %b}: no decision was made in it: the day does not count")
+    if acted > (1.0 - _LEAST_DECIDED) * len(at):  # one that was killed may have set what it decided
+        raise DataError(f"{begin:%d %b}: control acted in {acted} of {len(at)} steps: the day does not count")
+    with making_sense(path):
         record = replace(history_before(steps[: later + 1]), origin=origin)
         # Of the house that is lived through the meter is not known.
         nothing: dict[str, Any] = dict.fromkeys(AT_THE_METER, np.empty(0))

@@ -95,13 +95,21 @@ class LiveJournal:
             return None
 
     def decided(
-        self, decided: Decided, time_s: float, given: Given, asked: tuple[float, float], origin: str, layout: Layout
+        self,
+        decided: Decided,
+        time_s: float,
+        given: Given,
+        asked: tuple[float, float],
+        origin: str,
+        layout: Layout,
+        *,
+        acts: bool = True,
     ) -> None:
-        """Write what came of the step before, what is known now, and the decision, before it acts.
+        """Write what came of the step before, what is known now, and the decision, before it acts, if it `acts`.
 
         `asked`: horizon and step of the forecast, s. `origin`, `layout`: as of `LiveBuilding`.
         """
-        self._guarded(lambda: self._decided(decided, time_s, given, asked, origin, layout))
+        self._guarded(lambda: self._decided(decided, time_s, given, asked, origin, layout, acts))
 
     def applied(self, block: Block, start_s: float) -> None:
         """Note a block that was set from `start_s` on, s; one that was not taken is one of native control."""
@@ -142,7 +150,14 @@ class LiveJournal:
         self._open_step = None
 
     def _decided(
-        self, decided: Decided, time_s: float, given: Given, asked: tuple[float, float], origin: str, layout: Layout
+        self,
+        decided: Decided,
+        time_s: float,
+        given: Given,
+        asked: tuple[float, float],
+        origin: str,
+        layout: Layout,
+        acts: bool,
     ) -> None:
         if self._journal is None:
             self._begin(origin, layout)
@@ -169,6 +184,7 @@ class LiveJournal:
             "forecast_seconds": float(decided.forecast_seconds),
             "seconds": {name: float(value) for name, value in decided.plan.seconds.items()},
             **({"no_forecast": given.no_forecast} if rows is None else {}),
+            **({} if acts else {"acts": False}),
             **plan_json(decided.plan, decided.blocks, decided.refused),
         }
         self._write("step", content)
@@ -301,10 +317,13 @@ class LiveJournal:
 
 
 def _as_decided(told: Mapping[str, Any]) -> list[Json]:
-    """The blocks of a step as they were decided: of a process that was ended in it, nothing else is known."""
+    """The blocks of a step as they were decided, or of native control where nothing was to be set: of a process that
+    was ended in it, nothing else is known.
+    """
     start_s, blocks = float(told["time_s"]), list[Json]()
     for block in told["blocks"]:
-        blocks.append({"asked": dict(block), "start_s": start_s})
+        native = {"u": [None] * len(block["u"]), "duration_s": float(block["duration_s"])}
+        blocks.append({"asked": dict(block) if told.get("acts", True) else native, "start_s": start_s})
         start_s += float(block["duration_s"])
     return blocks
 
