@@ -114,7 +114,16 @@ def whole_hour(time_s: Array | float) -> NDArray[np.intp]:
 
     A clock that rounds begins it up to `CLOCK_TOLERANCE_S` early.
     """
-    return np.asarray((np.asarray(time_s) + CLOCK_TOLERANCE_S) % DAY_S // HOUR_S, dtype=np.intp)
+    return np.asarray(_hour_that_holds(np.asarray(time_s)), dtype=np.intp)
+
+
+def hour_at(time_s: float) -> int:
+    """`whole_hour` of one time, s, in a tenth of its CPU."""
+    return int(_hour_that_holds(time_s))
+
+
+def _hour_that_holds(time_s: Any) -> Any:
+    return (time_s + CLOCK_TOLERANCE_S) % DAY_S // HOUR_S
 
 
 def words_of(time_s: float) -> str:

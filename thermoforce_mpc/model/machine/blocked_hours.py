@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record, steps_in
-from thermoforce_mpc.data.clock import DAY_H, whole_hour
+from thermoforce_mpc.data.clock import DAY_H, hour_at, whole_hour
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import LEVEL_EDGE
 from thermoforce_mpc.scenario.comfort import THERMOSTAT_INSIDE_K
@@ -115,11 +115,11 @@ class BlockedHours:
         """
         answered = self.last_s > tried_s
         again = answered or now_s - tried_s > _AGAIN_DAYS[1] * DAY_S
-        return _TRIED if again and self.may_be_tried(now_s) and _hour(now_s) in self.hours else 0.0
+        return _TRIED if again and self.may_be_tried(now_s) and hour_at(now_s) in self.hours else 0.0
 
     def outside(self, asked: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
         """What was `asked` (start of the step s, level) outside blocked hours."""
-        return tuple(item for item in asked if not self.hours or _hour(item[0]) not in self.hours)
+        return tuple(item for item in asked if not self.hours or hour_at(item[0]) not in self.hours)
 
     def after(self, asked: Sequence[tuple[float, float]], history: Record, sign: int) -> BlockedHours:
         """What is known after the last step of a record (one zone and actuator), where an hour ends with it.
@@ -131,7 +131,7 @@ class BlockedHours:
             return self
         now, steps = float(history.time_s[-1]), _steps_of_an_hour(history)
         last = history.last(steps)
-        got, hour = float(np.mean(np.abs(last.u[0]))), _hour(float(last.time_s[0]))
+        got, hour = float(np.mean(np.abs(last.u[0]))), hour_at(float(last.time_s[0]))
         levels = [level for time_s, level in asked if time_s >= last.time_s[0] - 1.0]
         if math.isnan(got):
             return self
@@ -246,7 +246,7 @@ class HourSeen(NamedTuple):
     @property
     def hour(self) -> int:
         """The hour of the day that was predicted."""
-        return _hour(self.time_s - HOUR_S)
+        return hour_at(self.time_s - HOUR_S)
 
     @property
     def tells(self) -> bool:
@@ -285,8 +285,12 @@ class HourEffects:
         """With one prediction more, where that can be judged."""
         if not told.tells:
             return self
-        same = [one for one in self.seen if one.hour == told.hour and told.time_s - one.time_s < _KEPT_S]
-        others = [one for one in self.seen if one.hour != told.hour]
+        hour, same, others = told.hour, list[HourSeen](), list[HourSeen]()
+        for one in self.seen:
+            if one.hour != hour:
+                others.append(one)
+            elif told.time_s - one.time_s < _KEPT_S:
+                same.append(one)
         # Who knows of an hour keeps out of it: days on which nothing was asked do not push out those that told.
         asked = [one for one in same[: 1 - _KEPT] if self._asked(one)]
         return replace(self, seen=(*others, *asked[-_DAYS:], *same[1 - _KEPT :], told))
@@ -343,7 +347,7 @@ class HourEffects:
     def over(self, start_s: float, lasts_s: float) -> bool:
         """Whether an hour that is believed to differ lies in the time from `start_s` on, s."""
         laws, hours = self.laws, range(math.ceil(lasts_s / HOUR_S))
-        return bool(laws) and any(_hour(start_s + k * HOUR_S) in laws for k in hours)
+        return bool(laws) and any(hour_at(start_s + k * HOUR_S) in laws for k in hours)
 
     def share(self, time_s: Array, step_s: float) -> Array:
         """Share of the effect of each step from `time_s` (n,), s, on that plans count with, (n,).
@@ -367,7 +371,7 @@ class HourEffects:
 
         `tried_s`: when an hour was last tried; `effect_K`: what an hour at full level adds to the zone by the model, K.
         """
-        hour, needed_K = _hour(now_s), _TRIED / _ASKED * _TELLS_K
+        hour, needed_K = hour_at(now_s), _TRIED / _ASKED * _TELLS_K
         waits = hour not in self.laws or now_s - tried_s < _AGAIN_DAYS[1] * DAY_S or not self.may_be_tried(hour, now_s)
         return 0.0 if waits or abs(effect_K) < needed_K else max(needed_K / abs(effect_K), _TRIED)
 
@@ -377,7 +381,7 @@ class HourEffects:
         if not self.laws:
             return out
         for k, start_s in enumerate(time_s.tolist()):
-            law = self.laws.get(_hour(start_s))
+            law = self.laws.get(hour_at(start_s))
             left = kept * left + (law.dip_K * step_s / HOUR_S if law else 0.0)
             out[k] = left
         return out
@@ -428,7 +432,3 @@ def said(directions: Directions) -> str:
         return directions[0].in_words()
     told = [each.in_words(what) for each, what in zip(directions, ("no heat", "no cold"), strict=True) if each.hours]
     return "; ".join(told) or directions[0].in_words()
-
-
-def _hour(time_s: float) -> int:
-    return int(whole_hour(time_s))
