@@ -11,7 +11,8 @@ from places import ROOT
 
 from thermoforce_mpc.identification.network.filtering import FilteredRun, likelihood, prediction_errors
 
-READINGS, STATES, INPUTS = 14, 4, 3
+READINGS, INPUTS = 14, 3
+STATES = 4, 8, 11
 
 
 def plain(A, B, Q, R, x0, P0, inputs, readings, aired_K2):
@@ -35,11 +36,11 @@ def plain(A, B, Q, R, x0, P0, inputs, readings, aired_K2):
 
 
 def problem(seed):
-    """A random system with gaps: at the start, in the middle, at the end."""
-    rng = np.random.default_rng(seed)
-    A = 0.9 * np.eye(STATES) + 0.08 * rng.random((STATES, STATES))
-    B, Q, R = rng.normal(size=(STATES, INPUTS)), 0.1 + rng.random(STATES), 0.3
-    x0, P0 = rng.normal(size=STATES), rng.random(STATES)
+    """A random system, of more states by each seed, with gaps: at the start, in the middle, at the end."""
+    rng, n = np.random.default_rng(seed), STATES[seed]
+    A = 0.9 * np.eye(n) + 0.32 / n * rng.random((n, n))
+    B, Q, R = rng.normal(size=(n, INPUTS)), 0.1 + rng.random(n), 0.3
+    x0, P0 = rng.normal(size=n), rng.random(n)
     inputs, readings = rng.normal(size=(READINGS, INPUTS)), 3.0 * rng.normal(size=READINGS)
     readings[[0, 5, 6, 7, READINGS - 1]] = np.nan
     aired_K2 = np.where(np.arange(READINGS) % 4 == 2, 5.0, 0.0)
@@ -60,7 +61,7 @@ def test_errors_one_step_ahead_make_up_the_likelihood():
     assert np.nansum(of_each) == pytest.approx(likelihood(FilteredRun(*parts))[0], rel=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, 2])
 def test_derivatives_are_those_of_complex_steps(seed):
     parts = problem(seed)
     _, slopes = likelihood(FilteredRun(*parts))

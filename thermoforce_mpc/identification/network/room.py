@@ -239,12 +239,12 @@ class RoomNetwork:
             gradient[structure] += away[heat] / self.sd[heat] * share
         return 0.5 * float(away @ away), gradient
 
-    @property
+    @cached_property
     def n_states(self) -> int:
         """Number of states n."""
         return self.disturbances.stop + self.late
 
-    @property
+    @cached_property
     def disturbances(self) -> slice:
         """States of the disturbances, W/m²."""
         return slice(len(self.nodes), len(self.nodes) + len(DISTURBANCE_H))
@@ -254,7 +254,7 @@ class RoomNetwork:
         """The state that is read: the room, or what a late sensor shows of it, the last."""
         return self.n_states - 1 if self.late else ROOM
 
-    @property
+    @cached_property
     def n_inputs(self) -> int:
         """Number of inputs m."""
         return self.drive(len(self.signs)) + len(self.laws) + self.facades
