@@ -101,6 +101,22 @@ def test_malformed_overrides_are_refused(word):
         parse_overrides([word])
 
 
+def test_a_path_in_the_home_folder_is_found_there_as_in_a_shell(tmp_path, monkeypatch):
+    """Else levels are written into a folder ~ of the working folder, and a gateway waits for them at home."""
+    monkeypatch.setenv("HOME", "/home/ann")
+    text = "a: {levels: ~/levels.json, files: {'~/logs/*.csv': [~/a.csv]}, none: ~, other: a~/b, user: ~x}\n"
+    assert dict(read_yaml(write(tmp_path, text))) == {
+        "a": {
+            "levels": "/home/ann/levels.json",
+            "files": {"/home/ann/logs/*.csv": ["/home/ann/a.csv"]},
+            "none": None,
+            "other": "a~/b",
+            "user": "~x",
+        }
+    }
+    assert parse_overrides(["connection.levels=~/l.json"]) == {"connection": {"levels": "/home/ann/l.json"}}
+
+
 def test_merge_leaves_its_arguments_alone():
     base = {"a": {"b": 1}}
     assert merge(base, {"a": {"c": 2}}) == {"a": {"b": 1, "c": 2}}

@@ -278,6 +278,10 @@ class _Loader(yaml.SafeLoader):
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
+    def text(self, node: yaml.ScalarNode) -> str:
+        """Value of a text; a path that begins in the home folder is that of its user, as in a shell."""
+        return os.path.expanduser(node.value) if node.value.startswith("~/") else node.value
+
     def number(self, node: yaml.ScalarNode) -> int | float:
         """Value of a number."""
         if len(node.value) > _MOST_DIGITS:
@@ -288,6 +292,7 @@ class _Loader(yaml.SafeLoader):
 
 
 _Loader.yaml_implicit_resolvers = {}  # those of YAML 1.1, which read 12:30 as 750
+_Loader.add_constructor(_CORE + "str", _Loader.text)
 _Loader.add_constructor(_CORE + "int", _Loader.number)
 _Loader.add_constructor(_CORE + "float", _Loader.number)
 for _name, _pattern, _first in (
