@@ -521,7 +521,57 @@ def nibe(folder: Path) -> list[Path]:
     return [folder / "nibe.csv"]
 
 
+def nest(folder: Path) -> list[Path]:
+    """Google's takeout: a folder a thermostat, with a file a month that is called alike; extremes beside means."""
+    files = []
+    for room in ("living", "bath"):
+        T = HOUSE[room].to_numpy()
+        df = pd.DataFrame({"Date": local("%Y-%m-%d"), "Time": local("%H:%M"), "avg(temp)": T, "min(temp)": T - 0.4})
+        df = df.assign(
+            **{"max(temp)": T + 0.4, "avg(humidity)": 41.0, "heat1(level)": HOUSE[f"v_{room}"].to_numpy() / 100}
+        )
+        (folder / room).mkdir()
+        for part, rows in enumerate((slice(0, N // 2), slice(N // 2, None)), start=1):
+            files.append(folder / room / f"2026-{part:02d}-sensors.csv")
+            df.iloc[rows].to_csv(files[-1], index=False)
+    other = {"outdoor temperature": HOUSE["out"].to_numpy(), "heat pump power (W)": HOUSE["power"].to_numpy()}
+    (folder / "house").mkdir()
+    files.append(folder / "house" / "other.csv")
+    df[["Date", "Time"]].assign(**other).to_csv(files[-1], index=False)
+    return files
+
+
+def telegraf(folder: Path) -> list[Path]:
+    """What a broker said: a topic has several fields."""
+    of = {
+        "living": ("zigbee2mqtt/living", "temperature"), "v_living": ("zigbee2mqtt/living", "pi_heating_demand"),
+        "bath": ("zigbee2mqtt/bath", "temperature"), "v_bath": ("zigbee2mqtt/bath", "pi_heating_demand"),
+        "out": ("zigbee2mqtt/outdoor", "temperature"), "power": ("shelly/heatpump", "apower"),
+    }  # fmt: skip
+    stamps = HOUSE.index.strftime("%Y-%m-%dT%H:%M:%SZ")
+    parts = [
+        pd.DataFrame({"time": stamps, "topic": topic, "field": field, "value": HOUSE[name].to_numpy()})
+        for name, (topic, field) in of.items()
+    ]
+    pd.concat(parts).sort_values("time", kind="stable").to_csv(folder / "mqtt.csv", index=False)
+    return [folder / "mqtt.csv"]
+
+
+def knx_in_german(folder: Path) -> list[Path]:
+    """ETS 6: tabs and quotes, senders named before what they send to."""
+    (file,) = knx(folder)
+    df = pd.read_csv(file, sep=";", dtype=str).rename(columns={"Time": "Zeit", "Destination Name": "Zielname"})
+    df.insert(1, "Service", "vom Bus")
+    df.insert(3, "Quellname", np.where(np.arange(len(df)) % 2, "Aktor", "Sensor"))
+    df.insert(0, "#", np.arange(len(df)))
+    df.to_csv(folder / "ets6.csv", sep="\t", index=False, quoting=1, encoding="utf-8-sig")
+    return [folder / "ets6.csv"]
+
+
 LAYOUTS = (
+    nest,
+    telegraf,
+    knx_in_german,
     netatmo,
     switchbot,
     govee,
@@ -924,6 +974,7 @@ def test_a_word_in_one_cell_of_a_long_table_does_not_hide_the_signal(tmp_path):
         ("h.json", '[[{"entity_id": "sensor.a", "state": "21.3"}' + ', {"state": "1"}' * 9000 + "]]", "is JSON, no"),
         ("h.csv", "<!DOCTYPE html><html><body>Log in</body></html>", "is a page of the web"),
         ("h.xml", '<?xml version="1.0"?><Statistics/>', "is XML"),
+        ("h.csv", "2026-01-12 01:00,21.0,3.1\n2026-01-12 01:15,21.1,3.0\n", "its first line is a reading"),
         ("h.log", "2026-01-12_01:00:01 WP temp: 21.0\n2026-01-12_01:09:00 WP temp: 21.1\n", "nothing parts the cells"),
         (
             "h.csv",

@@ -429,6 +429,8 @@ _COOLS = re.compile(r"cool|clg|^clsp|^csp$|^tcset|kuh?l|kuehl|koel|froid|refrige
 # Words of what is measured where its thermostat has another temperature too, and entities of such in Home Assistant.
 _CURRENT = frozenset(("current", "measured", "actual", "ist", "local"))
 _CLIMATE = re.compile(r"climate\.\w+[. ]temperature")
+_MEANS = frozenset(("avg", "average", "mean", "mittel", "mittelwert", "moyenne", "moy", "gemiddelde", "gem", "media"))
+_EXTREMES = frozenset(("min", "max", "minimum", "maximum", "minimal", "maximal", "std", "stddev", "stdev"))
 _OCCUPIED = frozenset(("occupied", "occ"))
 # Contacts of windows, in the languages above; a contact is 0 or 1.
 _WINDOW = re.compile(r"window|fenster|fenetre|raam|finestra|ventana|fonster|vindu|ikkuna")
@@ -480,10 +482,20 @@ def guesses(columns: Sequence[Column]) -> list[Guess]:
     """What each of the signals of one building probably is."""
     looks = {column.name: _Look(column) for column in columns}
     fahrenheit = _fahrenheit(looks)
-    found = [_guess(look, fahrenheit) for look in looks.values()]
+    found = _without_extremes([_guess(look, fahrenheit) for look in looks.values()])
     found = _targets_of_thermostats(found, looks, fahrenheit)
     found = [_with_place(guess) for guess in _outdoor_apart(found, looks)]
     return _rooms_once(found, looks)
+
+
+def _without_extremes(found: Sequence[Guess]) -> list[Guess]:
+    """Guesses without the extremes of what stands beside them as a mean, or by its bare name."""
+
+    def of(name: str) -> tuple[str, ...]:
+        return tuple(word for word in words_of(name) if word not in _EXTREMES | _MEANS)
+
+    means = {of(g.name) for g in found if not _EXTREMES & set(words_of(g.name))}
+    return [Guess(g.name, "") if _EXTREMES & set(words_of(g.name)) and of(g.name) in means else g for g in found]
 
 
 def _targets_of_thermostats(found: Sequence[Guess], looks: Mapping[str, _Look], fahrenheit: bool) -> list[Guess]:

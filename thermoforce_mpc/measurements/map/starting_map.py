@@ -17,7 +17,14 @@ from thermoforce_mpc.errors import DataError, suggestion
 from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses, place_in_order, tags, unit_of, words_of
 from thermoforce_mpc.measurements.map.habits import COMFORT_C, SETBACK_K, Habit, bounds_around, habit_of
 from thermoforce_mpc.measurements.tables.clock import all_year, instants, plain
-from thermoforce_mpc.measurements.tables.files import all_readings, found_files, head_of, named_after, stamps_of
+from thermoforce_mpc.measurements.tables.files import (
+    all_readings,
+    found_files,
+    head_of,
+    named_after,
+    named_before,
+    stamps_of,
+)
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import (
     MISSING,
@@ -155,8 +162,8 @@ def _columns(taken: Recognised) -> list[Column]:
 
 
 def _key(column: str, path: Path, taken: Recognised) -> str | None:
-    if taken.table.by_file == "prefix":
-        return f"{named_after(path, taken.csv)} {column}"
+    if name := named_before(path, taken.csv, taken.table):
+        return f"{name} {column}"
     if taken.table.by_file == "point":
         return named_after(path, taken.csv) if column in taken.table.values else None
     return column

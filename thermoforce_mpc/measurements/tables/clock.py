@@ -549,7 +549,8 @@ def _check_beside(tables: Sequence[RawTable], stamps: Sequence[pd.Series]) -> No
         if tables[k].name != tables[k - 1].name and shared > _MOST_SHARED * min(len(stamps[k]), len(stamps[k - 1])):
             raise DataError(
                 f"{tables[k].name} and {tables[k - 1].name} have the same columns at the same times: they are of "
-                "different rooms or points. Set table: {by_file: prefix} in the map, and name a column with its file, "
+                "different rooms or points. Set table: {by_file: prefix} in the map (folder, where files of several "
+                "folders are called alike), and name a column with its file, "
                 f"as in '{Path(tables[k].name).stem} {next(iter(tables[k].columns))}'; `tf-mpc data map` of all files "
                 "writes it"
             )

@@ -142,6 +142,13 @@ def named_after(path: Path, form: CsvFormat) -> str:
     return stem
 
 
+def named_before(path: Path, form: CsvFormat, table: TableForm) -> str:
+    """The name before those of the columns of a file; '' where none is."""
+    if table.by_file == "folder":
+        return path.resolve().parent.name
+    return named_after(path, form) if table.by_file == "prefix" else ""
+
+
 def read_tables(
     paths: Sequence[Path],
     wanted: Sequence[str],
@@ -398,12 +405,11 @@ def _signals(part: _Part, stamps: Stamps, form: CsvFormat, table: TableForm) -> 
     """Columns of a part by the names of its signals."""
     if table.by_file is None:
         return {name: name for name in part.names}
-    name = named_after(part.path, form)
-    if table.by_file == "prefix":
+    if name := named_before(part.path, form, table):
         keys = _keys(part, stamps)
         return {f"{name} {column}": column for column in part.names if column not in keys}
     given = [column for column in table.values if column in part.names]
-    return {name: given[0]} if given else {}
+    return {named_after(part.path, form): given[0]} if given else {}
 
 
 def columns_of(

@@ -155,10 +155,11 @@ class TableForm(StrictModel):
     value: str | tuple[str, ...] | None = Field(
         None, description="column of the reading; of several the first that is not empty, as [mean, sum]"
     )
-    by_file: Literal["point", "prefix"] | None = Field(
+    by_file: Literal["point", "prefix", "folder"] | None = Field(
         None,
         description="point: each file is one signal, with the name that its line `history:` or else the file has; "
-        "prefix: files have the same columns, and that name stands before theirs, as in 'bath temperature'",
+        "prefix: files have the same columns, and that name stands before theirs, as in 'bath temperature'; "
+        "folder: that of its folder does, where files of several folders are called alike",
     )
     status: str | None = Field(None, description="column that says whether a reading is good")
     bad: tuple[str, ...] = Field(

@@ -71,7 +71,9 @@ _STATUS = re.compile(r"(?i)^(status|quality|trend ?flags|reliability|qualit.*|fl
 # Columns of programs beside a reading: whether it was confirmed, where it comes from, what it was.
 _BESIDE = re.compile(r"(?i)^(ack|acknowledged|q|lc|from|_from|source|event|unit|units|type|attributes|id|row|#)$")
 # A device has readings of several kinds: both columns together name a signal.
-_DEVICE_COLUMN = re.compile(r"(?i)^(device.*|room|raum|ort|location|source|gerät|geraet|appareil|apparaat|asset)$")
+_DEVICE_COLUMN = re.compile(
+    r"(?i)^(device.*|topic|room|raum|ort|location|source|gerät|geraet|appareil|apparaat|asset)$"
+)
 _QUANTITY_COLUMN = re.compile(
     r"(?i)^(reading|parameter|quantity|variable|metric|measurement|channel|kanal|field|data.?point|datapoint|grandeur|"
     r"mesure|sensor|signal|object.?name|register)$"
@@ -270,6 +272,11 @@ def _check_layout(path: Path, head: pd.DataFrame) -> None:
             f"{path}: nothing parts the cells of its lines ({names[0][:60]!r}): a table has commas, semicolons, "
             "tabs or | between them (csv.separator for another mark) and a line of column names; of a log take the "
             "export as CSV"
+        )
+    if _stamp(names[0]) and len(names) > 1 and all(_numeric(name) for name in names[1:]):
+        raise DataError(
+            f"{path}: its first line is a reading ({', '.join(names[:3])}, …), and none names the columns: write one "
+            "above it that says what each is, such as 'time,living temperature,outdoor temperature'"
         )
     times = [name for name in names if _stamp(name)]
     if len(times) >= _LEAST_TIMES_ASIDE and len(times) > len(names) / 2:
@@ -689,7 +696,11 @@ def _form_of(
         by_file = TableForm(by_file="point", value=values[0] if len(values) == 1 else values, status=status)
         return by_file, "one file per signal"
     if shared:
-        return TableForm(by_file="prefix", status=status), "files with the same columns, one for each room or device"
+        called_alike = len({named_after(path, form) for path in paths}) < len(paths)
+        by_folder = called_alike and len({path.resolve().parent for path in paths}) > 1
+        each = "folders of files" if by_folder else "files"
+        words = f"{each} with the same columns, one for each room or device"
+        return TableForm(by_file="folder" if by_folder else "prefix", status=status), words
     return TableForm(status=status if each_one else None), "one column per signal"
 
 
@@ -796,7 +807,8 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
     by_lower = {c.lower(): c for c in columns}
     value = [by_lower[k] for k in ours[0] if k in by_lower] if ours else values[:1]
     ids = [c for c in points if re.search(r"(?i)name|entity|statistic|bezeichnung|naam|nom|tag|point|path", c)]
-    ids = ids or [c for c in repeated if re.search(r"(?i)\bname$", c)]
+    # Of a sender and what it was sent to, the one of which there are more.
+    ids = ids or sorted((c for c in repeated if re.search(r"(?i)name$", c)), key=lambda c: -head[c].nunique())
     point = (
         [c for c in ids if not _numbers(head[c])][:1]
         or ids[:1]
