@@ -975,7 +975,7 @@ def test_a_word_in_one_cell_of_a_long_table_does_not_hide_the_signal(tmp_path):
         ("h.csv", "<!DOCTYPE html><html><body>Log in</body></html>", "is a page of the web"),
         ("h.xml", '<?xml version="1.0"?><Statistics/>', "is XML"),
         ("h.csv", "2026-01-12 01:00,21.0,3.1\n2026-01-12 01:15,21.1,3.0\n", "its first line is a reading"),
-        ("h.log", "2026-01-12_01:00:01 WP temp: 21.0\n2026-01-12_01:09:00 WP temp: 21.1\n", "nothing parts the cells"),
+        ("h.log", "2026-01-12T01:00:01 WP temp: 21.0\n2026-01-12T01:09:00 WP temp: 21.1\n", "nothing parts the cells"),
         (
             "h.csv",
             "entity_id,type,unit," + ",".join(f"2026-01-12T{h:02d}:00:00.000Z" for h in range(24)) + "\n"
@@ -1010,6 +1010,40 @@ def test_times_side_by_side_are_turned_round_as_is_said(tmp_path, monkeypatch):
     turned = pd.read_csv("turned.csv")
     assert list(turned.columns) == ["time", "sensor.hp"]
     assert list(turned["time"]) == times
+
+
+OF_PROGRAMS = {
+    "loxone.xml": (
+        '<?xml version="1.0" encoding="utf-8"?>\n<Statistics Name="Bad Temperatur" NumOutputs="1" Outputs="AQ">\n',
+        '<S T="{t:%Y-%m-%d %H:%M:%S}" V="{T:.3f}"/>\n', "</Statistics>\n", "Bad Temperatur",
+    ),
+    "item.json": (
+        '{{"name":"Bad_Temperatur","datapoints":"96","data":[', '{{"time":{ms},"state":"{T:.1f} °C"}}{comma}', "]}}",
+        "Bad_Temperatur",
+    ),
+    "fhem-2026-01.log": (
+        "", "{t:%Y-%m-%d_%H:%M:%S} Bad temperature: {T:.1f} °C\n{t:%Y-%m-%d_%H:%M:%S} Bad set on\n"
+        "{t:%Y-%m-%d_%H:%M:%S} Bad humidity: 4{k}\n", "", "Bad temperature",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OF_PROGRAMS)
+def test_what_programs_write_that_is_no_table_becomes_one_as_is_said(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    begins, row, ends, column = OF_PROGRAMS[name]
+    at = pd.date_range("2026-01-12", periods=96, freq="15min", tz="UTC")
+    rows = [
+        row.format(t=t, k=k % 9, ms=t.as_unit("ms").value, T=20 + 0.1 * (k % 7), comma="," * (k < 95))
+        for k, t in enumerate(at)
+    ]
+    Path(name).write_text(begins.format() + "".join(rows) + ends.format(), encoding="utf-8")
+    with pytest.raises(DataError, match=r"no table\. Make one of it") as told:
+        starting_map(Path(name))
+    exec(str(told.value).split('python -c "')[1].removesuffix('"'), {})
+    rules = yaml.safe_load(starting_map(next(Path().glob("*.csv"))))
+    (zone,) = rules["zones"].values()
+    assert zone["temperature"]["column"] == column
 
 
 @pytest.mark.parametrize(

@@ -709,12 +709,41 @@ def is_text(path: Path) -> bool:
     return path.suffix.lower() not in (*PARQUET, *_WORKBOOKS)
 
 
+# What programs write that is no table, by how it begins, and Python that makes one of it.
+_PROGRAMS = (
+    (
+        re.compile(rb'\s*(<\?xml[^>]*>)?\s*<Statistics [^>]*Name="'),
+        "Loxone's statistics",
+        "import re; from pathlib import Path as P; t = P('{file}').read_text('utf-8'); rows = re.findall("
+        "'T=.([-0-9: ]+). V=.([-0-9.]+)', t); P(re.search('Name=\\x22(.*?)\\x22', t)[1] + '.csv').write_text("
+        "'time,value\\n' + ''.join(a + ',' + v + '\\n' for a, v in rows), 'utf-8')",
+    ),
+    (
+        re.compile(rb'\s*\{\s*"name":\s*"[^"]*",\s*"datapoints"'),
+        "what openHAB's persistence answers",
+        "import json, pandas; from pathlib import Path as P; d = json.loads(P('{file}').read_text('utf-8')); "
+        "pandas.DataFrame(d['data']).to_csv(d['name'] + '.csv', index=False)",
+    ),
+    (
+        re.compile(rb"\d{4}-\d{2}-\d{2}_\d{2}:\d{2}:\d{2} \S+ [^\s:]+: "),
+        "a log of FHEM",
+        "from pathlib import Path as P; rows = map(str.split, P('{file}').read_text('utf-8').splitlines()); "
+        "P('fhem.csv').write_text('time;device;reading;value\\n' + ''.join(';'.join([r[0].replace('_', ' '), r[1], "
+        "r[2][:-1], ' '.join(r[3:])]) + '\\n' for r in rows if len(r) > 3 and r[2][-1] == ':'), 'utf-8')",
+    ),
+)
+
+
 def _check_text(path: Path, start: bytes) -> None:
     """Refuse what is no text and says so by how it begins: a picture is no code page."""
     if what := next((what for magic, what in _MAGIC.items() if start.startswith(magic)), ""):
         raise DataError(f"{path}: is no table but {what}")
     if start[:2] not in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) and start[:1000].count(b"\0") > 20:
         raise DataError(f"{path}: is no text: a table is CSV, Parquet or a workbook")
+    for begins, what, code in _PROGRAMS:
+        if begins.match(start):
+            made = code.format(file=path.name)
+            raise DataError(f'{path}: is {what}, no table. Make one of it, and of others: python -c "{made}"')
     if what := next((what for begins, what in _NO_TABLE.items() if begins.match(start)), ""):
         raise DataError(
             f"{path}: is {what}, no table: export it as CSV, a line of column names and then one of readings for each "
