@@ -22,6 +22,7 @@ from thermoforce_mpc.measurements.points import read_points
 from thermoforce_mpc.measurements.tables.files import read_tables
 from thermoforce_mpc.measurements.tables.forms import Written
 
+NOW = pd.Timestamp("2025-01-12", tz="UTC")
 BASE = {
     "outdoor": "out",
     "zones": {"room": {"temperature": "T"}},
@@ -381,10 +382,33 @@ def test_separators_in_quotes_part_no_cells(tmp_path):
     df = house().assign(note="north, upper floor")
     path, rules = written(tmp_path, df)
     assert tf.read_measurements(path, rules).record.n_steps == 191
-    df["P"] = [f"{power:,.0f}" for power in df["P"]]
-    path, rules = written(tmp_path, df)
-    with pytest.raises(DataError, match=r"'P' holds '1,500', .* without marks between thousands"):
-        tf.read_measurements(path, rules)
+
+
+@pytest.mark.parametrize("decimal", [".", ","])
+@pytest.mark.parametrize(
+    ("powers", "sure"),
+    [
+        ([0.0, 645.0, 1500.0, 12350.0], True),  # no decimals are written, and 1,500 would be 1,5
+        ([0.5, 645.0, 1501.0, 1234567.0], True),  # 0.5 has the other mark
+        ([1501.0, 2350.0, 12345.0, 9999.0], False),
+        ([0.0, 645.0, 1501.0, 2351.0], False),
+    ],
+)
+def test_marks_between_thousands_are_read_where_the_column_tells_them(tmp_path, decimal, powers, sure):
+    df = house(40)
+    powers = np.resize(powers, 40)
+    df["P"] = [f"{power:,.10g}" for power in powers]
+    if decimal == ",":
+        df["P"] = [cell.translate(str.maketrans(",.", ".,")) for cell in df["P"]]
+    path, _ = written(tmp_path, df, sep=";", decimal=decimal)
+    rules = BASE | {"csv": {"decimal": decimal}}
+    if not sure:
+        with pytest.raises(DataError, match="which is no number"):
+            tf.read_measurements(path, rules)
+        return
+    np.testing.assert_array_equal(tf.read_measurements(path, rules).record.power_W[0], powers[:-1])
+    live = tf.read_measurements(path, rules | {"time": {"zone": "UTC"}}, now=NOW)
+    np.testing.assert_array_equal(live.record.power_W[0], powers[:-1])
 
 
 @pytest.mark.parametrize("quoted", [False, True])
@@ -397,7 +421,6 @@ def test_exports_joined_end_to_end_are_one_table(tmp_path, quoted):
     assert "FILL IN" not in starting_map(path)
 
 
-NOW = pd.Timestamp("2025-01-12", tz="UTC")
 RULES_UTC = MeasurementMap.model_validate(BASE | {"time": {"zone": "UTC"}})
 
 

@@ -41,13 +41,13 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     RawTable,
     as_numbers,
     bad_status,
-    has_units,
     in_units,
     known_column,
     of_one_signal,
     other_unit,
     raw_table,
     tables_of,
+    told_by_others,
     told_points,
     with_numbers,
 )
@@ -330,7 +330,7 @@ def _part(text: _Text, content: bytes, first: int) -> _Part:
     ours = np.ones(len(frame), dtype=bool) if told is None else np.asarray(told.isin(text.wanted))
     for key in dict.fromkeys(text.values.values()):
         in_units = all(text.units) if points else bool(units[key])
-        alone = alone and (in_units or not has_units(frame[key], form.decimal))
+        alone = alone and (in_units or not told_by_others(frame[key], form.decimal))
         frame[key] = _numbers(frame[key], key, form.decimal, lines, left, ours, told, units)
     written = frame[stamps[0]]
     for more in stamps[1:]:

@@ -310,12 +310,13 @@ def as_numbers(
     return pd.Series(_with_texts(column, decimal, of, told, [str(name) for name in names])[0], index=column.index)
 
 
-def has_units(column: pd.Series, decimal: str) -> bool:
-    """Whether cells of a column of text have a unit behind their number."""
+def told_by_others(column: pd.Series, decimal: str) -> bool:
+    """Whether cells of a column of text are read by what stands in others: have a unit, or a mark between thousands."""
     if pd.api.types.is_numeric_dtype(column):
         return False
     cells = column[pd.to_numeric(column, errors="coerce").isna() & column.notna()].unique()
-    return any(quantity_of(str(cell), decimal) is not None for cell in cells)
+    thousands = _thousands(decimal)
+    return any(thousands.fullmatch(str(cell).strip()) or quantity_of(str(cell), decimal) is not None for cell in cells)
 
 
 def with_numbers(df: pd.DataFrame, words: Mapping[str, float], decimal: str) -> pd.DataFrame:
@@ -366,6 +367,7 @@ def _with_texts(
         of_text = np.array([word not in SWITCH and word not in _NONE for word in small])
         if of_text.any():
             found = np.where(of_text, [_grouped(word, decimal) for word in words], found)
+            found = np.where(np.isnan(found), _of_thousands(list(words), decimal, numbers), found)
             of_text &= np.isnan(found)
         if of_text.any():
             found = _of_quantities(codes, list(words), found, None if of is None else of[rest], decimal, told)
@@ -392,6 +394,31 @@ def _grouped(cell: str, decimal: str) -> float:
     if not (re.fullmatch(by_mark, cell) or re.fullmatch(by_space, cell)):
         return np.nan
     return float(re.sub(rf"[\s'’\{other}]", "", cell).replace(decimal, "."))
+
+
+def _thousands(decimal: str) -> re.Pattern[str]:
+    """A whole number with marks between thousands, which might be a decimal mark: 1,500 beside 1.5."""
+    return re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:\{',' if decimal == '.' else '.'}\d{{3}})+")
+
+
+def _of_thousands(words: list[str], decimal: str, numbers: Array) -> Array:
+    """Numbers (k,) of `words` (k,) with marks between thousands, where the column tells that these are none of
+    decimals; NaN else.
+
+    It does where another of its `numbers` (n,) has decimals with the other mark; and where one is small and whole, as
+    without marks, and a word ends in 0, which is not written behind a decimal mark where whole numbers have none.
+    """
+    marked = [_thousands(decimal).fullmatch(word) is not None for word in words]
+    known = numbers[np.isfinite(numbers)]
+    decimals = bool((known % 1.0 != 0.0).any())
+    whole = bool((np.abs(known) < 1000.0).any()) and any(
+        w.endswith("0") for w, is_one in zip(words, marked, strict=True) if is_one
+    )
+    if not any(marked) or not (decimals or whole) or (np.abs(known) >= 1000.0).any():
+        return np.full(len(words), np.nan)
+    return np.array(
+        [float(re.sub(r"[.,]", "", w)) if is_one else np.nan for w, is_one in zip(words, marked, strict=True)]
+    )
 
 
 def _of_quantities(
