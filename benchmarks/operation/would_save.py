@@ -2,7 +2,8 @@
 
 A drawn house of rooms lives by its own thermostats; heat is not measured. From four weeks of it a model is identified,
 and the days after are lived through again by `worth`. The truth is the house itself, run through these days once more
-under the same controller: what it then costs, with two days of its own control after it for what is stored.
+under the same controller, asked for the same comfort: what it then costs, with two days of its own control after it for
+what is stored.
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.comparison.outcome import Target, results_json
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Period
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation, Period, Plan
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.experiment.worth import worth
+from thermoforce_mpc.experiment.worth import as_comfortable, worth
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
+from thermoforce_mpc.protocols import Controller
 
 Row = dict[str, Any]
 
@@ -93,14 +95,18 @@ def run_worth_case(case: WorthCase) -> Row:
         settings = {"step_s": HOUR_S, "horizon_h": _HORIZON_H, "gate": {"enabled": case.gate}}
         controller = ThermoForceMPC(model, MPCConfig.model_validate(settings))
         error = ForecastError("medium", "medium", case.number)
+        hourly = record.resample(4)
+        of_record = _at(conditions, hourly.time_s)
         found = worth(
-            model, record.resample(4), _at(conditions, record.time_s[::4]), controller,
+            model, hourly, of_record, controller,
             start_s=start_s, days=case.days, draws=case.houses, error=error, seed=case.number,
         )  # fmt: skip
     except DataError as refused:
         return row | {"refused": str(refused)[:200]}
     own = _lived(plant, start_s, warmup_s, scored_s, None)
-    planned = _lived(plant, start_s, warmup_s, scored_s, controller)
+    asked = as_comfortable(of_record, hourly)
+    asked = replace(asked, lower_C=np.minimum(asked.lower_C + found.raised_K, asked.upper_C))
+    planned = _lived(plant, start_s, warmup_s, scored_s, _Asked(controller, asked))
     true = own[0] - planned[0]
     return row | {
         "competent": sum(not card.unfit for card in model.cards),
@@ -120,6 +126,24 @@ def run_worth_case(case: WorthCase) -> Row:
 _FIGURES = ("saved", "low", "high", "true", "holds")
 
 
+class _Asked:
+    """A controller that is asked for other bounds than its plant's: those of `asked`, as long as these are known."""
+
+    def __init__(self, controller: ThermoForceMPC, asked: Boundary) -> None:
+        self._controller, self._asked = controller, asked
+        self.name, self.step_s, self.horizon_s = controller.name, controller.step_s, controller.horizon_s
+
+    def plan(self, observation: Observation, state: object = None) -> Plan:
+        boundary, asked = observation.boundary, self._asked
+        row = np.round((boundary.time_s - asked.time_s[0]) / asked.step_s).astype(np.intp)
+        known, row = row < asked.time_s.size, np.minimum(row, asked.time_s.size - 1)
+        bounds = {
+            name: np.where(known, getattr(asked, name)[:, row], getattr(boundary, name))
+            for name in ("lower_C", "upper_C")
+        }
+        return self._controller.plan(replace(observation, boundary=replace(boundary, **bounds)), state)
+
+
 def _at(conditions: Boundary, time_s: Array) -> Boundary:
     """Bounds and prices at the boundaries of a record, which begins where they do or a step later."""
     first = round((time_s[0] - conditions.time_s[0]) / conditions.step_s)
@@ -135,7 +159,7 @@ _CONDITIONS = (
 
 
 def _lived(
-    plant: HouseOfRooms, start_s: float, warmup_s: float, scored_s: float, controller: ThermoForceMPC | None
+    plant: HouseOfRooms, start_s: float, warmup_s: float, scored_s: float, controller: Controller | None
 ) -> tuple[float, float]:
     """Cost of the days, and of those after by the house's own control; K·h outside the bounds in all rooms."""
     if controller is None:

@@ -278,6 +278,51 @@ def test_what_is_not_known_widens_the_band_and_colder_rooms_are_warmed_again() -
     assert colder.raised_K == 0.5
 
 
+class _ToBound:
+    """Heats as much as the lower bound of the next hour needs."""
+
+    name, step_s, horizon_s = "to the bound", HOUR_S, 6 * HOUR_S
+
+    def plan(self, observation: Observation, state: object = None) -> Plan:
+        alone_C = POLE * observation.history.T_zone_C[0, -1] + (1 - POLE) * float(outdoor_C(observation.time_s))
+        level = float(np.clip((observation.boundary.lower_C[0, 1] - alone_C) / GAIN_K, 0.0, 1.0))
+        return Plan((Block((level,), HOUR_S),), PlanStatus.SOLVED, "to the bound")
+
+
+def test_no_room_is_asked_to_be_warmer_than_it_was() -> None:
+    """Bounds that the house did not keep had to be paid for by plans: a house that sets back could not save."""
+    record = _run(_levels(3))
+    conditions = _conditions(record, float(np.quantile(record.T_zone_C[0, _FIRST:], 0.6)))
+    asked = {"start_s": _FIRST * HOUR_S, "days": 3.0, "draws": 2}
+    found, kept = (
+        worth(_model(0.02), record, conditions, _ToBound(), bounds_kept=kept, **asked) for kept in (False, True)
+    )
+    assert kept.outside_Kh < 0.1 * kept.outside_was_Kh
+    assert kept.raised_K == 0.0
+    assert found.outside_was_Kh == kept.outside_was_Kh
+    assert abs(found.outside_Kh - found.outside_was_Kh) < 0.3 * 3.0
+    assert found.warmer_K[0] < 0.05 < kept.warmer_K[0]
+    assert found.energy_kWh < kept.energy_kWh
+
+
+def test_bounds_of_plans_are_lowered_where_these_stay_above_them() -> None:
+    """A controller that keeps a kelvin inside its bounds is asked for less, not for more comfort than there was."""
+
+    class Careful(_ToBound):
+        def plan(self, observation: Observation, state: object = None) -> Plan:
+            boundary = observation.boundary
+            return super().plan(replace(observation, boundary=replace(boundary, lower_C=boundary.lower_C + 0.4)), state)
+
+    record = _run(_levels(3))
+    conditions = _conditions(record, float(np.quantile(record.T_zone_C[0, _FIRST:], 0.9)))
+    asked = {"start_s": _FIRST * HOUR_S, "days": 3.0, "draws": 2}
+    said: list[str] = []
+    found = worth(_model(0.02), record, conditions, Careful(), **asked, progress=said.append)
+    assert found.raised_K == -0.25, "lower by half a kelvin it would be less comfortable than it was"
+    assert found.outside_Kh < found.outside_was_Kh + 0.3 * 3.0
+    assert "house 1 again, to be as comfortable as it had been: plans with bounds lowered by 0.25 K" in said
+
+
 # Hot water that people take, W, by hour of the day, from the meter of the machine that heats the room.
 _HABIT_W = np.where(np.isin(np.arange(24), [7, 19]), 1500.0, 50.0)
 _CONTACT = SGReady(kind="sg_ready", column="contact")

@@ -205,8 +205,8 @@ def test_a_tank_that_is_colder_than_it_was_is_planned_warmer(
     found = _worth(measured, tank, _ByClock(sets=False))
     colder = replace(found.tank, below_Kh=found.tank.below_was_Kh + 4.0)
     of = type("Lived", (), {"outside_Kh": 0.0, "tank": colder})()
-    raised = [Raised().further(of, 0.0, 3.0)]
-    raised += [raised[-1].further(of, 0.0, 3.0), raised[-1].further(of, 0.0, 20.0)]
+    raised = [Raised().further(of, 0.0, 0.0, 3.0)]
+    raised += [raised[-1].further(of, 0.0, 0.0, 3.0), raised[-1].further(of, 0.0, 0.0, 20.0)]
     assert raised == [Raised(0.0, 1.0), Raised(0.0, 2.0), Raised(0.0, 1.0)]
     n = 12
     ahead = Boundary.measured(measured.record.slice(0, n))

@@ -64,8 +64,8 @@ _WHY = {
 _MOST_LOG = 1.0
 # Error of a change of power, as a share, below which the record bears its law out.
 _EXACT = 0.1
-# What a plan may be outside the bounds beyond what the house was, K·h a day in all zones, the step by which lower
-# bounds are then raised, K, and how often.
+# What a plan may be outside the bounds more or less than the house was, K·h a day in all zones, the step by which lower
+# bounds are then raised or lowered, K, and how often.
 _EQUAL_KH, _RAISED_K, _MOST_ROUNDS = 0.3, 0.25, 2
 # The same of a tank of hot water: by as much its lowest temperature is raised, K.
 _TANK_RAISED_K = 1.0
@@ -123,7 +123,7 @@ class TankWorth:
 @dataclass(frozen=True, eq=False)
 class Lived:
     """A house under plans: its record beside what it was, what it cost, its energy, and K·h outside the bounds in all
-    zones. `acted`: see `who_acted`; `after`, `controller`: where both stand at the end.
+    zones and below the lower ones. `acted`: see `who_acted`; `after`, `controller`: where both stand at the end.
     """
 
     record: Record
@@ -132,6 +132,7 @@ class Lived:
     cost: float
     energy_kWh: float
     outside_Kh: float
+    below_Kh: float
     acted: Acted
     tank: TankWorth | None
     after: HouseState
@@ -145,9 +146,9 @@ class Worth:
     `saved` with its 90 % band `low` to `high`, `cost` and `cost_was`, currency; energies, kWh; `outside_Kh`, K·h in all
     zones; `warmer_K` (Z,): mean change of the zones' temperatures. `as_was`, `planned`: records of both, the latter in
     the house that the model takes for the likeliest. `raised_K`, `tank_raised_K`: how much lowest temperatures of plans
-    were raised until these were as comfortable. `tank`: None where none is lived through. `power`: how much of what its
-    law says of other levels the record shows, by machine. `acted`: see `who_acted`. `rests_on`: one sentence. `lower_C`
-    (Z, n): lower bound at the end of each step.
+    were raised, or lowered, until these were as comfortable. `tank`: None where none is lived through. `power`: how
+    much of what its law says of other levels the record shows, by machine. `acted`: see `who_acted`. `rests_on`: one
+    sentence. `lower_C` (Z, n): lower bound at the end of each step.
     """
 
     saved: float
@@ -225,6 +226,7 @@ def worth(
     draws: int = 6,
     commands: Mapping[str, LearnedCommand] | None = None,
     hot_water: LoggedTank | str = "",
+    bounds_kept: bool = False,
     error: ForecastError | None = None,
     seed: int = 0,
     progress: Callable[[str], None] = lambda line: None,
@@ -241,6 +243,8 @@ def worth(
         commands: learned commands of actuators that the controller sets by them.
         hot_water: the tank that the controller plans with; or the name of a machine that heats one of which nothing is
             known, so that hot water stays as it was; '' without one.
+        bounds_kept: plans keep rooms inside `conditions` also where they were not in the record, and the comfort that
+            this adds is paid for. Else no room is asked to be warmer than it was, or colder.
         error: of the weather forecasts; None: what was measured later.
         seed: of the draws.
         progress: called with a line when a house begins, which says what the one before it saves.
@@ -262,23 +266,28 @@ def worth(
             raise DataError(f"{name} is not known throughout: name bounds in the map, and give prices of these days")
     logged = None if isinstance(hot_water, str) else hot_water
     houses = Houses(model, record, controller, draws=draws, seed=seed, commands=commands, hot_water=logged)
+    asked = conditions if bounds_kept else as_comfortable(conditions, record)
     period = Period("record", float(record.time_s[first]), n * step_s, 0.0)
-    raised = Raised()
     span = f"over {days:g} day{'s' * (days != 1)} with a plan every {step_s / HOUR_S:g} h"
     progress(f"house 1 of {draws + 1}, the likeliest, {span}")
-    for _ in range(_MOST_ROUNDS + 1):
-        likeliest = houses.lived(0, period, conditions, raised=raised, error=error)
-        outside_was_Kh = outside_Kh(likeliest.was, conditions, first)
-        more = raised.further(likeliest, outside_was_Kh, days)
+    raised = Raised()
+    likeliest = houses.lived(0, period, conditions, asked=asked, error=error)
+    outside_was_Kh, below_was_Kh = outside_Kh(likeliest.was, conditions, first)
+    for _ in range(_MOST_ROUNDS):
+        spare_Kh = 0.0 if bounds_kept else below_was_Kh - likeliest.below_Kh
+        more = raised.further(likeliest, outside_was_Kh, spare_Kh, days)
         if more == raised:
             break
-        raised = more
-        progress(f"house 1 again, since it was colder than it had been: plans with {raised.in_words}")
+        progress(f"house 1 again, to be as comfortable as it had been: plans with {more.in_words}")
+        again = houses.lived(0, period, conditions, asked=asked, raised=more, error=error)
+        if more.rooms_K < raised.rooms_K and again.outside_Kh > outside_was_Kh + _EQUAL_KH * days:
+            break
+        raised, likeliest = more, again
     others: list[Lived] = []
     for k in range(1, draws + 1):
         saved = (others[-1] if others else likeliest).saved
         progress(f"house {k + 1} of {draws + 1}, {span}; house {k} saves {saved:.2f}")
-        others.append(houses.lived(k, period, conditions, raised=raised, error=error))
+        others.append(houses.lived(k, period, conditions, asked=asked, raised=raised, error=error))
     low, high = band_of(likeliest.saved, [one.saved for one in others])
     price, was = conditions.price_per_kWh[:, first : first + n], likeliest.was
     power_kWh = energy_kWh(was.power_W, step_s)
@@ -317,7 +326,7 @@ class LoggedTank:
 
 @dataclass(frozen=True)
 class Raised:
-    """By how much lowest temperatures of plans, of rooms and of the tank, are raised, K."""
+    """By how much lowest temperatures of plans, of rooms and of the tank, are raised, K; below 0: lowered."""
 
     rooms_K: float = 0.0
     tank_K: float = 0.0
@@ -325,15 +334,20 @@ class Raised:
     @property
     def in_words(self) -> str:
         """What is raised by how much."""
-        parts = [f"bounds raised by {self.rooms_K:g} K"] * (self.rooms_K > 0.0)
+        way = "raised" if self.rooms_K > 0.0 else "lowered"
+        parts = [f"bounds {way} by {abs(self.rooms_K):g} K"] * (self.rooms_K != 0.0)
         return " and ".join(parts + [f"a tank warmer by {self.tank_K:g} K"] * (self.tank_K > 0.0))
 
-    def further(self, lived: Lived, outside_was_Kh: float, days: float) -> Raised:
-        """What is colder than it was over `days` raised by a step more, to two steps."""
-        rooms_K, tank_K, most_Kh = self.rooms_K, self.tank_K, _EQUAL_KH * days
-        if lived.outside_Kh > outside_was_Kh + most_Kh:
+    def further(self, lived: Lived, outside_was_Kh: float, spare_Kh: float, days: float) -> Raised:
+        """What is colder than it was over `days` raised by a step more, to two steps; rooms that are below their lower
+        bounds by `spare_Kh` less than they were lowered.
+        """
+        rooms_K, tank_K, equal_Kh = self.rooms_K, self.tank_K, _EQUAL_KH * days
+        if rooms_K >= 0.0 and lived.outside_Kh > outside_was_Kh + equal_Kh:
             rooms_K = min(rooms_K + _RAISED_K, _MOST_ROUNDS * _RAISED_K)
-        if lived.tank is not None and lived.tank.below_Kh > lived.tank.below_was_Kh + most_Kh:
+        elif rooms_K <= 0.0 and spare_Kh > equal_Kh:
+            rooms_K = max(rooms_K - _RAISED_K, -_MOST_ROUNDS * _RAISED_K)
+        if lived.tank is not None and lived.tank.below_Kh > lived.tank.below_was_Kh + equal_Kh:
             tank_K = min(tank_K + _TANK_RAISED_K, _MOST_ROUNDS * _TANK_RAISED_K)
         return Raised(rooms_K, tank_K)
 
@@ -399,6 +413,7 @@ class Houses:
         period: Period,
         conditions: Boundary,
         *,
+        asked: Boundary | None = None,
         raised: Raised = _AS_IT_IS,
         error: ForecastError | None = None,
         forecasts: Mapping[float, Boundary] | None = None,
@@ -407,10 +422,12 @@ class Houses:
     ) -> Lived:
         """House `k` lived through `period` under plans.
 
-        `raised`: by how much lowest temperatures of plans are higher; `before`, `state`: where house and controller
-        stand at its begin, for others see `IdentifiedHouse`.
+        `asked`: with the bounds of plans, else those of `conditions`, by which comfort is counted; `raised`: by how
+        much lowest temperatures of plans are higher; `before`, `state`: where house and controller stand at its begin,
+        for others see `IdentifiedHouse`.
         """
         model, record, controller = self._model, self._record, self._controller
+        asked = conditions if asked is None else asked
         if raised.tank_K:
             assert isinstance(controller, ThermoForceMPC)  # it plans a tank
             controller = controller.with_warmer_tank(raised.tank_K)
@@ -420,7 +437,7 @@ class Houses:
         house = IdentifiedHouse(
             model,
             record,
-            replace(conditions, lower_C=np.minimum(conditions.lower_C + raised.rooms_K, conditions.upper_C)),
+            replace(asked, lower_C=np.minimum(asked.lower_C + raised.rooms_K, asked.upper_C)),
             effects=self._effects[k],
             less_per_K=self._less_per_K[k],
             commands=self._commands,
@@ -443,7 +460,7 @@ class Houses:
             lived,
             was,
             *counted,
-            outside_Kh(lived, conditions, first),
+            *outside_Kh(lived, conditions, first),
             who_acted(result.steps, record.names),
             None if tank is None else _of_tank(house, slice(first + 1, first + n + 1)),
             house.state,
@@ -522,9 +539,18 @@ def _drawn(rng: np.random.Generator, spread: Array) -> Array:
     return np.asarray(np.exp(np.clip(spread * rng.standard_normal(spread.shape), -_MOST_LOG, _MOST_LOG)))
 
 
-def outside_Kh(record: Record, conditions: Boundary, first: int) -> float:
-    """K·h outside the bounds in all zones."""
-    return float(np.nansum(conditions.outside_K(record.T_zone_C[:, 1:], first)) * record.step_s / HOUR_S)
+def as_comfortable(conditions: Boundary, record: Record) -> Boundary:
+    """The bounds as far as `record` kept them, at the same times: a saving is one at equal comfort."""
+    T_C = record.T_zone_C
+    return replace(conditions, lower_C=np.fmin(conditions.lower_C, T_C), upper_C=np.fmax(conditions.upper_C, T_C))
+
+
+def outside_Kh(record: Record, conditions: Boundary, first: int) -> tuple[float, float]:
+    """K·h outside the bounds in all zones, and those below the lower ones."""
+    T_C, hours = record.T_zone_C[:, 1:], record.step_s / HOUR_S
+    no_upper = replace(conditions, upper_C=np.full_like(conditions.upper_C, np.inf))
+    outside, below = (float(np.nansum(one.outside_K(T_C, first)) * hours) for one in (conditions, no_upper))
+    return outside, below
 
 
 def band_of(saved: float, drawn: Sequence[float]) -> tuple[float, float]:

@@ -50,6 +50,7 @@ _ERRORS = ("none", "low", "medium", "high")
 @click.option("--start", metavar="TIME", help="Begin of what is lived through.  [default: --days before the end]")
 @click.option("--days", type=FiniteRange(1.0, 60.0), default=7.0, help="Length.")
 @click.option("--commands", is_flag=True, help="Set the commands of the map instead of levels.")
+@click.option("--keep-bounds", is_flag=True, help="Ask plans for the map's comfort also where it was not kept.")
 @click.option("--hours", type=FiniteRange(6.0, 48.0), default=24.0, help="Horizon of the plans, made each hour.")
 @click.option("--forecasts", type=click.Choice(_ERRORS), default="medium", help="Errors of the weather forecasts.")
 @click.option("--houses", type=click.IntRange(2, 40), default=6, help="Houses drawn from what the model does not know.")
@@ -65,6 +66,7 @@ def worth(
     start: str | None,
     days: float,
     commands: bool,
+    keep_bounds: bool,
     hours: float,
     forecasts: str,
     houses: int,
@@ -76,10 +78,10 @@ def worth(
     """Say what plans would have saved in the days of a record, with a 90 % band, and what that rests on.
 
     The identified house is lived through the record's weather again: as it was, and with plans made each hour with
-    forecasts as of then (the measured weather with errors of a usual size). Comfort is no less: where rooms would be
-    outside their bounds by more K·h than they were, lower bounds of plans are raised, by 0.5 K at most. Where they were
-    outside by more, the comfort that plans add is paid for. The band holds what the model does not know of the house,
-    and what the record does not tell of power. Heat that is stored at the end counts.
+    forecasts as of then (the measured weather with errors of a usual size). Comfort is equal: no room is asked to be
+    warmer than it was, and lower bounds of plans are raised or lowered, by 0.5 K at most, where K·h outside the bounds
+    differ. With --keep-bounds the comfort that plans add is paid for. The band holds what the model does not know of
+    the house, and what the record does not tell of power. Heat that is stored at the end counts.
 
     Such bands held the truth of 19 of 20 simulated houses known without probing; half their width was 15 % of the cost
     in the median. A tank of hot water of the map is lived through too, by its model and what was drawn then.
@@ -133,6 +135,7 @@ def worth(
             hot_water=measured.map.tank_machine
             if tank is None or measured.tank is None
             else LoggedTank(tank, measured.tank),
+            bounds_kept=keep_bounds,
             error=error,
             seed=seed,
             progress=begins,
@@ -176,7 +179,8 @@ def _show(found: Worth, console: Console) -> None:
     for zone, warmer in zip(found.as_was.names.zones, found.warmer_K, strict=True):
         console.print(f"  {zone}: {warmer:+.1f} K on average")
     if found.raised_K:
-        console.print(f"  Lower bounds of plans were raised by {found.raised_K:g} K, to be as comfortable as it was")
+        way = "raised" if found.raised_K > 0.0 else "lowered"
+        console.print(f"  Bounds of plans were {way} by {abs(found.raised_K):g} K, to be as comfortable as it was")
     if found.tank is not None:
         console.print(f"  {found.tank.in_words}")
     if found.tank_raised_K:
