@@ -14,7 +14,7 @@ from simulated_building import RULES, SimulatedBuilding, mpc
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.boundary.tariffs import price_doubt
-from thermoforce_mpc.data import DAY_S, ZERO_C_K, Layout, Period
+from thermoforce_mpc.data import DAY_S, ZERO_C_K, Layout, Names, Period, Record
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.loop.inputs import UnitDoubts
@@ -150,3 +150,21 @@ def test_in_live_operation_too():
     assert "per MWh, or in cents, or in another currency?" in told_by(SimulatedBuilding(), dear)[0][0]
     (in_kelvin, *_), _ = told_by(WrongBuilding("T", 1.0, ZERO_C_K))
     assert "in K they were usual: set unit: 'K'" in in_kelvin, "and the building is left to its own control"
+
+
+def test_rooms_that_a_map_exchanged_are_said_at_the_begin():
+    """Also where the model is of another map, and nobody checks the one that was edited."""
+    rng, n = np.random.default_rng(3), 3 * 96
+    u = rng.integers(0, 2, (2, n // 4)).repeat(4, axis=1).astype(float)
+    T = np.full((2, n + 1), 20.0)
+    for k in range(n):
+        T[:, k + 1] = 20.0 + 0.97 * (T[:, k] - 20.0) + 0.3 * (u[:, k] - 0.5)
+    names = Names(("living", "bath"), ("living", "bath"))
+    layout = Layout(names, (1, 1), (0, 1), (0, 0), (0.0, 0.0), (0.5, 0.5), (20.0, 10.0))
+    unknown = np.full((1, n), np.nan)
+    record = Record(
+        900.0 * np.arange(n + 1), T, 0.0 * T[0], 0.0 * T[0], u, unknown, np.full((2, n), np.nan), names=names
+    )
+    assert UnitDoubts(layout).now(record) == ()
+    (said,) = UnitDoubts(layout).now(replace(record, T_zone_C=T[::-1]))
+    assert said.startswith("rooms swapped: living and bath: each is warmed by the level of the other")

@@ -1,4 +1,4 @@
-"""What a loop is given: forecasts, an empty one in their place for a while, and what is probably in another unit."""
+"""What a loop is given: forecasts, an empty one in their place for a while, and what is odd of units and rooms."""
 
 from __future__ import annotations
 
@@ -150,6 +150,7 @@ class UnitDoubts:
     def now(self, record: Record, boundary: Boundary | None = None) -> tuple[str, ...]:
         """What is new in doubt of `record`, at the begin as it was read, and of the prices of a forecast."""
         # Loaded only when a loop runs.
+        from thermoforce_mpc.measurements.checks.rooms import room_remarks
         from thermoforce_mpc.measurements.checks.units import unit_remarks
         from thermoforce_mpc.model.thermal_model import ThermalModel
 
@@ -158,7 +159,8 @@ class UnitDoubts:
             return ()
         if self._next_s > -math.inf:
             record = record.last(round(DAY_S / record.step_s))
-        doubts = {remark.where: remark.in_words() for remark in unit_remarks(record, self._layout)}
+        found = (*unit_remarks(record, self._layout), *room_remarks(record, self._layout))
+        doubts = {remark.where: remark.in_words() for remark in found}
         if isinstance(self._model, ThermalModel) and "T_out_C" not in doubts:
             said = " ".join(doubts)
             doubts |= {
@@ -168,8 +170,8 @@ class UnitDoubts:
         if boundary is not None:
             prices = (boundary.price_per_kWh, boundary.heating_price_per_kWh)
             fuel = not np.array_equal(*prices, equal_nan=True)
-            found = [price_doubt(prices[0], self._currency), price_doubt(prices[1], self._currency, fuel=fuel)]
-            doubts["price"] = next(filter(None, found), "")
+            of_prices = [price_doubt(prices[0], self._currency), price_doubt(prices[1], self._currency, fuel=fuel)]
+            doubts["price"] = next(filter(None, of_prices), "")
         new = {where: words for where, words in doubts.items() if words and where not in self._said}
         for words in new.values():
             _LOG.warning("%s", words)
