@@ -187,7 +187,7 @@ def test_stretches_of_one_reason_are_one_row_and_the_page_stays_readable_with_ma
 
     page = with_notes([("the sensor of bath is silent",) if 10 <= k < 20 else () for k in range(48)])
     assert body_of(page).count("the sensor of bath is silent") == 1
-    assert "<td>10.417</td><td>10</td>" in page
+    assert '<td class="text">day 10 10:00</td><td>10</td>' in page
 
 
 @pytest.mark.slow
