@@ -13,6 +13,7 @@ from simple_house import outdoor_C
 
 from thermoforce_mpc.boundary.tariffs import by_name
 from thermoforce_mpc.data import Block, Plan, PlanStatus
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.measurements.forecast import prices_over_steps, read_forecast
 from thermoforce_mpc.measurements.load import learned_commands, read_measurements
@@ -129,3 +130,20 @@ def test_a_named_tariff_goes_by_the_clock_of_the_house():
     found, _ = prices_over_steps(Path("dynamic"), TimeStampRules(zone=ZONE), origin, grid_s, 3600.0)
     of_the_year_s = (at.tz_localize(None) - pd.Timestamp("2026-01-01")).total_seconds().to_numpy()
     np.testing.assert_array_equal(found, by_name()["dynamic"](of_the_year_s))
+
+
+@pytest.mark.parametrize(("changes", "said"), [(SPRING, "does not exist in"), (AUTUMN, "1 rows in the hour that")])
+def test_a_table_of_24_prices_of_a_day_that_has_fewer_or_more_costs_an_hour_and_no_forecast(tmp_path, changes, said):
+    """What people's scripts write each day; a plan that is asked for once refuses it."""
+    file, origin = tmp_path / "prices.csv", pd.Timestamp("2026-01-01", tz=ZONE)
+    day = pd.date_range(changes.tz_localize(None), periods=24, freq="1h")
+    file.write_text("time,price\n" + "".join(f"{at},{0.1 + 0.01 * at.hour:.2f}\n" for at in day))
+    at = pd.date_range(changes, changes + pd.DateOffset(days=1), freq="1h", inclusive="left")
+    over = file, TimeStampRules(zone=ZONE), origin, (at - origin).total_seconds().to_numpy(), 3600.0
+    found, words = prices_over_steps(*over, now=changes - 9 * HOUR)
+    right = np.isclose(found, 0.1 + 0.01 * at.hour)
+    assert right[at.hour != 2].all()
+    assert said in words
+    assert "left out" in words
+    with pytest.raises(DataError, match="where summer time"):
+        prices_over_steps(*over)

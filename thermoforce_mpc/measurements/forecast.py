@@ -67,14 +67,23 @@ _WHILES_S, _OTHER_WEATHER_K, _GOES_ON_K = (3.0 * HOUR_S, DAY_S), 15.0, 8.0
 
 
 def prices_over_steps(
-    path: Path, clock: TimeStampRules, origin: pd.Timestamp, grid_s: Array, step_s: float, currency: str = ""
+    path: Path,
+    clock: TimeStampRules,
+    origin: pd.Timestamp,
+    grid_s: Array,
+    step_s: float,
+    currency: str = "",
+    now: pd.Timestamp | None = None,
 ) -> tuple[Array, str]:
     """Prices per kWh (n,) over the steps that begin at `grid_s` (n,), s from `origin`, and what was read, in words.
 
     `currency`: of the prices, by default the one that their column names.
     Stamps without an offset are of the zone that the file tells, as in "Time (UTC)", else of `clock`, which the words
     then say; NaN where the file has no price. The name of a tariff of the simulated buildings, where no file has it,
-    is that tariff by the building's clock. Raises `DataError` for a file whose column of prices or unit is not clear.
+    is that tariff by the building's clock. With the time `now` a file that a machine writes is read: rows of an hour
+    that the clock skips, or of which it does not tell which of two it is, are left out, and the words say so.
+
+    Raises `DataError` for a file whose column of prices or unit is not clear.
     """
     if path.name in PRICES and not path.exists():
         words = "of the simulated buildings, per kWh" + (", synthetic" if path.name == "highly_dynamic" else "")
@@ -97,13 +106,16 @@ def prices_over_steps(
     told = stamped.zone
     own = {"zone": told or clock.zone, "order": "sort", "duplicates": "last"}
     stamped = stamped.model_copy(update=own)
+    stamped = stamped if now is None else stamped.lenient()
     unit = price_unit_of(named[0]) or "per kWh"
     tables = read_tables([path], named, lambda _: Written(time=stamped, csv=form), [], {named[0]: unit})
-    rows = timed(tables, stamped)
-    taken = ""
+    rows = timed(tables, stamped, now)
+    taken = "".join(f"; {note}" for note in rows.notes)
     if told is None and clock.zone is not None and not with_offset(tables[0].stamps.astype(str).iloc[:1]).any():
         # Exchanges write the clock of their market, often without a word.
-        taken = f"; its stamps name no zone: taken in {clock.zone}, as the map says; call them 'time (CET)' for another"
+        taken += (
+            f"; its stamps name no zone: taken in {clock.zone}, as the map says; call them 'time (CET)' for another"
+        )
     values = converted(rows.columns[named[0]], unit)
     known = np.isfinite(values)
     if doubt := price_doubt(values[known], currency or currency_of(named[0])):
@@ -125,7 +137,14 @@ _QUARTER_S = 900.0
 
 
 def billed_over_steps(
-    path: Path, bill: Bill, price: Array, clock: TimeStampRules, origin: pd.Timestamp, grid_s: Array, step_s: float
+    path: Path,
+    bill: Bill,
+    price: Array,
+    clock: TimeStampRules,
+    origin: pd.Timestamp,
+    grid_s: Array,
+    step_s: float,
+    now: pd.Timestamp | None = None,
 ) -> tuple[Array, Array, str]:
     """What a kWh costs by the `bill` at `path` (M, n) and what it earns (n,), and what was read, in words.
 
@@ -136,7 +155,7 @@ def billed_over_steps(
     def of(source: float | str) -> Array:
         if not isinstance(source, str):
             return np.full(grid_s.size, source)
-        found, read = prices_over_steps(file_beside(path, source), clock, origin, grid_s, step_s, bill.currency)
+        found, read = prices_over_steps(file_beside(path, source), clock, origin, grid_s, step_s, bill.currency, now)
         words.append(read)
         return found
 
@@ -437,10 +456,10 @@ def _prices(
             notes.append(f"{of}{doubt} Set unit: per MWh or cent per kWh, or a factor, in the map")
         return price, past.price_per_kWh, {}
     if bill is None:
-        of_file, read = prices_over_steps(prices, clock, record.origin, grid_s, step_s)
+        of_file, read = prices_over_steps(prices, clock, record.origin, grid_s, step_s, now=now)
         notes.append(read)
         return np.tile(of_file, (len(machines), 1)), past.price_per_kWh, {}
-    price, earns, read = billed_over_steps(prices, bill, price, clock, record.origin, grid_s, step_s)
+    price, earns, read = billed_over_steps(prices, bill, price, clock, record.origin, grid_s, step_s, now)
     notes.append(read)
     limit_W = 1000.0 * bill.limit_kW(pd.DatetimeIndex(stamps(grid_s, record.origin)))
     past_price = np.stack([billed(bill, row, past.time_s, record.origin, step_s) for row in past.price_per_kWh])
