@@ -119,7 +119,7 @@ class Blocks:
     def origin(self):
         return None
 
-    def decided(self, *told) -> None:
+    def decided(self, *told, **more) -> None:
         """What was decided is of no use here."""
 
     def ended(self, why) -> None:
