@@ -178,7 +178,8 @@ def fallback_command(quick: bool, json_file: Path | None) -> None:
     flag_value=KEPT,
     help="JSON of an earlier run: tell the weeks of the same kind, number, seed and fault that got dearer by more than "
     "0.3 %, less comfortable by 0.1 K·h, have more steps without a plan, or fail. Without a file: "
-    "benchmarks/detectors/weeks.json. Without --weeks, --faults and --seed: all weeks of that run, and no others.",
+    "benchmarks/detectors/weeks.json. Without --weeks, --faults and --seed: all weeks of that run, and one of each "
+    "fault that is new in the panel since.",
 )
 @KEEP
 @execution_options()

@@ -91,7 +91,8 @@ def run_detectors_bench(
     Args:
         weeks: house-weeks of clean plants, the kinds in turn; None: 200.
         faults: plants with each fault; None: 4.
-        seed: of the plants that are drawn; None: 62. With `against` and none of the three: the weeks of that run.
+        seed: of the plants that are drawn; None: 62. With `against` and none of the three: the weeks of
+            that run, and one of each fault that it has not, where it has any.
         engine: where they are run; the result does not depend on it.
         quick: one house-week of each of two kinds, and one fault.
         against: JSON of an earlier run, to compare the weeks that both have: same kind, number, seed and fault.
@@ -103,7 +104,7 @@ def run_detectors_bench(
     """
     before = _earlier(against) if against else {}
     if before and not quick and (weeks, faults, seed) == (None, None, None):
-        cases = list(before)
+        cases = _again(list(before))
     else:
         cases = _asked_for(weeks, faults, _SEED if seed is None else seed, quick)
     if against and not before.keys() & set(cases):
@@ -121,6 +122,12 @@ def run_detectors_bench(
     result = results_json("detectors", rows, targets(outcomes))
     result["environment"] |= {"revision": revision()}
     return result
+
+
+def _again(kept: list[PanelCase]) -> list[PanelCase]:
+    """The weeks of an earlier run, and where that has faults one of each that is new in the panel since."""
+    faults = {case.fault for case in kept} - {""}
+    return kept + [case for case in faulty(1, kept[0].seed) if faults and case.fault not in faults]
 
 
 def _asked_for(weeks: int | None, faults: int | None, seed: int, quick: bool) -> list[PanelCase]:

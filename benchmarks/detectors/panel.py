@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,8 @@ _ZONES = (("energyplus:heating_chicago", 12), ("energyplus:cooling_phoenix", 190
 _AFTER_S = 2.0 * DAY_S
 # Another load on the meter by day, W; sun on a sensor, K; hours until which a machine stands; lag of a sensor, s.
 _OTHER_W, _SUN_K, _ASLEEP_H, _LATE_S = 400.0, 2.5, 5.0, 900.0
+# Which houses of a draw have that sensor: others than those of the clean weeks.
+_LATE_FROM, _LATE_EVERY = 2000, 100
 # Hours of the morning in which a schedule acts, and how many times the ventilation that it blows in then.
 _MORNING_H, _PURGES = (6.0, 7.5), 4.0
 # How far a door moves a sensor, K; a quarter of an hour, s; share of the name plate's heat that a worn machine gives.
@@ -308,9 +311,10 @@ def _in_the_sun(found: BuiltCase, case: PanelCase) -> BuiltCase:
 
 
 def _late(found: BuiltCase, case: PanelCase) -> BuiltCase:
-    """A sensor in a thick case: as late as the latest of a draw."""
-    house = replace(found.plant.house, lag_s=_LATE_S)
-    return replace(found, plant=GeneratedHousePlant(house), late_s=_LATE_S)
+    """A sensor in a thick case: as late as the latest of a draw; where the floor is heated nothing would show it."""
+    houses = (draw_house(case.seed, number) for number in count(_LATE_FROM + case.number, _LATE_EVERY))
+    house = next(house for house in houses if house.emitter != "floor")
+    return _house_week(replace(house, lag_s=_LATE_S), WEEKS[case.number % 2])
 
 
 def _asleep(found: BuiltCase, case: PanelCase) -> BuiltCase:

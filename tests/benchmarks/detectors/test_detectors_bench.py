@@ -32,6 +32,7 @@ from thermoforce_mpc.loop.probing import Probed, Probing
 from thermoforce_mpc.model.late_sensor import LateSensor
 from thermoforce_mpc.plants.embedded import PointEmulator
 from thermoforce_mpc.plants.energyplus.engine import is_available
+from thermoforce_mpc.plants.random_houses import draw_house
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.settings import StrictModel
 
@@ -155,6 +156,13 @@ def test_the_sensor_of_the_fault_is_late():
     assert drawn.late_s == drawn.plant.house.lag_s
 
 
+def test_the_late_sensor_is_in_a_house_without_a_heated_floor():
+    assert draw_house(140930, 2100).emitter == "floor"
+    assert built(PanelCase("generated house", 100, 140930, "late sensor")).plant.house == replace(
+        draw_house(140930, 2200), lag_s=900.0, sun_bias_K=0.0
+    )
+
+
 def test_doors_that_stood_open_while_probing_are_shut_since():
     place = built(PanelCase("house of rooms", 0, 3, "watch, doors"))
 
@@ -211,7 +219,7 @@ def test_weeks_that_got_worse_than_in_an_earlier_result_are_told(tmp_path, monke
     ran = []
     monkeypatch.setattr(bench, "run_all", lambda function, cases, *given: ran.append(cases) or told)
     result = run_detectors_bench(engine=LocalEngine(1), against=tmp_path / "earlier.json")
-    assert ran == [[one.case for one in now]], "the weeks of the earlier run, and no others"
+    assert ran == [[one.case for one in now]], "the weeks of the earlier run, and no others where it has no faults"
     worse = {row["worse than before"]: row for row in result["rows"] if "worse than before" in row}
     assert list(worse) == [f"embedded {number} of 1" for number in (0, 1, 2, 4)]
     assert worse["embedded 0 of 1"]["steps not planned"] == "+2"
@@ -220,6 +228,22 @@ def test_weeks_that_got_worse_than_in_an_earlier_result_are_told(tmp_path, monke
     assert worse["embedded 4 of 1"]["now"] == "failed: no plant"
     assert result["rows"][-1] == {"weeks of both": 5, "worse": 4, "then": "4.0000 / 1.80", "now": "3.9040 / 2.00"}
     assert "revision" in result["environment"]
+
+
+def test_a_fault_that_is_new_in_the_panel_is_run_beside_the_weeks_of_an_earlier_result(tmp_path, monkeypatch):
+    kept = [PanelCase("embedded", 3, 7), *faulty(2, seed=7)[:-4]]
+    rows = [{"week": case.in_words, "cost": 1.0, "K_h": 0.0} for case in kept]
+    (tmp_path / "earlier.json").write_text(json.dumps({"rows": rows}))
+    ran = []
+
+    def ran_all(function, cases, *given):
+        ran.extend(cases)
+        return [asdict(replace(week(0, 1.0), case=case)) for case in cases]
+
+    monkeypatch.setattr(bench, "run_all", ran_all)
+    run_detectors_bench(engine=LocalEngine(1), against=tmp_path / "earlier.json")
+    assert ran[: len(kept)] == kept
+    assert ran[len(kept) :] == faulty(1, seed=7)[-2:]
 
 
 def test_weeks_of_another_seed_are_no_weeks_to_compare(tmp_path):
