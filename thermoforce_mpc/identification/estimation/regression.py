@@ -118,6 +118,7 @@ class RegressionData:
     `target` (rows,): °C, of a pair the difference, K; `rows` (rows,) indices of the boundaries used; `drives`: sign and
     drive v (n,) of each run; `histories`: their records. `held`: how many of the last rows are held out, so that a fit
     does not see them. `others` (K,): of the other actuators, in the order of their levels, which `target` is without.
+    `air_K` (n,): what air that came in through windows did to the room in each step, K; None: not known.
     """
 
     target: Array
@@ -127,6 +128,7 @@ class RegressionData:
     histories: tuple[Record, ...] = ()
     held: int = 0
     others: tuple[OperatorParameters, ...] = ()
+    air_K: Array | None = None
 
     @property
     def seen(self) -> int:

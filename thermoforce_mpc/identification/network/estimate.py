@@ -17,7 +17,7 @@ import numpy as np
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.network.filtering import FilteredRun, likelihood, prediction_errors
-from thermoforce_mpc.identification.network.room import ENVELOPE, ROOM, STRUCTURE, SUN_ON_SENSOR, RoomNetwork
+from thermoforce_mpc.identification.network.room import ENVELOPE, OUTDOOR, ROOM, STRUCTURE, SUN_ON_SENSOR, RoomNetwork
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
@@ -77,6 +77,14 @@ class RoomRun:
     def noise_share(self) -> float:
         """Variance of the disturbances in this run, as a share of that in a run by itself."""
         return _PAIR_SHARE**2 if self.pair else 1.0
+
+    @property
+    def air_K(self) -> Array:
+        """Likeliest change of the room's temperature by air that came in, in each step (N − 1,), K."""
+        if self.aired_K2 is None:
+            return np.zeros(self.readings.size - 1)
+        outdoors = np.where(self.inputs[:-1, OUTDOOR] < self.readings[1:], -1.0, 1.0)
+        return np.asarray(outdoors * np.sqrt(self.aired_K2[:-1]))
 
 
 # Share of the disturbances that is left in the difference of two runs. By judgement: two runs of one weather share most

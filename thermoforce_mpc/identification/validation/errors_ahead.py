@@ -42,6 +42,9 @@ is known."""
 _NOTHING = 1e-9
 # Offset that keeps block numbers of different regressions apart: four centuries of blocks, so that none meet.
 PER_REGRESSION = 10**6
+# How many times what the other steps of an hour miss a step with air in it may miss of what acting does: in hours that
+# are believed to differ (`machine.blocked_hours`) half of it is missing at least, and all of it at most.
+_MORE_OF_IT = 2.0
 # A standard deviation over the median of what is normal without its sign: 1 over its quantile of 0.75.
 _MAD_SD = 1.4826
 # Quantiles by one-sided probability: polynomials in b, the reach of the autocovariances as a share of the blocks
@@ -199,7 +202,8 @@ def hours_seen(fold: Fold, operator: OperatorParameters, gain_sd: float) -> list
     """What each full hour of the runs tells of the effect of its levels, predicted from the temperatures before it.
 
     `operator` at the step of the data; `gain_sd`: relative standard deviation of the effect of an hour. The promise is
-    what most hours err by: an hour that differs must not excuse itself.
+    what most hours err by: an hour that differs must not excuse itself. A window is opened for minutes, a plant's
+    schedule goes on: what falls in a step with air in it is of acting as far as the rest of the hour shows it.
     """
     found: list[HourSeen] = []
     effects = fold.effects
@@ -219,11 +223,29 @@ def hours_seen(fold: Fold, operator: OperatorParameters, gain_sd: float) -> list
         errors = _Innovations.of(fold.rests[i], e.target - effects[i]).ahead(starts, targets)
         impulse = operator.impulse(steps)[::-1]
         of_hour = np.array([float(impulse @ e.drive[row : row + steps]) for row in e.rows[starts]])
+        if e.air_K is not None:
+            air_K = [e.air_K[row : row + steps] for row in e.rows[starts]]
+            errors = np.array([_of_acting(*hour) for hour in zip(errors, air_K, of_hour, strict=True)])
         usual = NORMAL_90 * _MAD_SD * float(np.median(np.abs(errors)))
         promise = np.hypot(max(usual, SENSOR_STEP_K), NORMAL_90 * gain_sd * of_hour)
         clock_s = time_s[targets] + ahead_s(float(time_s[-1]), e.histories[0].origin)  # of a schedule on the wall
         found += [HourSeen(*map(float, row)) for row in zip(clock_s, errors, of_hour, promise, strict=True)]
     return found
+
+
+def _of_acting(error_K: float, air_K: Array, effect_K: float) -> float:
+    """The error of an hour without what came in with air, K, but for what acting may have missed in these steps.
+
+    `air_K` (n,): what came in with each step, `effect_K`: of the levels of the hour, K.
+    """
+    aired = air_K[air_K != 0.0]
+    if not aired.size:
+        return error_K
+    rest_K, others = error_K - float(air_K.sum()), air_K.size - aired.size
+    most_K = np.full(aired.size, abs(effect_K) / air_K.size)
+    if others:
+        most_K = np.clip(_MORE_OF_IT * np.sign(aired) * rest_K / others, 0.0, most_K)
+    return rest_K + float(np.clip(aired, -most_K, most_K).sum())
 
 
 class _Innovations(NamedTuple):

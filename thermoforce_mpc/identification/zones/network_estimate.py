@@ -19,7 +19,13 @@ from thermoforce_mpc.identification.effects.level_laws import (
     with_outdoors,
 )
 from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H, Effect, unit_steps, without_others
+from thermoforce_mpc.identification.estimation.regression import (
+    STEP_RESPONSE_H,
+    Effect,
+    RegressionData,
+    unit_steps,
+    without_others,
+)
 from thermoforce_mpc.identification.network.building import (
     RESPONSE_H,
     BuildingFit,
@@ -119,6 +125,7 @@ def _estimate(
         log_tau, gains, (own, *others) = modes[name].log_tau, modes[name].gains, (inputs[name][b] for b in order)
         # The others share time constants.
         regressions = [without_others(e, others, signs[1:], log_tau[-1], gains[1:]) for e in data.of_fold(name, own)]
+        regressions = _with_air(regressions, fit.rooms[home].runs)
         if regressions:
             free, alone = free_part(fit, home), free_part(without[name], home)
             folds[name] = fold_of(regressions, log_tau[0], gains[0], layout.signs[a], own, free, alone)
@@ -138,6 +145,15 @@ def _estimate(
     together_sd = float(np.sqrt(variance) / max(abs(float(together_K[home, _OF_DAY])), 1e-9))
     found = _found(whole, a, laws, sd=True)
     return Estimate(everything, folds["training"], folds.get("earlier"), effects, scores, together_sd, found)
+
+
+def _with_air(regressions: Sequence[RegressionData], runs: Sequence[RoomRun]) -> list[RegressionData]:
+    """The regressions of a zone with what came in with air, as its network's `runs` say.
+
+    A fit leaves out runs that say too little: those of the same readings are the same.
+    """
+    air_K = {run.readings.tobytes(): run.air_K for run in runs if run.aired_K2 is not None}
+    return [replace(e, air_K=air_K.get(e.histories[0].T_zone_C[0].tobytes())) for e in regressions]
 
 
 def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw], *, sd: bool = False) -> Estimates:
