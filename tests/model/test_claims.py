@@ -53,3 +53,10 @@ def test_a_run_says_them_of_the_model_that_it_begins_with(monkeypatch, capsys):
     said = capsys.readouterr().out
     for claim in model.claims:
         assert f"Found: {claim}\n" in said
+
+
+def test_what_a_plan_said_of_an_actuator_is_not_said_again() -> None:
+    model, said = believing(), list[str]()
+    hours = model.claims[3].partition(": ")[2]
+    model.say_claims(said.append, f"radiator: watch: {hours}, found while probing")
+    assert said == [f"Found: {claim}" for k, claim in enumerate(model.claims) if k != 3]

@@ -230,10 +230,12 @@ class ThermalModel:
                     )
         return tuple(told)
 
-    def say_claims(self, say: Callable[[str], None]) -> None:
-        """Say each of `claims`."""
+    def say_claims(self, say: Callable[[str], None], told: str = "") -> None:
+        """Say each of `claims` whose words, but for the name before them, are not `told` already."""
         for claim in self.claims:
-            say(f"Found: {claim}")
+            _, named, words = claim.partition(": ")
+            if not told or (words if named else claim) not in told:
+                say(f"Found: {claim}")
 
     def _hours(self, a: int) -> list[str]:
         """Hours of the day in which acting does less, in words."""

@@ -144,7 +144,7 @@ def plan(
     plan = controller.plan(Observation(history, ahead, *(measured.tank.now() if measured.tank else ())))
     display.say(_listed(f"Plan from {record.stamps()[-1]} for {horizon_h:.4g} h", plan.why))
     display.say(_listed("Actuation", controller.actuation_in_words))
-    thermal.say_claims(display.say)
+    thermal.say_claims(display.say, plan.why)
     for limits in controller.limits_not_planned:
         display.say(limits)
     for note in notes:
