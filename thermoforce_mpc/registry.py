@@ -27,6 +27,11 @@ PREFIX = "thermoforce_mpc"
 OWN = "thermoforce-mpc"
 
 
+def names_in(text: str | None) -> tuple[str, ...]:
+    """The names of a list that people separate by commas, without spaces around them; none of None."""
+    return tuple(name for part in (text or "").split(",") if (name := part.strip()))
+
+
 @dataclass(frozen=True)
 class Listed(Generic[T]):
     """A name, the distribution that it comes from, and what it stands for, or why that cannot be used."""

@@ -9,6 +9,7 @@ import click
 from benchmarks.cli.options import FILE, FOLDER, JSON, NEW_FOLDER, QUICK, say
 from benchmarks.cli.show import show
 from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
+from thermoforce_mpc.registry import names_in
 
 
 @click.command("operator")
@@ -315,8 +316,7 @@ def backbones_command(
     """Compare forecasters, alone and composed with the operator, 6 h ahead on records with control."""
     from benchmarks.free_response.backbones import run_backbone_bench
 
-    names = [name.strip() for name in (backbones or "").split(",") if name.strip()]
-    show(run_backbone_bench(names, reference, quick=quick, out=out, progress=say), json_file)
+    show(run_backbone_bench(names_in(backbones), reference, quick=quick, out=out, progress=say), json_file)
 
 
 @click.command("forecasters")
@@ -329,5 +329,4 @@ def forecasters_command(models: str | None, json_file: Path | None) -> None:
     """
     from benchmarks.free_response.forecasters import run_forecasters_bench
 
-    names = [name.strip() for name in (models or "").split(",") if name.strip()]
-    show(run_forecasters_bench(names, say), json_file)
+    show(run_forecasters_bench(names_in(models), say), json_file)

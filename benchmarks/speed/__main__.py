@@ -24,6 +24,7 @@ import click
 from benchmarks.cli.show import show
 from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.registry import names_in
 
 _ROOT = Path(__file__).resolve().parents[2]
 _WORK = Path(__file__).with_name("work.py")
@@ -163,7 +164,7 @@ def _row_of(
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the result to this JSON file.")
 def main(against: Path, times: int, chosen: str, long: bool, json_file: Path | None) -> None:
     """Print what commands cost in this checkout beside another one: medians, and ours as a share of theirs."""
-    names = tuple(name.strip() for name in chosen.split(",") if name.strip())
+    names = names_in(chosen)
     rows = [replace(row, command=row.longer) if long and row.longer else row for row in ROWS]
     for name in names:
         if not any(row.name.startswith(name) for row in rows):

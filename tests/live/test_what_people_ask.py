@@ -365,12 +365,16 @@ def test_a_command_that_is_rounded_is_taken(people, caplog, told, error, holds):
             raise error(*words) if error is NotAsTold else error(words[0])
 
     home.write = answers
+    present, asked = home.present, list[list[str]]()
+    home.present = lambda names: asked.append(names) or present(names)
     rules = MeasurementMap.model_validate(rules_of({name: name for name in SENSORS}))
     building = LiveBuilding(home, rules, 3600.0, people=people)
     for hour in range(2):
         building.record(START + hour * HOUR)
         if holds:
+            asked.clear()
             building.write({"actuator": told + 0.1 * hour}, 7200.0)
+            assert asked == [["actuator"]], "once"
             assert building.ours({"actuator": told}) == {"actuator": [(told, 0.26), (20.0 + hour, 0.26)]}
         else:
             with pytest.raises(error):

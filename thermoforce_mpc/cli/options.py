@@ -318,6 +318,7 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     Raises `ConfigError` too where the file or `defaults` name code that the command line does not, see `check_code`.
     """
     from thermoforce_mpc.plants.testcases import load_scenario
+    from thermoforce_mpc.registry import names_in
     from thermoforce_mpc.scenario.settings import find_config, merge, nested, parse_overrides
 
     for one, other, what in (("period", "start", "both name the window"), ("url", "fmu", "select different plants")):
@@ -335,7 +336,7 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     if options.get("forecaster") is not None:
         keys = merge(keys, {"controller": {"options": {"free_response": _forecaster(options["forecaster"])}}})
     if options.get("baselines") is not None:
-        keys["baselines"] = [name.strip() for name in options["baselines"].split(",") if name.strip()]
+        keys["baselines"] = list(names_in(options["baselines"]))
     path: Path | None = find_config("scenarios", options["config"]) if options.get("config") else None
     keys = merge(keys, parse_overrides(options.get("assignments", ())))
     given = merge(defaults or {}, keys)

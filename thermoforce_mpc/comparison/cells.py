@@ -25,7 +25,7 @@ from thermoforce_mpc.experiment.identifying import IdentificationTask, SavedMode
 from thermoforce_mpc.experiment.outside import python_of
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.registry import plugin_sources
+from thermoforce_mpc.registry import names_in, plugin_sources
 from thermoforce_mpc.scenario.own_code import is_policy, policy_settings
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, full_name
 from thermoforce_mpc.scenario.settings import StrictModel, find_config, merge, nested, read_yaml, suggestion, validate
@@ -225,7 +225,7 @@ def known_names(text: str, option: str, known: Collection[str]) -> tuple[str, ..
 
 def comma_list(text: str, option: str) -> tuple[str, ...]:
     """Words of a comma-separated list; raises `ConfigError` if it is empty or has a word twice."""
-    words = tuple(word.strip() for word in text.split(",") if word.strip())
+    words = names_in(text)
     if not words:
         raise ConfigError(f"{option}: expected names separated by commas")
     if len(set(words)) < len(words):

@@ -301,17 +301,22 @@ class LiveBuilding:
         try:
             self._answered(write)
         except Exception as error:  # a device that made something else of it did not take it, and holds that
-            self._note_taken(levels)
-            if not (isinstance(error, NotAsTold) and self._note_rounded(error, levels, told)):
+            if not isinstance(error, NotAsTold):
+                self._note_taken(levels)
+                raise
+            if not self._note_rounded(error, levels, told, self._note_taken(levels, error.names)):
                 raise
             return
         self._note_taken(levels)
 
     def _note_rounded(
-        self, error: NotAsTold, levels: Mapping[str, float | None], told: Mapping[str, float | None]
+        self,
+        error: NotAsTold,
+        levels: Mapping[str, float | None],
+        told: Mapping[str, float | None],
+        held: Mapping[str, float],
     ) -> bool:
-        """Whether all that answered with another value only rounded what they were `told`, which is said and noted."""
-        held = self.held(error.names)
+        """Whether all that `held` another value only rounded what they were `told`, which is said and noted."""
         of = [name for name in levels if self.key(name) in error.names]
         for name in of:
             value, took = told.get(self.key(name)), held.get(self.key(name), math.nan)
@@ -408,16 +413,21 @@ class LiveBuilding:
             else:
                 self._told[name] = replace(told, until=until)
 
-    def _note_taken(self, names: Iterable[str]) -> None:
-        """Note what devices made of what they were told just now, of those that say what they hold (`present`)."""
+    def _note_taken(self, names: Iterable[str], besides: Sequence[str] = ()) -> dict[str, float]:
+        """Note what devices made of what they were told just now, of those that say what they hold (`present`).
+
+        Returns what they hold, and what those do that the connection names so `besides`.
+        """
         new = [name for name in names if name in self._told and not self._told[name].seen]
-        held = self.held([self.key(name) for name in new]) if new else {}
+        asked = list(dict.fromkeys([*map(self.key, new), *besides]))
+        held = self.held(asked) if asked else {}
         for name in new:
             value, told, near = held.get(self.key(name), math.nan), self._told[name], self.nearness(name)
             if near is None or not math.isfinite(value) or told.holds(value, near):
                 continue
             if not abs(value - told.before) <= near:  # else it may not have taken it yet
                 self._told[name] = replace(told, seen=True, took=value)
+        return held
 
     def _commanded(self, name: str) -> float:
         """The command as it was read last; NaN where it was not."""

@@ -29,6 +29,7 @@ from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.dependencies import SWITCHES
 from thermoforce_mpc.errors import PlantError, left_to_parent
+from thermoforce_mpc.registry import names_in
 
 _LOG = logging.getLogger(__name__)
 
@@ -161,7 +162,7 @@ def _handed() -> dict[str, str]:
 
     A simulation is native code of this user and could read more elsewhere; what it is not handed it does not log.
     """
-    named = [name.strip() for name in os.environ.get(PASSED, "").split(",")]
+    named = names_in(os.environ.get(PASSED))
     wanted = [*_NEEDED, *(switch.variable for switch in SWITCHES), *named]
     return {key: value for key, value in os.environ.items() if any(fnmatchcase(key, name) for name in wanted)}
 

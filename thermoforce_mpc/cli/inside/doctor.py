@@ -38,11 +38,11 @@ def doctor(url: str | None, testcase: str, out: Path, only: str | None, json_fil
     from thermoforce_mpc.cli.inside.installation import Finding, examine
     from thermoforce_mpc.files import write_json
     from thermoforce_mpc.records.run_folder import environment
+    from thermoforce_mpc.registry import names_in
 
     console = Console(highlight=False, markup=False, soft_wrap=True)
     findings: list[Finding] = []
-    names = [name.strip() for name in (only or "").split(",") if name.strip()]
-    for finding in examine(testcase=testcase, url=url, folder=out, only=names):
+    for finding in examine(testcase=testcase, url=url, folder=out, only=names_in(only)):
         findings.append(finding)
         console.print(f"{_MARKS[finding.state]}{finding.name}: {finding.told} ({finding.seconds:.1f} s)")
         if finding.todo and finding.state != "ok":

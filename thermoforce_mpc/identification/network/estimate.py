@@ -86,6 +86,10 @@ class RoomRun:
         outdoors = np.where(self.inputs[:-1, OUTDOOR] < self.readings[1:], -1.0, 1.0)
         return np.asarray(outdoors * np.sqrt(self.aired_K2[:-1]))
 
+    def reading_K2(self, sensor_K2: float) -> float:
+        """Variance of a reading: that of its sensor, of its rounding, and of what a few nodes do not follow."""
+        return sensor_K2 + self.rounding_K2 + _MODEL_SD_K**2
+
 
 # Share of the disturbances that is left in the difference of two runs. By judgement: two runs of one weather share most
 # of it.
@@ -137,7 +141,7 @@ class RoomFit:
     def reading_K2(self, theta: Array) -> float:
         """Variance of a reading at θ (p,)."""
         _, _, reading = self.room.noise(theta, self.runs[0].step_h)
-        return reading + self.runs[0].rounding_K2 + _MODEL_SD_K**2
+        return self.runs[0].reading_K2(reading)
 
     @property
     def air_K2(self) -> float:
@@ -226,11 +230,10 @@ def _filtered_run(
         P0[temperatures] = 0.0
     else:
         x0[temperatures] = float(run.readings[np.isfinite(run.readings)][0])
-    R = reading + run.rounding_K2 + _MODEL_SD_K**2
     readings = run.readings.copy()  # one that may be written to: others would be compiled for once more
     if run.on_sensor is not None:
         readings -= run.on_sensor * theta[room.place[SUN_ON_SENSOR]]
-    return FilteredRun(A, B, share * Q, R, x0, P0, run.inputs, readings, run.aired_K2, room.seen)
+    return FilteredRun(A, B, share * Q, run.reading_K2(reading), x0, P0, run.inputs, readings, run.aired_K2, room.seen)
 
 
 def estimate_room(
