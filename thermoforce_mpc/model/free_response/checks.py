@@ -63,12 +63,14 @@ def quantiles_from_errors(center: Array, errors: Array) -> Array:
 
     A lead time with fewer than eight uses the spread of the nearest shorter one that has enough, or none.
     """
-    offsets = np.zeros((LEVELS.size, center.size))
-    last = np.zeros(LEVELS.size)
-    for lead in range(center.size):
-        finite = errors[:, lead][np.isfinite(errors[:, lead])]
-        if finite.size >= 8:
-            last = np.quantile(finite, LEVELS)
-            last = last - np.interp(0.5, LEVELS, last)  # keep the forecast as the median
-        offsets[:, lead] = last
+    finite = np.isfinite(errors)
+    enough = np.count_nonzero(finite, axis=0) >= 8
+    whole, offsets = finite.all(axis=0) & enough, np.zeros((LEVELS.size, center.size))
+    if whole.any():
+        offsets[:, whole] = np.quantile(errors[:, whole], LEVELS, axis=0)
+    for lead in np.flatnonzero(enough & ~whole):
+        offsets[:, lead] = np.quantile(errors[finite[:, lead], lead], LEVELS)
+    offsets -= offsets[LEVELS.size // 2]  # keep the forecast as the median
+    nearest = np.maximum.accumulate(np.where(enough, np.arange(center.size), -1))
+    offsets = np.where(nearest < 0, 0.0, offsets[:, nearest])
     return np.asarray(np.sort(center + offsets, axis=0))
