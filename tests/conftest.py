@@ -6,6 +6,7 @@ import gc
 import os
 import signal
 import sys
+from collections.abc import Iterator
 from functools import cache, partial
 from pathlib import Path
 
@@ -84,6 +85,16 @@ def own_folders(tmp_path_factory: pytest.TempPathFactory) -> None:
 def computed_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tasks of commands run in this process: a new one imports everything first, for seconds."""
     monkeypatch.setattr("thermoforce_mpc.execution.open_engine", lambda *_, **options: Here())
+
+
+@pytest.fixture(scope="module")
+def identified_once() -> Iterator[None]:
+    """What tests of a module identify alike is identified once; what differs in anything is identified anew."""
+    from remembered import remember_identification
+
+    with pytest.MonkeyPatch.context() as patch:
+        remember_identification(patch)
+        yield
 
 
 @pytest.fixture

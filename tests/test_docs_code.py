@@ -17,7 +17,6 @@ import pytest
 from click.testing import CliRunner
 from pages import PAGES, CodeBlock, blocks
 from places import ROOT
-from remembered import remember_identification
 
 from thermoforce_mpc.cli import cli
 
@@ -114,14 +113,6 @@ class Reader:
         return done.stdout
 
 
-@pytest.fixture(scope="module", autouse=True)
-def remembering():
-    """Pages that identify the same house alike do so once."""
-    with pytest.MonkeyPatch.context() as patch:
-        remember_identification(patch)
-        yield
-
-
 @pytest.fixture
 def reader(practice, tmp_path, monkeypatch, computed_here) -> Iterator[Reader]:
     folder = tmp_path / "reader"
@@ -138,6 +129,7 @@ def reader(practice, tmp_path, monkeypatch, computed_here) -> Iterator[Reader]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("identified_once")
 @pytest.mark.filterwarnings("default")  # as a user's Python has it
 @pytest.mark.parametrize("page", FOLLOWED, ids=lambda page: page.stem)
 def test_page_is_followed(page, reader):

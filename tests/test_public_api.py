@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from places import ROOT
-from remembered import remember_identification
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.boundary.weather import synthetic_weather
@@ -50,14 +49,6 @@ def model(tables) -> tf.ThermalModel:
 def blocks(page: str) -> list[str]:
     text = (ROOT / page).read_text(encoding="utf-8")
     return re.findall(r"<!-- run-by-tests: tests/test_public_api\.py -->\n```python\n(.*?)```", text, re.S)
-
-
-@pytest.fixture(scope="module")
-def identified_once():
-    """The pages identify one record."""
-    with pytest.MonkeyPatch.context() as patch:
-        remember_identification(patch)
-        yield
 
 
 @pytest.mark.slow

@@ -6,16 +6,14 @@ import json
 
 import pytest
 from click.testing import CliRunner
-from remembered import remember_identification
 
 from thermoforce_mpc.cli import cli
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("identified_once")]
 
 
-def test_a_baseline_changes_nothing_about_the_controller_beside_it(tmp_path, monkeypatch):
+def test_a_baseline_changes_nothing_about_the_controller_beside_it(tmp_path):
     """`rc_mpc` switches, `thermoforce_paper` holds levels between off and full: each is probed for its own way."""
-    remember_identification(monkeypatch)  # what was probed alike is identified once
 
     def run(name: str, controller: str, baselines: str):
         words = ["--testcase", "bestest_hydronic_heat_pump", "--period", "20", "--days", "0.125", "--quiet"]

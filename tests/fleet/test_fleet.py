@@ -18,7 +18,6 @@ import yaml
 from click.testing import CliRunner
 from executed_tasks import identified_at_once
 from places import ROOT
-from remembered import remember_identification
 from simple_house import simple_model
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
@@ -606,11 +605,8 @@ def test_a_building_without_a_model_runs_what_needs_none_and_says_why_of_the_res
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("computed_here")
-def test_buildings_of_a_table_are_identified_from_their_measurements_and_run_on_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    remember_identification(monkeypatch)  # two of them have one record
+@pytest.mark.usefixtures("computed_here", "identified_once")
+def test_buildings_of_a_table_are_identified_from_their_measurements_and_run_on_them(tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text(MAP)
     _measured(tmp_path / "good.csv", heated=True)
     _measured(tmp_path / "off.csv", heated=False)

@@ -15,7 +15,6 @@ import pytest
 from click.testing import CliRunner
 from hands_on import HandsOn
 from places import ROOT
-from remembered import remember_identification
 from simple_house import SimpleHouse
 from waiting import LONG_S, wait_for
 
@@ -27,6 +26,8 @@ from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.plants.registry import ChosenPlant
 from thermoforce_mpc.protocols import OutlivingPlant
 from thermoforce_mpc.records.journal import JournalError, read_journal
+
+pytestmark = pytest.mark.usefixtures("identified_once")
 
 TESTCASE = "bestest_hydronic_heat_pump"
 # Probing of the simple house: two days that end where its warm-up of two days before day 10 begins.
@@ -85,14 +86,6 @@ def results(folder: Path) -> dict[str, bytes]:
     """What must be the same: the model and all trajectories."""
     files = [*(folder / "model").iterdir(), *folder.glob("trajectory*.csv")]
     return {path.name: path.read_bytes() for path in files}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def remembering():
-    """The same probing is identified once: one that differs in anything is identified anew, to another model."""
-    with pytest.MonkeyPatch.context() as patch:
-        remember_identification(patch)
-        yield
 
 
 @pytest.fixture(scope="module")

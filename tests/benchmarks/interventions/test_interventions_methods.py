@@ -38,6 +38,8 @@ from thermoforce_mpc.identification import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.model.free_response.registry import build_free_response
 
+pytestmark = pytest.mark.usefixtures("identified_once")
+
 FREE = build_free_response("persistence")
 
 

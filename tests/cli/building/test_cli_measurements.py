@@ -29,6 +29,8 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.report.display import RunDisplay
 
+pytestmark = pytest.mark.usefixtures("identified_once")
+
 MAP = """\
 time: {zone: Europe/Brussels}
 outdoor: out_F

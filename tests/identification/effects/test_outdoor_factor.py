@@ -21,6 +21,8 @@ from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
+pytestmark = pytest.mark.usefixtures("identified_once")
+
 CONFIG = IdentificationConfig(order=3, modulation="linear", sun_on_sensor=False, late_sensor=False)
 DAYS = 12.0
 
@@ -41,7 +43,7 @@ def operated(slope_per_K: float, days: float = DAYS):
 def test_the_temperature_tells_how_heat_goes_with_the_weather():
     found = {}
     for slope in (0.03, -0.02):  # heat pump, circuit on a heating curve
-        zone = identify(operated(slope, 20.0)[1], config=CONFIG).only
+        zone = identify(operated(slope)[1], config=CONFIG).only
         factor = zone.operator.heat_input
         true = slope / (1.0 + slope * factor.reference_C)  # per K of the heat at the mean outdoor temperature
         (said,) = (note for note in zone.card.notes if note.startswith("heat was not measured: from the temperatures"))
@@ -128,10 +130,11 @@ def test_heat_that_falls_while_a_level_is_held_makes_the_effect_less_sure(at_fir
 def test_rooms_that_are_heated_together_cannot_be_told_apart():
     names = Names(("north", "south"), ("a", "b"), ("pump",))
     layout = Layout(names, (1, 1), (0, 1), (0, 0), (0.0, 0.0), (0.8, 0.8), (10.0, 90.0))
-    run = operated(0.0)[1]
+    days = 6.0
+    run = operated(0.0, days)[1]
     two = {name: np.repeat(getattr(run, name), 2, axis=0) for name in ("T_zone_C", "heat_W")}
     n = run.n_steps
-    together = replace(run, **two, u=np.stack([curve(DAYS)] * 2), names=names)
+    together = replace(run, **two, u=np.stack([curve(days)] * 2), names=names)
     apart = replace(together, u=np.stack([random_levels(n, 1, hold=12), random_levels(n, 2, hold=12)]))
     one, other = (confounding([r], layout, 0, CONFIG) for r in (together, apart))
     assert one[0] > 0.25 > 0.1 > other[0]
