@@ -197,6 +197,10 @@ def of_another_zone(rows):
     return rows.shift(freq="3h")
 
 
+def of_winter_time_in_summer(rows):
+    return rows.shift(freq="-1h")
+
+
 def by_another_wall(rows):
     return rows.assign(out=rows["out"] + 12.5)
 
@@ -214,6 +218,11 @@ def by_another_wall(rows):
         (unavailable, "problems", "zones.bath.temperature (column T_bath): not available, for 4"),
         (stopped, "problems", "the last reading is 26"),
         (of_another_zone, "problems", "h after the clock"),
+        (
+            of_winter_time_in_summer,
+            "doubts",
+            "min old, and they come more often: is time.zone of the map, UTC, that of",
+        ),
         (kilowatts, "doubts", "kW is likelier than W"),
         (outdoor_fahrenheit, "problems", "°F is likelier, a median of"),
         (by_another_wall, "doubts", "in the sun, at a warm wall"),

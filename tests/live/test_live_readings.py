@@ -63,6 +63,36 @@ def test_clocks_that_differ_by_minutes_are_a_note():
     assert any("2.5 min after the clock" in note or "3 min after the clock" in note for note in told[0].notes)
 
 
+def an_hour_behind(table, at):
+    return table.assign(time=table["time"] - HOUR)
+
+
+def of_each_hour(table, at):
+    return table[table["time"].dt.minute == 0]
+
+
+def silent_for_two_hours(table, at):
+    return table[table["time"] < START + HOUR] if START + HOUR <= at < START + 3 * HOUR else table
+
+
+@pytest.mark.parametrize(
+    ("change", "said"), [(an_hour_behind, [3, 4, 5, 6, 7, 8]), (of_each_hour, []), (silent_for_two_hours, [])]
+)
+def test_a_logger_that_keeps_winter_time_in_summer_is_said(change, said):
+    """A plan bridges the hour for ever, and says only how old the last reading is, as of a logger that stands."""
+    house = SimulatedBuilding()
+    building = LiveBuilding(
+        changed(house, lambda table: change(table, house.at)), MeasurementMap.model_validate(RULES), 900.0
+    )
+    found = []
+    for k in range(9):
+        house.wait_until(START + k * HOUR / 4)
+        building.record(house.at)
+        notes = [note for note in building.left_out if "is not the zone of the stamps, or they are late" in note]
+        found += [k] * len(notes)
+    assert found == said
+
+
 def test_a_row_of_nonsense_stops_nothing():
     def torn(table):
         table = table.astype({"T": object, "time": object})

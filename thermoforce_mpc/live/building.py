@@ -55,6 +55,8 @@ _LATELY_S, _FAR_K, _NEAR_K = 10800.0, 10.0, 4.0
 # Readings stamped after the clock: so little is nothing, so much two clocks that are not the same, s; more is refused,
 # and so much more probably the zone, of half an hour at least less what a reading is old.
 _SAME_CLOCK_S, _CLOCKS_S, _ZONE_S = 60.0, 300.0, 1200.0
+# Steps on end whose new readings are older than the step, from which on that is said.
+_LATE = 3
 # A device that takes whole degrees makes of a temperature one so far from it, K, and one that takes halves, which may
 # repeat what it was told before it says so (Zigbee2MQTT does).
 _ROUNDED_K, _HALVED_K = 0.51, 0.26
@@ -111,6 +113,8 @@ class LiveBuilding:
         self._told: dict[str, LastTold] = {}
         self._rounds = set[str]()  # said already
         self._reverted: dict[str, int] = {}
+        self._looked: tuple[pd.Timestamp, pd.Timestamp] | None = None
+        self._late = 0
         self.connection, self._rules, self._step_s = connection, rules, step_s
         if (reads := getattr(connection, "reads", None)) is not None:
             reads([column for _, signal in rules.signals() for column in signal.columns])
@@ -197,7 +201,8 @@ class LiveBuilding:
             self._call("measurements"), self._rules, step_s=self._step_s, at=instant, now=now
         ).served()
         record = measured.record
-        self.left_out = (*measured.left_out, *self._ahead(measured, now), *self._set_by_hand(measured, now))
+        of_clocks = (*self._ahead(measured, now), *self._behind(measured, now))
+        self.left_out = (*measured.left_out, *of_clocks, *self._set_by_hand(measured, now))
         if paused := self.paused:
             self.left_out = (*self.left_out, paused)
         self._origin = record.origin if self._origin is None else self._origin
@@ -249,12 +254,31 @@ class LiveBuilding:
         what = f"the newest temperature of a room is stamped {newest}, {after}"
         if ahead_s <= _CLOCKS_S:
             return (f"{what}: set one of the clocks",)
-        zone = self._rules.time.zone
-        of_zone = (
-            f"time.zone of the map, {zone}, is not the zone of the stamps" if zone else "the stamps' offset is wrong"
-        )
+        of_zone = self._another_zone
         cause = f"probably {of_zone}" if ahead_s >= _ZONE_S else f"one of the clocks is wrong, or {of_zone}"
         raise DataError(f"{what}: {cause}. Nothing is set on readings of another time")
+
+    @property
+    def _another_zone(self) -> str:
+        zone = self._rules.time.zone
+        return f"time.zone of the map, {zone}, is not the zone of the stamps" if zone else "the stamps' offset is wrong"
+
+    def _behind(self, measured: Measurements, now: pd.Timestamp) -> tuple[str, ...]:
+        """A note where readings come step by step, and are stamped before the last look at them, which had them not.
+
+        A logger that keeps winter time all year is an hour behind in summer; one that stands gives no new ones.
+        """
+        if not math.isfinite(newest_s := measured.newest_s()):
+            return ()
+        newest = measured.record.origin + pd.Timedelta(seconds=newest_s)
+        before, self._looked = self._looked, (newest, now)
+        if before is not None and newest > before[0]:
+            late_s = (before[1] - newest).total_seconds()
+            self._late = self._late + 1 if late_s > _SAME_CLOCK_S else 0
+        if self._late < _LATE:
+            return ()
+        come = "temperatures of rooms come, but stamped before the step in which they came"
+        return (f"{come}: {self._another_zone}, or they are late; plans take the house for what it was then",)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """The forecast from the last `record` on; see `Plant.forecast`."""

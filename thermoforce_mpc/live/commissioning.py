@@ -41,6 +41,8 @@ _LEAST_DAYS, _SHADOW_DAYS = 2.9, 7
 # Readings of fewer steps are a record that has just begun.
 _BEGUN_STEPS = 3.0
 _AHEAD_S = 24 * 3600.0
+# No reading of any point for so long is odd, s: zones differ by half an hour at least.
+_OLD_S = 1200.0
 # Remarks on which nothing is tried: what would be set, or watched, is another thing.
 _BARS = ("rooms swapped", "command is no command", "unit of temperature")
 
@@ -123,7 +125,7 @@ def read_house(building: LiveBuilding, rules: MeasurementMap, now: pd.Timestamp)
     points = read_points(table, rules, now)
     problems = [f"{point.key} (column {point.column}): {point.problem}" for point in points if point.problem]
     doubts = [f"{point.key} (column {point.column}): {doubt}" for point in points for doubt in point.doubts]
-    doubts += _of_clock(building, rules, now)
+    doubts += [*_of_clock(building, rules, now), *_of_ages(points, rules)]
     measured, bounds = None, dict[str, tuple[float, float]]()
     if not any(not point.values.size for point in points):  # else it cannot be read as a whole
         try:
@@ -152,6 +154,16 @@ def _of_clock(building: LiveBuilding, rules: MeasurementMap, now: pd.Timestamp) 
     if all(day.tz_convert(zone).utcoffset() == day.tz_convert(home).utcoffset() for day in days):
         return []
     return [f"time.zone of the map is {zone}, the home's is {home}: hours of comfort and of prices are by the map's"]
+
+
+def _of_ages(points: Sequence[LivePoint], rules: MeasurementMap) -> list[str]:
+    """What is odd of the ages of readings: that all are old, where each point has new ones more often."""
+    every_s = [point.every_s for point in points if math.isfinite(point.every_s)]
+    age_s = min((point.age_s for point in points if point.values.size), default=0.0)
+    if not every_s or not age_s > max(_OLD_S, 3.0 * float(np.median(every_s))):
+        return []
+    of_zone = f"is time.zone of the map, {rules.time.zone or 'UTC'}, that of the stamps, or does the logger stand?"
+    return [f"the newest reading of all is {age_s / 60.0:.0f} min old, and they come more often: {of_zone}"]
 
 
 def _of_record(measured: Measurements) -> list[tuple[str, str]]:
