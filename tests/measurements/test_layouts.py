@@ -568,7 +568,40 @@ def knx_in_german(folder: Path) -> list[Path]:
     return [folder / "ets6.csv"]
 
 
+def victron(folder: Path) -> list[Path]:
+    """Three lines above: devices, names with the zone of the stamps, units."""
+    names = ("Living temperature", "Bath temperature", "Outdoor temperature", "Living valve", "Bath valve", "Power")
+    lines = [
+        ["timestamp", *(f"Sensor [{k}]" for k in range(24, 30))], [f"{ZONE} (+01:00)", *names],
+        ["", "°C", "°C", "°C", "%", "%", "W"],
+    ]  # fmt: skip
+    stamps = local("%Y-%m-%d %H:%M:%S")
+    lines += [[stamps[k], *map(str, row)] for k, row in enumerate(HOUSE.to_numpy())]
+    text = "\n".join(",".join(f'"{cell}"' for cell in line) for line in lines)
+    (folder / "vrm.csv").write_text(text + "\n", encoding="utf-8")
+    return [folder / "vrm.csv"]
+
+
+def smartthings(folder: Path) -> list[Path]:
+    """A device has several attributes, in °F by a column of units, with a clock of 12 hours."""
+    of = {
+        "living": ("Living Thermostat", "temperature"), "v_living": ("Living Thermostat", "valve"),
+        "bath": ("Bath Thermostat", "temperature"), "v_bath": ("Bath Thermostat", "valve"),
+        "out": ("Outdoor Sensor", "temperature"), "power": ("Heat Pump", "power"),
+    }  # fmt: skip
+    parts = []
+    for name, (device, attribute) in of.items():
+        unit = {"temperature": "F", "valve": "%", "power": "W"}[attribute]
+        value = np.round(1.8 * HOUSE[name].to_numpy() + 32, 2) if unit == "F" else HOUSE[name].to_numpy()
+        told = {"Date": local("%m/%d/%Y %I:%M:%S %p"), "Device": device, "Attribute": attribute, "Value": value}
+        parts.append(pd.DataFrame(told | {"Unit": unit}))
+    pd.concat(parts).sort_index(kind="stable").to_csv(folder / "events.csv", index=False)
+    return [folder / "events.csv"]
+
+
 LAYOUTS = (
+    victron,
+    smartthings,
     nest,
     telegraf,
     knx_in_german,

@@ -61,7 +61,7 @@ _POINT = re.compile(
     r"(?i)^(entity_?id|statistic_?id|metadata_?id|point|point.?(name|id)|name|sensor|sensor.?(name|id)|tag|tag.?name|device.*|"
     r"topic|signal|variable|metric|parameter|channel|object.?name|object|item|id|series|datapoint|data.?point|measurement|"
     r"register|messstelle|datenpunkt|kanal|bezeichnung|messpunkt|capteur|grandeur|mesure|punt|meetpunt|naam|nom|room|_field|"
-    r"_measurement|field|nombre|nome|punto|trend|trendlog|quantity|key|path|name.path.reference|address|source|ort|raum|type|kind)$"
+    r"_measurement|field|nombre|nome|punto|trend|trendlog|quantity|key|path|name.path.reference|address|source|ort|raum|type|kind|attribute?|capability|property|eigenschaft)$"
 )
 _VALUE = re.compile(
     r"(?i)^(value|payload|arvo|värde|vaerdi|værdi|verdi|state|_value|mean|wert|messwert|valeur|valore|valor|waarde|meetwaarde|reading|val|present.?value|object.?value|data|sum|"
@@ -76,7 +76,7 @@ _DEVICE_COLUMN = re.compile(
 )
 _QUANTITY_COLUMN = re.compile(
     r"(?i)^(reading|parameter|quantity|variable|metric|measurement|channel|kanal|field|data.?point|datapoint|grandeur|"
-    r"mesure|sensor|signal|object.?name|register)$"
+    r"mesure|sensor|signal|object.?name|register|attribute?|attribut|capability|property|eigenschaft)$"
 )
 _UNIT_COLUMN = re.compile(r"(?i)^(unit|units|unit_of_measurement|uom|einheit|unité|unite|eenheid|enhet|enhed|yksikkö)$")
 # Stamps without a year, as EnergyPlus writes them, and the year that is taken: 2017, like its own, began on a Sunday.
@@ -111,6 +111,7 @@ _CALLED = (
     ("E[SD]T", "America/New_York"),
     ("C[SD]T", "America/Chicago"), ("M[SD]T", "America/Denver"), ("P[SD]T", "America/Los_Angeles"),
 )  # fmt: skip
+_ZONE_OFFSET = re.compile(r"[A-Za-z_]+/[A-Za-z_]+ ?\([+-]\d{2}:\d{2}\)")
 _TIME_ZONE = re.compile(r"(?i)time.?zone(?!.?abbr)|zeitzone|tijdzone|fuseau( horaire)?|zona horaria|fuso orario")
 _BETWEEN = (" ", ", ", "T", " - ", ":")
 # Days since 30 December 1899, as spreadsheets count them, of the years 2000 to 2050.
@@ -451,8 +452,8 @@ def _numeric(cell: str) -> bool:
 
 
 def _stamp(cell: str) -> bool:
-    """Whether a cell looks like a date, a time of day, or both."""
-    return bool(
+    """Whether a cell looks like a date, a time of day, or both, and not like a zone, as 'Europe/Berlin (+01:00)'."""
+    return not _ZONE_OFFSET.search(cell) and bool(
         re.search(r"\d{4}-\d{2}-\d{2}|\d{1,2}[./-]\d{1,2}[./-]\d{2,4}|\d{4}/\d{2}/\d{2}|\d{1,2}:\d{2}", cell)
         or re.search(r"(?<!\w)\d{1,2}[ .-]+[A-Za-zäûé]{3,9}[ .-]+\d{2,4}", cell)
     )
