@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from functools import partial
 
 import numpy as np
@@ -93,6 +94,7 @@ def test_people_change_the_building_and_nobody_announces_them(name):
     for field in ("T_out_C", "solar_W_m2", "occupancy", "lower_C", "upper_C"):
         np.testing.assert_array_equal(*(getattr(boundary, field) for boundary in told))
     assert np.abs(usual.past(HOUR_S).T_zone_C - lively.past(HOUR_S).T_zone_C).max() > 0.1
+    copy.deepcopy(lively).advance(None, 900.0)
     assert len(STEPPED_BY[name].advance.signatures) == 1, "compiled anew, for seconds: for arrays that may be written?"
 
 

@@ -366,6 +366,12 @@ class BranchingShell(PlantShell):
     # Names of what changes as time goes on.
     _changing: tuple[str, ...] = ("_now_s", "_begin_s", "_start_s", "_price", "_samples", "_counted")
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """A copy that goes on by itself. It shares building and weather: numba compiles anew for copies of arrays."""
+        other = copy.copy(self)
+        other.restore(self.snapshot())
+        return other
+
     def snapshot(self) -> Snapshot:
         """Return a snapshot, to restore or branch from."""
         return Snapshot({name: copy.deepcopy(getattr(self, name)) for name in self._changing})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 from concurrent.futures import ThreadPoolExecutor
 
@@ -115,7 +116,7 @@ def test_an_advance_is_sampled_evenly_and_at_its_end(plant):
 def test_branches_of_a_snapshot_share_the_past_to_the_bit(plant):
     plant.reset(3 * DAY_S, DAY_S)
     plant.advance(0.5, 3600)
-    here = plant.snapshot()
+    here, other = plant.snapshot(), copy.deepcopy(plant)
     a = [plant.advance(0.0, 900).T_zone_C[0] for _ in range(8)]
     plant.restore(here)
     b = [plant.advance(1.0, 900).T_zone_C[0] for _ in range(8)]
@@ -123,6 +124,7 @@ def test_branches_of_a_snapshot_share_the_past_to_the_bit(plant):
     again = [plant.advance(0.0, 900).T_zone_C[0] for _ in range(8)]
     assert a == again
     assert b[-1] > a[-1]
+    assert [other.advance(0.0, 900).T_zone_C[0] for _ in range(8)] == a, "a copy goes on by itself"
 
 
 @pytest.mark.slow
