@@ -24,14 +24,19 @@ def on_dates(time_s: Array, origin: pd.Timestamp | None) -> Any:
     return (begins + pd.to_timedelta(time_s, unit="s")).to_numpy()
 
 
-def label_dates(axes: Axes, at: Any, origin: pd.Timestamp | None) -> None:
-    """Days, or hours of them, below `axes`, and from when to when `at` (n,) is."""
+def date_ticks(axes: Axes, *, years: bool = True) -> None:
+    """Days, or hours of them, below `axes`, which are of times."""
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
     dates = AutoDateLocator(minticks=3, maxticks=8)
-    begins = ["", "%b" if origin is None else "%b %Y", "%d %b", "%d %b", "%H:%M", "%H:%M"]
+    begins = ["", "%b %Y" if years else "%b", "%d %b", "%d %b", "%H:%M", "%H:%M"]
     axes.xaxis.set_major_locator(dates)
     axes.xaxis.set_major_formatter(ConciseDateFormatter(dates, formats=_LABELS, zero_formats=begins, show_offset=False))
+
+
+def label_dates(axes: Axes, at: Any, origin: pd.Timestamp | None) -> None:
+    """Days, or hours of them, below `axes`, and from when to when `at` (n,) is."""
+    date_ticks(axes, years=origin is not None)
     axes.set_xlim(at[0], at[-1])
     first, last = (pd.Timestamp(one) for one in at[[0, -1]])
     zone = "" if origin is None or origin.tz is None else f", standard time of {origin.tz}"

@@ -284,10 +284,14 @@ def test_a_plan_of_several_zones_has_a_column_for_each(tmp_path):
     table = plan_table(plan, ahead)
     assert table["upper_C[hall]"].tolist() == [24.0] * n
     np.testing.assert_allclose(table["cost"], 0.5 * price[0, :-1])
-    levels, temperatures = (
-        len(axes.get_legend_handles_labels()[1]) for axes in drawn_plan(plan, table, ahead).axes[1::-1]
-    )
-    assert (temperatures, levels) == (2, 2)
+    row = {"actuator": "floor", "from": at.isoformat(), "until": (at + pd.Timedelta("1h")).isoformat()}
+    left = row | {"from": row["until"], "until": (at + pd.Timedelta("3h")).isoformat(), "value": None, "unit": "°C"}
+    drawn = drawn_plan(plan, table, ahead, [row | {"value": 21.5, "unit": "°C"}, left])
+    assert [len(axes.get_legend_handles_labels()[1]) for axes in drawn.axes[:3]] == [2, 1, 2]
+    (steps,) = drawn.axes[1].lines
+    np.testing.assert_array_equal(np.asarray(steps.get_ydata()), [21.5, np.nan, np.nan])
+    assert drawn.axes[1].get_ylabel() == "set, °C"
+    assert drawn.axes[0].lines[1].get_drawstyle() == "steps-post", "bounds hold until they change"
 
 
 def test_what_may_not_act_has_no_level_and_its_room_no_temperature():

@@ -14,6 +14,7 @@ from thermoforce_mpc.data import Array, Names
 from thermoforce_mpc.data.dataframes import column, seconds_at
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.files import read_bounded, write_json, write_whole, written
+from thermoforce_mpc.whatif.dates import date_ticks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,8 +96,9 @@ def on_clock(index: pd.Index[Any]) -> np.ndarray[Any, Any]:
 
 
 def finish_axes(figure: Figure) -> None:
-    """A grid and a legend in the upper axes, and times below that do not run into one another."""
-    upper, *_ = axes = figure.axes
+    """A grid and a legend in the upper axes, and days and hours below."""
+    upper, *_ = figure.axes
     upper.grid(alpha=0.3)
     upper.legend(frameon=False, fontsize="small")
-    axes[-1].tick_params(axis="x", rotation=20)
+    if upper.xaxis.have_units():  # else they are seconds
+        date_ticks(upper)

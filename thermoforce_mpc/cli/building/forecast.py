@@ -155,16 +155,17 @@ def _drawn(prediction: Prediction, truth: Array) -> Figure:
     from matplotlib.figure import Figure
 
     at = on_clock(prediction.to_dataframe().index)
-    figure = Figure(figsize=(9.0, 4.4), layout="constrained")
-    axes, (low_C, high_C) = figure.subplots(), prediction.band_C
+    figure = Figure(figsize=(9.0, 5.6), layout="constrained")
+    (axes, below), (low_C, high_C) = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1]), prediction.band_C
     for z, zone in enumerate(prediction.names.zones):
         colour = f"C{z % 10}"
         axes.fill_between(at, low_C[z], high_C[z], color=colour, alpha=0.2, linewidth=0)
         axes.plot(at, prediction.total_C[z], color=colour, label=f"{zone}, forecast")
-        axes.plot(at, prediction.free_C[z], color=colour, linestyle=":", label=f"{zone}, without control")
+        below.plot(at, prediction.free_C[z], color=colour)
         measured = "measured" if z == 0 and np.isfinite(truth).any() else None
         axes.plot(at, truth[z], color="#1b1f24", linewidth=1.0, label=measured)
     axes.set_ylabel("temperature, °C")
+    below.set_ylabel("without\ncontrol, °C")
     finish_axes(figure)
     return figure
 

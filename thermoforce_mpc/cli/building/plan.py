@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,8 +35,10 @@ from thermoforce_mpc.measurements.map.mapping import MOST_STEP_S
 from thermoforce_mpc.report.display import RunDisplay
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
+from thermoforce_mpc.whatif.dates import date_ticks
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from controllers.mpc.config import MPCConfig
@@ -186,7 +188,7 @@ def plan(
             }
         write_table(out, table, display.console, "Plan", **beside)
     if plot is not None:
-        write_picture(plot, drawn_plan(plan, table, ahead.head(plan.u.shape[1])), display.console)
+        write_picture(plot, drawn_plan(plan, table, ahead.head(plan.u.shape[1]), found), display.console)
 
 
 def _seconds(step: str) -> float:
@@ -364,38 +366,66 @@ def _left_out(plan: Plan, zones_told: NDArray[np.bool_], machines_told: NDArray[
     )
 
 
-def drawn_plan(plan: Plan, table: pd.DataFrame, ahead: Boundary) -> Figure:
-    """A picture: predicted temperatures with band and bounds, levels with the price."""
+def drawn_plan(plan: Plan, table: pd.DataFrame, ahead: Boundary, commands: Sequence[Mapping[str, Any]] = ()) -> Figure:
+    """A picture: predicted temperatures with band and bounds, `commands` to set (`command_rows`), levels with the
+    price, and temperatures without any action.
+    """
     from matplotlib.figure import Figure
 
     names = plan.names
     at = on_clock(table.index)
     edges = np.append(at, at[-1] + (at[-1] - at[-2]))
-    figure = Figure(figsize=(10.0, 7.0), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    units = list(dict.fromkeys(row["unit"] for row in commands if row["value"] is not None))
+    figure = Figure(figsize=(10.0, 7.5 + 1.5 * len(units)), layout="constrained")
+    upper, *of_units, middle, lower = figure.subplots(
+        3 + len(units), 1, sharex=True, height_ratios=[6, *[3 for _ in units], 4, 2]
+    )
     for z, zone in enumerate(names.zones):
         if table[names.label("T_zone_C", z)].isna().all():  # its own control acts
             continue
+        colour = f"C{z % 10}"
         label = {name: table[names.label(name, z)] for name in ("T_zone_C", "T_low_C", "T_high_C")}
-        upper.fill_between(edges[1:], label["T_low_C"], label["T_high_C"], color=f"C{z % 10}", alpha=0.2, linewidth=0)
-        upper.plot(edges[1:], label["T_zone_C"], color=f"C{z % 10}", label=zone)
-        upper.plot(edges[1:], plan.T_free_C[z], color=f"C{z % 10}", linestyle="--", linewidth=0.8)
-        for bound in (ahead.lower_C[z, 1:], ahead.upper_C[z, 1:]):
-            upper.plot(edges[1:], bound, color=f"C{z % 10}", linewidth=0.7, linestyle=":")
-    upper.set_ylabel("zone temperature, °C")
-    upper.set_title("Plan with its 80 % band; dashed: control-free; dotted: bounds", loc="left", fontsize="medium")
-    if len(names.zones) > 1:
-        upper.legend(frameon=False, ncols=5, fontsize="small")
+        upper.fill_between(edges[1:], label["T_low_C"], label["T_high_C"], color=colour, alpha=0.2, linewidth=0)
+        upper.plot(edges[1:], label["T_zone_C"], color=colour, label=zone)
+        lower.plot(edges[1:], plan.T_free_C[z], color=colour, linewidth=0.9)
+        for bound in (ahead.lower_C[z], ahead.upper_C[z]):
+            upper.step(edges, bound, where="post", color=colour, linewidth=0.7, linestyle=":")
+    upper.set_ylabel("temperature, °C")
+    upper.set_title("Plan with its 80 % band; dotted: bounds", loc="left", fontsize="medium")
+    for axes, unit in zip(of_units, units, strict=True):
+        _draw_commands(axes, [row for row in commands if row["unit"] == unit], unit)
     for a, actuator in enumerate(names.actuators):
         if not plan.followed[a]:
             continue
-        lower.stairs(plan.u[a], edges, color=f"C{a % 10}", fill=len(names.actuators) == 1, alpha=0.6, label=actuator)
-    lower.set_ylabel("level u")
-    lower.set_ylim(min(0.0, float(plan.u.min())) * 1.05, 1.05)
-    price = lower.twinx()
-    price.stairs(ahead.price_per_kWh[0, :-1], edges, color="tab:green", baseline=None)
-    price.set_ylabel("price per kWh", color="tab:green")
-    if len(names.actuators) > 1:
-        lower.legend(frameon=False, ncols=5, fontsize="small")
-    lower.tick_params(axis="x", rotation=20)
+        middle.stairs(plan.u[a], edges, color=f"C{a % 10}", fill=len(names.actuators) == 1, alpha=0.6, label=actuator)
+    middle.set_ylabel("level u")
+    middle.set_ylim(min(0.0, float(plan.u.min())) * 1.05, 1.05)
+    price = middle.twinx()
+    price.stairs(ahead.price_per_kWh[0, :-1], edges, color="0.4", linestyle="--", baseline=None)
+    price.set_ylabel("price per kWh, dashed", color="0.4")
+    lower.set_ylabel("without\naction, °C")
+    for axes, several in ((upper, names.zones), (middle, names.actuators)):
+        if len(several) > 1:
+            _legend_above(axes)
+    if upper.xaxis.have_units():
+        date_ticks(upper)
     return figure
+
+
+def _draw_commands(axes: Axes, commands: Sequence[Mapping[str, Any]], unit: str) -> None:
+    """What to set each actuator to, as it is held; nothing where it is left to itself."""
+    names = list(dict.fromkeys(row["actuator"] for row in commands))
+    for k, name in enumerate(names):
+        rows = [row for row in commands if row["actuator"] == name]
+        held = [np.nan if row["value"] is None else float(row["value"]) for row in rows]
+        ends = [pd.Timestamp(row["from"]) for row in rows] + [pd.Timestamp(rows[-1]["until"])]
+        axes.step(on_clock(pd.DatetimeIndex(ends)), [*held, held[-1]], where="post", color=f"C{k % 10}", label=name)
+    axes.set_ylabel(f"set, {unit}" if unit else "set")
+    _legend_above(axes)
+
+
+def _legend_above(axes: Axes) -> None:
+    """A legend where it hides no course."""
+    axes.legend(
+        frameon=False, ncols=5, fontsize="small", loc="lower right", bbox_to_anchor=(1.0, 0.98), borderaxespad=0.0
+    )
