@@ -222,15 +222,15 @@ def _joined(
     at, offset = pd.concat([part.at for part in parts], ignore_index=True), np.concatenate([p.offset for p in parts])
     lines = np.concatenate([np.asarray(one.line) for one in tables])
     codes = [one.codes for one in tables if one.codes is not None]
-    keep = np.ones(len(at), dtype=bool)
+    keep = _with_times(at, offset, latest, lines, left, in_order=not text.table.points)
     if now is not None:
         signal = np.concatenate(codes) if codes else np.zeros(len(at), dtype=np.int32)
         wall = now.tz_convert(text.clock.zone).tz_localize(None).tz_localize("UTC") if text.clock.zone else now
         latest_s = np.where(offset, now.timestamp(), wall.timestamp() + _HOUR_TWICE_S) + _CLOCKS_S
-        keep = ~_before_set_back(at, signal, latest_s)
-        for row in np.flatnonzero(~keep):
+        wrong = np.flatnonzero(keep)[_before_set_back(at[keep], signal[keep], latest_s[keep])]
+        for row in wrong:
             left.add("stamped after the clock, which was set back since", int(lines[row]), _second(at.iloc[row]))
-    keep[keep] = _with_times(at[keep], offset[keep], latest, lines[keep], left, in_order=not text.table.points)
+        keep[wrong] = False
     if not keep.any():
         return None
     if text.clock.unit is not None or text.clock.zone is None:
