@@ -558,9 +558,12 @@ def telegraf(folder: Path) -> list[Path]:
 
 
 def knx_in_german(folder: Path) -> list[Path]:
-    """ETS 6: tabs and quotes, senders named before what they send to."""
+    """ETS 6: tabs and quotes, senders named before what they send to, telegrams that ask beside those that tell."""
     (file,) = knx(folder)
     df = pd.read_csv(file, sep=";", dtype=str).rename(columns={"Time": "Zeit", "Destination Name": "Zielname"})
+    df["Typ"] = "GroupValueWrite"
+    asks = df[df["Zeit"] == df["Zeit"].iloc[0]].assign(Zeit="13.01.2026 10:01:00", Typ="GroupValueRead", Info="")
+    df = pd.concat([df, asks], ignore_index=True)
     df.insert(1, "Service", "vom Bus")
     df.insert(3, "Quellname", np.where(np.arange(len(df)) % 2, "Aktor", "Sensor"))
     df.insert(0, "#", np.arange(len(df)))

@@ -36,6 +36,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     bad_status,
     known_column,
     of_one_signal,
+    questions,
     raw_table,
     readings_table,
     with_numbers,
@@ -324,7 +325,11 @@ def _of_readings(
     code_of = {name: k for k, name in enumerate(dict.fromkeys(wanted))}
     at: list[pd.Series] = []
     for df, line in part.frames(list(dict.fromkeys(told)), _ROWS_AT_ONCE):
-        piece = readings_table(df, keys or None, table, str(part.path), line, form.decimal, wanted, units)
+        lines: int | NDArray[np.int64] = line
+        if (asks := questions(df, table)).any():
+            lines = (line + np.arange(len(df)) if isinstance(line, int) else line)[~asks]
+            df = df[~asks].reset_index(drop=True)
+        piece = readings_table(df, keys or None, table, str(part.path), lines, form.decimal, wanted, units)
         piece = piece.with_instants()
         assert piece.codes is not None
         for k, name in enumerate(piece.points):
@@ -334,9 +339,9 @@ def _of_readings(
         codes = np.array([code_of.get(name, -1) for name in piece.points], dtype=np.int32)[piece.codes]
         ours = codes >= 0
         at.append(piece.stamps)
-        lines = piece.line[ours] if not isinstance(piece.line, int) else piece.line + np.flatnonzero(ours)
+        ours_at = piece.line[ours] if not isinstance(piece.line, int) else piece.line + np.flatnonzero(ours)
         stamps_of = piece.stamps[ours].reset_index(drop=True)
-        pieces.append((stamps_of, piece.columns[""][ours], lines, codes[ours]))
+        pieces.append((stamps_of, piece.columns[""][ours], ours_at, codes[ours]))
     stamps_of_all = [piece[0] for piece in pieces]
     if len({str(one.dtype) for one in at}) > 1:  # some stamps are of another form: messages name them
         stamps_of_all, at = [one.astype(str) for one in stamps_of_all], []

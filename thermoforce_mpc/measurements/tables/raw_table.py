@@ -44,6 +44,8 @@ OFFSET = "(?:[+-][0-9]{2}(?::?[0-9]{2})?|Z) *$"
 _LOOKED_AT, _MOST_WORDS, _SHOWN_WORDS = 50, 20, 4
 # One that says a state or mode.
 _WORD = re.compile(r"\s*[^\W\d_][^\W\d]*(?:[ -][^\W\d]+)*\s*")
+QUESTION = "GroupValueRead"
+"""What a telegram of KNX is that asks for a reading."""
 MOST_BESIDE = 2000
 """So many readings are kept of a signal that nobody asked for: what it is can be told from them."""
 _NONE = frozenset((*MISSING, "", "nan", "null", "none", "n/a", "na"))
@@ -140,6 +142,8 @@ def tables_of(
     df = in_units(df, units)
     if form.point is None:
         return [raw_table(df, stamps, wanted, name, 1 if lines is None else lines, units=units)]
+    if (asks := questions(df, form)).any():
+        df, lines = df[~asks], (np.arange(1, len(df) + 1) if lines is None else lines)[~asks]
     table = readings_table(df, stamps, form, name, wanted=wanted, units=units)
     for key in wanted if strict else ():
         known_column(key, pd.Index(table.points), name)
@@ -221,6 +225,13 @@ def of_one_signal(table: RawTable, name: str, columns: dict[str, Array]) -> RawT
     """A table of one column as one of readings, each row a reading of the signal `name`."""
     codes = np.zeros(len(table.stamps), dtype=np.int32)
     return replace(table, columns={"": columns[name]}, points=(name,), codes=codes)
+
+
+def questions(df: pd.DataFrame, form: TableForm) -> NDArray[np.bool_]:
+    """Which rows (n,) of a bus monitor ask for a reading, and hold none (`QUESTION` in the column of status)."""
+    if form.status is None or form.status not in df:
+        return np.zeros(len(df), dtype=bool)
+    return np.asarray(df[form.status].astype(str).str.strip() == QUESTION)
 
 
 def bad_status(df: pd.DataFrame, form: TableForm) -> NDArray[np.bool_]:

@@ -31,6 +31,7 @@ from thermoforce_mpc.measurements.tables.files import (
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, each_column
 from thermoforce_mpc.measurements.tables.raw_table import (
     ISO,
+    QUESTION,
     SWITCH,
     as_numbers,
     quantity_of,
@@ -827,7 +828,9 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
                 continue  # another column tells it already
             point.append(more)
             unique = head[[*point, *[c for c in of_stamps if c in head.columns]]].duplicated().mean() < 0.05
-    status = next((c for c in columns if c.lower() in ("status", "quality", "reliability") and c not in value), None)
+    asking = [c for c in columns if not _numbers(head[c]) and (head[c] == QUESTION).any()]
+    known = [c for c in columns if c.lower() in ("status", "quality", "reliability") and c not in value]
+    status = next(iter(asking + known), None)
     return TableForm(
         point=point[0] if len(point) == 1 else tuple(point),
         value=value[0] if len(value) == 1 else tuple(value),
