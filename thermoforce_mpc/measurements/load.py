@@ -321,25 +321,8 @@ def _from_table(
     refuse: bool,
 ) -> Measurements:
     names, layout = rules.names, rules.layout
-    origin = new_year(table.index, tables[0].name)
-    if isinstance(at, pd.Timestamp) and origin.tz is None:
-        raise ConfigError("map: time.zone: name the zone of the time stamps; the clock has one")
-    time_s = seconds_since(origin, table.index, tables[0].name)
     rows_every_s = table.every_s
-    if step_s is None:
-        step_s = pd.Timedelta(rules.step).total_seconds() if rules.step else _step_s(rows_every_s)
-    if not LEAST_STEP_S <= step_s <= MOST_STEP_S:
-        raise DataError(f"step_s: {step_s:g} s; the step of a record lies between 1 min and 1 h")
-    if isinstance(at, pd.Timestamp):
-        at_s = seconds_at(origin, at, "at")
-        grid_s = _grid_s(time_s, rows_every_s, step_s, at_s, until_s=at_s)
-    else:
-        grid_s = _grid_s(time_s, rows_every_s, step_s, _at_s(time_s, rows_every_s, step_s, at))
-    if grid_s.size < _LEAST_STEPS + 1:
-        raise DataError(
-            f"{tables[0].name}: {counted(len(time_s), 'row')} from {table.index[0]} to {table.index[-1]} make "
-            f"fewer than {_LEAST_STEPS} steps of {step_s:g} s; give more rows, or a shorter step"
-        )
+    origin, time_s, grid_s, step_s = _grid_of(table, tables[0].name, rules, rows_every_s, step_s, at)
     reader = SignalReader(table, time_s, grid_s, step_s, rules, refuse=refuse)
     zones, actuators, machines = rules.zones.items(), rules.actuators.items(), rules.machines.items()
     T_zone = np.array([reader.sampled(f"zones.{name}.temperature", z.temperature, readings.ZONE) for name, z in zones])
@@ -390,8 +373,16 @@ def _from_table(
     )
     if refuse:
         _check_bounds(set_by, layout, conditions, tables[0].name)
-    instants = stamps(grid_s, origin)
     zone = "" if table.index.tz is None else str(table.index.tz)
+    notes = (
+        *table.notes,
+        *of_clock(zone, rows_every_s, step_s, by_hour=rules.comfort is not None and rules.comfort.by_hour),
+        *of_sun,
+        *of_levels,
+        *of_changes(reader.on_change),
+        *dict.fromkeys(reader.coarse),
+    )
+    instants = stamps(grid_s, origin)
     understood = Understood(
         tuple(dict.fromkeys(t.name for t in tables)),
         sum(len(t.stamps) for t in tables) if table.own else len(time_s),
@@ -402,17 +393,46 @@ def _from_table(
         rows_every_s,
         step_s,
         (*reader.summaries, *of_tank),
-        (
-            *table.notes,
-            *of_clock(zone, rows_every_s, step_s, by_hour=rules.comfort is not None and rules.comfort.by_hour),
-            *of_sun,
-            *of_levels,
-            *of_changes(reader.on_change),
-            *dict.fromkeys(reader.coarse),
-        ),
+        notes,
         missing(rules, record, conditions),
     )
     return Measurements(record, layout, conditions, understood, rules, commands=commands, windows=windows, tank=tank)
+
+
+def _grid_of(
+    table: Timed,
+    name: str,
+    rules: MeasurementMap,
+    rows_every_s: float,
+    step_s: float | None,
+    at: pd.Timestamp | Literal["begin", "end"],
+) -> tuple[pd.Timestamp, Array, Array, float]:
+    """The origin of a record of a table called `name`, seconds since it of the rows (n,) and of the boundaries of the
+    record's steps (N + 1,), and its step, s; `step_s` and `at` as of `read_measurements`, rows `rows_every_s` apart.
+
+    Raises:
+        ConfigError: `at` names an instant, and the map no zone.
+        DataError: the step is not between 1 min and 1 h, or too few steps are there.
+    """
+    origin = new_year(table.index, name)
+    if isinstance(at, pd.Timestamp) and origin.tz is None:
+        raise ConfigError("map: time.zone: name the zone of the time stamps; the clock has one")
+    time_s = seconds_since(origin, table.index, name)
+    if step_s is None:
+        step_s = pd.Timedelta(rules.step).total_seconds() if rules.step else _step_s(rows_every_s)
+    if not LEAST_STEP_S <= step_s <= MOST_STEP_S:
+        raise DataError(f"step_s: {step_s:g} s; the step of a record lies between 1 min and 1 h")
+    if isinstance(at, pd.Timestamp):
+        at_s = seconds_at(origin, at, "at")
+        grid_s = _grid_s(time_s, rows_every_s, step_s, at_s, until_s=at_s)
+    else:
+        grid_s = _grid_s(time_s, rows_every_s, step_s, _at_s(time_s, rows_every_s, step_s, at))
+    if grid_s.size < _LEAST_STEPS + 1:
+        raise DataError(
+            f"{name}: {counted(len(time_s), 'row')} from {table.index[0]} to {table.index[-1]} make "
+            f"fewer than {_LEAST_STEPS} steps of {step_s:g} s; give more rows, or a shorter step"
+        )
+    return origin, time_s, grid_s, step_s
 
 
 def _tank_record(
