@@ -150,7 +150,8 @@ def lent(controller: Controller | type) -> Iterator[str]:
 
     Raises `ControllerConfigError` where it cannot be used, or its name is that of another controller.
     """
-    name = str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
+    told = getattr(controller, "name", None)  # of a class it may be a property
+    name = told if isinstance(told, str) and told else getattr(controller, "__name__", type(controller).__name__)
     if name in REGISTRY or name in _lent:
         raise ControllerConfigError(f"controller '{name}' is there already: give yours another `name`")
     if isinstance(controller, type):

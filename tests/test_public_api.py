@@ -13,10 +13,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from places import ROOT
+from simple_house import simple_model
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.data import DAY_S, PlanStatus
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
@@ -246,6 +247,28 @@ def test_what_is_no_observation_model_or_options_is_refused_by_name(tables):
         tf.ThermoForceMPC("my_house")
     with pytest.raises(DataError, match="runs: one of them is of class str, expected Record"):
         tf.identify(tables[0])
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda r, m: tf.verified_saving(r, "after.csv"), "after is of class str, expected Record"),
+        (lambda r, m: tf.counterfactual("my_house", r, 0.5, start=0.0), "model is of class str, expected ThermalModel"),
+        (lambda r, m: tf.counterfactual(m, r, "off", start=0.0), r"levels \(u\): could not convert string"),
+        (lambda r, m: tf.counterfactual(m, r, np.ones((2, 4)), start=r.time_s[9]), r"\(2, 4\), expected \(1, 4\)"),
+        (lambda r, m: tf.counterfactual(m, r, 0.5, start=0.0, hours=float("nan")), "hours is nan"),
+        (lambda r, m: m.predict("room.csv", None, 0.5), "record is of class str, expected Record"),
+        (lambda r, m: tf.read_forecast("f.csv", r), r"measured is of class Record, expected Measurements: read_meas"),
+        (lambda r, m: tf.Plan((), "ok", "why"), "plan: status is 'ok', expected one of solved, bridged"),
+    ],
+)
+def test_what_a_program_mistakes_is_named(tables, call, words):
+    with pytest.raises(DataError, match=words):
+        call(tf.Record.from_dataframe(tables[0], **NAMES), simple_model())
+
+
+def test_the_status_of_a_plan_may_be_its_word():
+    assert tf.Plan((), "rule", "why").status is PlanStatus.RULE
 
 
 def test_a_forecast_needs_the_step_of_its_record(tables):

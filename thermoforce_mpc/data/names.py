@@ -104,6 +104,14 @@ def frozen(value: object, name: str, length: int, names: Names) -> Array:
     return array
 
 
+def numbers(values: object, what: str) -> Array:
+    """`values` as an array; raises `DataError` where they hold what is no number, or rows of several lengths."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise DataError(f"{what}: {error}: expected a number, or an array of numbers") from error
+
+
 def _unchangeable(value: object) -> TypeGuard[Array]:
     """Whether nobody can change `value`, an array, any more: it need not be copied."""
     if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.flags.writeable:

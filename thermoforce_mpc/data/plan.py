@@ -230,6 +230,9 @@ class Plan:
     ends: str = ""
 
     def __post_init__(self) -> None:
+        if self.status not in list(PlanStatus):
+            raise DataError(f"plan: status is {self.status!r}, expected one of {', '.join(PlanStatus)}")
+        object.__setattr__(self, "status", PlanStatus(self.status))
         if not self.acting:
             object.__setattr__(self, "acting", (self.status,) * len(self.names.actuators))
         for name in _PLANNED:

@@ -21,7 +21,7 @@ from thermoforce_mpc.data.clock import in_celsius, in_fahrenheit
 from thermoforce_mpc.data.dataframes import clock_s, days_before_s, new_year, seconds_since, stamps
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H
 from thermoforce_mpc.data.series import at_instants
-from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.errors import ConfigError, DataError, check_kind
 from thermoforce_mpc.measurements.load import Measurements, sunlight
 from thermoforce_mpc.measurements.map.mapping import (
     MappedMachine,
@@ -234,6 +234,7 @@ def read_forecast(
     end of the record or ends before it, outdoor temperatures that go on from the record in another unit only, and a
     column without any value.
     """
+    check_kind(measured, Measurements, "measured", "read_measurements(...).served() gives them")
     sources = _Sources.of(measured, prices)
     notes = [] if left_out is None else left_out
     rows, name = _rows(file, sources, now, notes)

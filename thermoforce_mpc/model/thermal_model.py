@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, SINGLE, Array, Boundary, Layout, Names, Observation, Record
 from thermoforce_mpc.data.limits import EFFECT_K
-from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.errors import ArtifactError, DataError
+from thermoforce_mpc.data.names import check_same_building, numbers
+from thermoforce_mpc.errors import ArtifactError, DataError, check_kind
 from thermoforce_mpc.model.card import UNTOLD_SD, ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
@@ -336,9 +336,10 @@ class ThermalModel:
             DataError: `u` has another shape or leaves [0, 1], the record is of another building or cannot be split into
                 free and forced response, or the weather has gaps or does not begin where the record ends.
         """
+        check_kind(record, Record, "record")
         check_same_building("the model", self.names, "the record", record.names, single_alike=True)
         methods = free_response or [build_free_response("residual", rc=free) for free in self.free]
-        levels = np.asarray(u, dtype=np.float64)
+        levels = numbers(u, "levels (u)")
         if levels.ndim == 0:
             levels = np.full((len(self.operator.actuators), weather.n_steps), levels)
         return Predictor(self.operator, methods).context(Observation(self.in_rooms(record), weather)).predict(levels)

@@ -8,6 +8,7 @@ What a model says of its own record stands first: rollouts, the step response to
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -32,10 +33,10 @@ from thermoforce_mpc.data import (
     steps_in,
 )
 from thermoforce_mpc.data.dataframes import seconds_at, table
-from thermoforce_mpc.data.names import check_same_building
+from thermoforce_mpc.data.names import check_same_building, numbers
 from thermoforce_mpc.data.series import WEATHER, bridged, interpolated, lagged, rms
 from thermoforce_mpc.data.superposition import control_free
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import DataError, check_kind
 from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
 from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.free_response.checks import LEVELS
@@ -389,11 +390,20 @@ def counterfactuals(
     hours: float = 24.0,
 ) -> list[Counterfactual]:
     """`counterfactual` of `several` levels over one stretch, whose past is worked out once."""
+    check_kind(model, ThermalModel, "model")
+    check_kind(record, Record, "record")
     check_same_building("the model", model.names, "the record", record.names)
-    lengths = {np.shape(one)[-1] if np.ndim(one) else round(hours * HOUR_S / record.step_s) for one in several}
+    each = [numbers(one, "levels (u)") for one in several]
+    if not math.isfinite(hours):
+        raise DataError(f"hours is {hours}: give the length of the stretch")
+    lengths = {one.shape[-1] if one.ndim else round(hours * HOUR_S / record.step_s) for one in each}
     if len(lengths) != 1:
         raise DataError(f"levels of {sorted(lengths)} steps: all are of one stretch")
     (n,) = lengths
+    actuators = len(record.names.actuators)
+    for one in each:
+        if one.shape not in ((), (actuators, n), (n,) if actuators == 1 else ()):
+            raise DataError(f"levels (u) have shape {one.shape}, expected ({actuators}, {n}), or one level")
     first = _boundary(record, start)
     if not 0 < first <= record.n_steps - n or n < 1:
         stamps = record.stamps()
@@ -415,7 +425,6 @@ def counterfactuals(
         return _Told(model.power_change(m, record), *_beside_law(model, m, record, stretch), rare)
 
     measured_C = np.asarray(record.T_zone_C[:, first + 1 : first + n + 1])
-    each = [np.asarray(one, dtype=np.float64) for one in several]
     return [_under(model, record, levels, context, stretch, before, measured_C, told) for levels in each]
 
 

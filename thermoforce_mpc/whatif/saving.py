@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.data.dataframes import seconds_since, stamps
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.errors import DataError, counted
+from thermoforce_mpc.errors import DataError, check_kind, counted
 from thermoforce_mpc.whatif.counterfactual import LAGS_H, Days, days_of
 
 LEAST_BEFORE, LEAST_AFTER = 10, 7
@@ -143,6 +143,8 @@ def verified_saving(before: Record, after: Record, *, level: float = _LEVEL) -> 
 
     if not 0.0 < level < 1.0:
         raise DataError(f"level is {level:g}: give a number between 0 and 1, such as 0.95")
+    check_kind(before, Record, "before")
+    check_kind(after, Record, "after")
     check_same_building("the record before", before.names, "that after", after.names)
     after = _on_the_clock_of(before, after)
     meter = _meter(before, after)
