@@ -96,9 +96,10 @@ def on_clock(index: pd.Index[Any]) -> np.ndarray[Any, Any]:
 
 
 def finish_axes(figure: Figure) -> None:
-    """A grid and a legend in the upper axes, and days and hours below."""
+    """A grid in the upper axes, and days, hours and the legend of these below all, where it hides no course."""
     upper, *_ = figure.axes
     upper.grid(alpha=0.3)
-    upper.legend(frameon=False, fontsize="small")
+    told = upper.get_legend_handles_labels()
+    figure.legend(*told, loc="outside lower center", ncols=4, frameon=False, fontsize="small")
     if upper.xaxis.have_units():  # else they are seconds
         date_ticks(upper)

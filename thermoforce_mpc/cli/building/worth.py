@@ -239,7 +239,6 @@ def _drawn(found: Worth) -> Figure:
         beside.plot(at, found.tank.T_C, color="C3", linewidth=0.9)
         beside.set_ylabel("hot water, °C", color="C3")
     upper.set_ylabel("temperature, °C")
-    upper.legend(frameon=False, fontsize="small", ncols=3)
     upper.set_title(found.sentence, loc="left", fontsize=9, wrap=True)
     for label, record, colour in (("as it was", found.as_was, "0.4"), ("with plans", found.planned, "C0")):
         middle.step(at, record.power_W.sum(axis=0) / 1000.0, where="post", color=colour, label=label, linewidth=0.9)
