@@ -204,6 +204,29 @@ def test_a_station_in_fahrenheit_is_outdoors_and_does_not_move_the_house_to_amer
     assert rules["time"]["zone"] == "Europe/Berlin"
 
 
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("weather solarIntensity.percentage", None), ("solar_intensity (%)", None),
+        ("solar radiation", "W/m²"), ("solar radiation (kW/m2)", "kW/m2"),
+    ],
+)  # fmt: skip
+def test_the_sun_of_a_map_is_an_irradiance(tmp_path, name, found):
+    """tado's is a share of what the sky lets through."""
+    at, k = pd.date_range("2025-01-20", periods=192, freq="15min"), np.arange(192)
+    of_day = np.maximum(0.0, np.sin(2 * np.pi * (k - 30) / 96))
+    df = {
+        "time": at,
+        "room temperature (°C)": 21 + of_day,
+        "outdoor temperature.celsius": 3 - of_day,
+        name: 90 * of_day,
+    }
+    pd.DataFrame(df).to_csv(tmp_path / "house.csv", index=False)
+    rules = yaml.safe_load(starting_map(tmp_path / "house.csv"))
+    assert rules["outdoor"]["unit"] == "°C"
+    assert rules.get("sun", {}).get("unit") == (found and found.replace("m2", "m²"))
+
+
 @pytest.mark.parametrize("names", LANGUAGES.values(), ids=LANGUAGES)
 def test_names_in_languages_of_europe(tmp_path, names):
     """The sheet has the same columns in each: when, room, weather, what acts, is set, two of no use, window."""

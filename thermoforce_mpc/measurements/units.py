@@ -55,7 +55,8 @@ UNITS: dict[str, Unit] = {
 _WRITTEN = {unit.lower(): unit for unit in UNITS if unit[:1] != "m" or unit[:2] == "m³" or "/" in unit} | {
     "degc": "°C", "deg c": "°C", "c": "°C", "celsius": "°C", "grad c": "°C", "°": "°C", "deg": "°C", "degf": "°F",
     "deg f": "°F", "f": "°F", "fahrenheit": "°F", "kelvin": "K", "degr": "°R", "rankine": "°R",
-    "%rh": "%", "% rh": "%", "percent": "%", "pct": "%", "prozent": "%", "watt": "W", "watts": "W", "kwhs": "kWh",
+    "%rh": "%", "% rh": "%", "percent": "%", "percentage": "%", "pct": "%", "prozent": "%", "watt": "W", "watts": "W",
+    "kwhs": "kWh",
     "kbtu/hr": "kBTU/h", "btu/hr": "BTU/h", "kbtuh": "kBTU/h", "btuh": "BTU/h", "mbh": "kBTU/h", "therms": "therm",
     "tons": "ton", "tr": "ton", "sec": "s", "seconds": "s", "u/min": "rpm", "w/m2": "W/m²", "w m-2": "W/m²",
     "w/m^2": "W/m²", "kw/m2": "kW/m²", "btu/(h·ft²)": "BTU/(h⋅ft²)", "m3": "m³", "m3/h": "m³/h",

@@ -285,6 +285,10 @@ _AT_END = (
 )  # fmt: skip
 
 
+# Units in full at the end of a name, whatever stands before.
+_IN_FULL = re.compile(r"(?i)[\W_](percentage|percent|prozent|celsius|fahrenheit|kelvin)$")
+
+
 # How often EnergyPlus reports a variable, in brackets behind it.
 _OFTEN = frozenset(("timestep", "each call", "detailed", "hourly", "daily", "monthly", "runperiod", "annual"))
 
@@ -330,6 +334,8 @@ def unit_of(name: str) -> str:
         told = match[1].lower()
         if told in _AT_END and (len(told) > 1 or told == "%" or match[1].isupper() or "_" in name):
             return unit_named(told)
+    if match := _IN_FULL.search(name):
+        return unit_named(match[1])
     return ""
 
 
@@ -661,14 +667,20 @@ def _of_weather_and_price(look: _Look, fahrenheit: bool) -> Guess | None:
     in_full = any("temp" in word for word in words_of(look.name))
     if "humidity" in t and "valve" not in t and (look.unit == "%" or not ("temperature" in t and in_full)):
         return Guess(look.name, "humidity of outdoors" if "outdoor" in t else "humidity", _share_unit(look))
-    of_sun = "sun" in t and not t & {"valve", "setpoint", "temperature"} and look.unit in ("", "W/m²", "kW/m²", "W")
+    of_sun = (
+        "sun" in t
+        and not t & {"valve", "setpoint", "temperature"}
+        and (look.unit in ("", "W", *get_args(IrradianceUnit)))
+    )
     if not of_sun:
         return None
     if look.least < -30.0 or look.most > 1700.0 or look.counts:
         return Guess(look.name, "")
-    kilo = look.unit == "kW/m²" or (not look.unit and look.most < 2.0)
-    sure = look.unit in ("W/m²", "kW/m²") or _by_day(look) or look.constant
-    return Guess(look.name, "sun", "kW/m²" if kilo else "W/m²", "" if sure else "it does not go to 0 at night")
+    told = look.unit if look.unit in get_args(IrradianceUnit) else ""
+    sure = bool(told) or _by_day(look) or look.constant
+    small = not look.unit and look.most < 2.0
+    unit = told or ("kW/m²" if small else "W/m²")
+    return Guess(look.name, "sun", unit, "" if sure else "it does not go to 0 at night")
 
 
 def _of_setpoints(look: _Look, fahrenheit: bool) -> Guess | None:
