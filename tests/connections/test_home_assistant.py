@@ -217,6 +217,18 @@ def test_a_command_between_two_steps_of_a_device_is_said_once_with_what_to_set(c
     assert said == "climate.hall takes steps of 1: 20.5 is set as 20: see resolution of its command in the map"
 
 
+@pytest.mark.parametrize(
+    ("unit", "said"),
+    [("°F", "is in °F, and is set in °C: name a climate"), ("%", "is in %, and 0.5 is a share: set sc")],
+)
+def test_a_number_of_another_unit_is_set_nothing_and_says_what_to_do(connect, unit, said):
+    """20 of °F is no set-point, and 0.5 of % stands still; HA refuses neither where the number has no least value."""
+    state = {"entity_id": "number.pump", "state": "40", "attributes": {"unit_of_measurement": unit, "max": 100}}
+    asked = {"asked": "GET /api/states/number.pump", "status": 200, "text": json.dumps(state), "at": time.time()}
+    with served([asked], "TOKEN") as url, pytest.raises(PlantError, match=said):
+        connect(url, actuators={"pump": {"entity": "number.pump", "release": 60}}).write({"pump": 0.5}, 900.0)
+
+
 def test_a_thermostat_of_two_set_points_is_set_nothing_and_says_what_to_do(connect):
     attributes = {"temperature": None, "target_temp_low": 19.0, "target_temp_high": 24.0, "target_temp_step": 0.5}
     state = {"entity_id": "climate.hall", "state": "heat_cool", "attributes": attributes}

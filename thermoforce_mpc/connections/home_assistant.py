@@ -308,6 +308,15 @@ class HomeAssistantConnection:
             if level is not None and self._in_fahrenheit():
                 number = in_fahrenheit(number)
         elif level is not None:
+            unit = attributes.get("unit_of_measurement")
+            if actuator.scale == 1.0 and (unit == "°F" or (unit == "%" and 0.0 < level <= 1.0)):
+                said = (
+                    f"is in %, and {level:g} is a share: set scale: 100"
+                    if unit == "%"
+                    else "is in °F, and is set in °C: name a climate entity, or a template number in °C (of a change "
+                    "set scale: 1.8)"
+                )
+                raise PlantError(f"{entity} {said}, in connection.yaml: nothing was set")
             number *= actuator.scale
         if not math.isfinite(number):
             raise PlantError(f"{entity}: {number} is no value")
