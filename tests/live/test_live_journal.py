@@ -202,6 +202,19 @@ def test_a_full_disk_stops_no_control(tmp_path, caplog, monkeypatch):
     np.testing.assert_array_equal(history.T_zone_C[0, -12:], seen[19].T_zone_C[0, -12:])
 
 
+def test_a_journal_that_is_removed_before_the_end_stops_no_control(tmp_path, caplog, monkeypatch):
+    """Once what ends it could not be written, closing it ended control with an error of its own."""
+    applied = LiveJournal.applied
+
+    def removed(self, block, start_s):
+        applied(self, block, start_s)
+        (tmp_path / "journal.jsonl").unlink()
+
+    monkeypatch.setattr(LiveJournal, "applied", removed)
+    recorded(tmp_path, SimulatedBuilding(), 1)
+    assert "was removed during the run" in caplog.text
+
+
 def test_a_run_at_a_building_is_not_resumed_as_a_simulation(tmp_path):
     recorded(tmp_path, SimulatedBuilding(), 2)
     result = CliRunner().invoke(cli, ["resume", str(tmp_path)])

@@ -8,7 +8,8 @@ which is known when the next one begins. What was measured is in it once: the wh
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -94,6 +95,13 @@ class LiveJournal:
         except (JournalError, KeyError, TypeError):
             return None
 
+    def _forget(self) -> None:
+        """Begin the next step with all that is known: what was written before may not be."""
+        self._seen: Record | None = None
+        self._whole_s = float("-inf")
+        self._rows: Array | None = None
+        self._open_step = None
+
     def decided(
         self,
         decided: Decided,
@@ -109,7 +117,38 @@ class LiveJournal:
 
         `asked`: horizon and step of the forecast, s. `origin`, `layout`: as of `LiveBuilding`.
         """
-        self._guarded(lambda: self._decided(decided, time_s, given, asked, origin, layout, acts))
+        with self._guarded():
+            if self._journal is None:
+                self._begin(origin, layout)
+            now = self._now(given.as_read, time_s, layout)
+            self._close_step(given.as_read, time_s, layout)
+            if self._loop != (controller := self._run.scenario.controller.name):
+                self._write("loop", {"controller": controller, "goes_on": controller in self._loops})
+                self._write("reset", {"asked": {}, "answer": now | {"names": plain_json(asdict(layout.names))}})
+                self._loop = controller
+                self._loops.add(controller)
+            if given.as_read is not None:
+                self._write_record(given.as_read)
+            rows = None if given.forecast is None else boundary_rows(given.forecast)
+            horizon_s, interval_s = asked
+            content: Json = {
+                "index": self._index,
+                "time_s": float(time_s),
+                "at": _now(),
+                "asked": {"horizon_s": float(horizon_s), "interval_s": float(interval_s)},
+                "forecast": None if rows is None else rows_json(rows, self._rows),
+                "before": now,
+                "notes": list(decided.notes),
+                "plan_seconds": float(decided.plan_seconds),
+                "forecast_seconds": float(decided.forecast_seconds),
+                "seconds": {name: float(value) for name, value in decided.plan.seconds.items()},
+                **({"no_forecast": given.no_forecast} if rows is None else {}),
+                **({} if acts else {"acts": False}),
+                **plan_json(decided.plan, decided.blocks, decided.refused),
+            }
+            self._write("step", content)
+            self._rows = self._rows if rows is None else rows
+            self._open_step, self._applied, self._index = content, [], self._index + 1
 
     def applied(self, block: Block, start_s: float) -> None:
         """Note a block that was set from `start_s` on, s; one that was not taken is one of native control."""
@@ -118,13 +157,16 @@ class LiveJournal:
     def ended(self, why: str) -> None:
         """Note that control has ended, and close."""
         if self._journal is not None:
-            self._guarded(lambda: self._write("ended", {"at": _now(), "why": why}))
+            with self._guarded():
+                self._write("ended", {"at": _now(), "why": why})
+        if self._journal is not None:  # a file that was removed is closed already
             self._journal.close()
             self._journal = None
 
-    def _guarded(self, act: Callable[[], None]) -> None:
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
         try:
-            act()
+            yield
         except Exception as error:  # a record that cannot be written is no reason to leave a building alone
             self._forget()
             if not self._path.exists() and self._journal is not None:
@@ -141,55 +183,6 @@ class LiveJournal:
             if self._failed:
                 _LOG.warning("the journal is written again")
             self._failed = False
-
-    def _forget(self) -> None:
-        """Begin the next step with all that is known: what was written before may not be."""
-        self._seen: Record | None = None
-        self._whole_s = float("-inf")
-        self._rows: Array | None = None
-        self._open_step = None
-
-    def _decided(
-        self,
-        decided: Decided,
-        time_s: float,
-        given: Given,
-        asked: tuple[float, float],
-        origin: str,
-        layout: Layout,
-        acts: bool,
-    ) -> None:
-        if self._journal is None:
-            self._begin(origin, layout)
-        now = self._now(given.as_read, time_s, layout)
-        self._close_step(given.as_read, time_s, layout)
-        if self._loop != (controller := self._run.scenario.controller.name):
-            self._write("loop", {"controller": controller, "goes_on": controller in self._loops})
-            self._write("reset", {"asked": {}, "answer": now | {"names": plain_json(asdict(layout.names))}})
-            self._loop = controller
-            self._loops.add(controller)
-        if given.as_read is not None:
-            self._write_record(given.as_read)
-        rows = None if given.forecast is None else boundary_rows(given.forecast)
-        horizon_s, interval_s = asked
-        content: Json = {
-            "index": self._index,
-            "time_s": float(time_s),
-            "at": _now(),
-            "asked": {"horizon_s": float(horizon_s), "interval_s": float(interval_s)},
-            "forecast": None if rows is None else rows_json(rows, self._rows),
-            "before": now,
-            "notes": list(decided.notes),
-            "plan_seconds": float(decided.plan_seconds),
-            "forecast_seconds": float(decided.forecast_seconds),
-            "seconds": {name: float(value) for name, value in decided.plan.seconds.items()},
-            **({"no_forecast": given.no_forecast} if rows is None else {}),
-            **({} if acts else {"acts": False}),
-            **plan_json(decided.plan, decided.blocks, decided.refused),
-        }
-        self._write("step", content)
-        self._rows = self._rows if rows is None else rows
-        self._open_step, self._applied, self._index = content, [], self._index + 1
 
     def _write(self, kind: str, content: Json) -> None:
         assert self._journal is not None
