@@ -821,7 +821,11 @@ def test_a_coarse_counter_that_is_read_often_is_even_between_its_steps():
     [
         ({"outdoor": {"column": "out", "factor": 0}}, "factor: 0 makes every reading 0"),
         ({"outdoor": {"column": "out", "range": [5, 1]}}, "range: the least, 5, is not below the largest, 1"),
-        ({"machines": {"m": {"power": "P", "price": 1e300}}}, r"machines.m.price.*no price of a kWh"),
+        ({"machines": {"m": {"power": "P", "price": 1e300}}}, r"machines.m.price.*no price of every kWh"),
+        (
+            {"machines": {"m": {"power": "P", "price": -0.25}}},
+            r"machines.m.price: -0.25 is no price of every kWh, from 0",
+        ),
     ],
 )
 def test_numbers_of_a_map_that_mean_nothing_are_refused_by_their_key(keys, said):

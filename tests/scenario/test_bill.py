@@ -106,6 +106,7 @@ def test_a_simulated_building_pays_by_the_same_bill(tmp_path):
         ({"grid": {"windows": [{"hours": "25:00-26:00", "per_kWh": 0.1}]}}, "hours"),
         ({"grid": {"windows": [{"hours": "7:00-7:00", "per_kWh": 0.1}]}}, "different times"),
         ({"vat": 19}, "vat"),
+        ({"energy": -0.2}, "energy: -0.2 is no price of every kWh"),
         ({"levy": 0.1}, "levy"),
         ({"energy": None, "export_only_from": 0.0}, "needs export_per_kWh"),
         ({"export_per_kWh": 0.08, "export_only_from": 0.0}, "prices of energy that change"),

@@ -33,6 +33,7 @@ def write(folder: Path, text: str) -> Path:
     ("text", "message"),
     [
         ("a: 1\na: 2\n", r"given\.yaml: not valid YAML: .*key 'a' appears twice.*line 2"),
+        ("a: 1\nb: {area: 40,5}\n", r"not valid YAML: ',5': a decimal comma\? write a point, as in 0.5 \(line 2\)"),
         ("a: [1\n", r"given\.yaml: not valid YAML"),
         ("- 1\n", r"given\.yaml: expected keys and values at the top, found list"),
         ("a: !!python/object:os.system {}\n", r"given\.yaml: not valid YAML"),

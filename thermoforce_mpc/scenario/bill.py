@@ -181,6 +181,12 @@ class Bill(StrictModel):
         return self.per_kWh(energy, *_on_clock(stamps))
 
     @model_validator(mode="after")
+    def _costs(self) -> Bill:
+        if isinstance(self.energy, float) and self.energy < 0.0:  # hours may, in a file
+            raise ValueError(f"energy: {self.energy:g} is no price of every kWh")
+        return self
+
+    @model_validator(mode="after")
     def _earns_from_a_price(self) -> Bill:
         if self.export_only_from is not None:
             if self.export_per_kWh is None:

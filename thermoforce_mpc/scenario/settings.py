@@ -267,11 +267,15 @@ class _Loader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
-        for key, _ in node.value:
+        for key, value in node.value:
             if key.tag == _CORE + "merge":
                 continue
             if not isinstance(key, yaml.ScalarNode) or key.tag != _CORE + "str":
                 shown = f"{key.value!r:.60} is read as {key.tag.removeprefix(_CORE)}, " if key.id == "scalar" else ""
+                if key.tag == _CORE + "int" and value.tag == _CORE + "null" and node.flow_style:  # {area: 40,5}
+                    raise _wrong(
+                        f"',{key.value:.60}': a decimal comma? write a point, as in 0.{key.value:.60}", key.start_mark
+                    )
                 raise _wrong(f"a key must be text: {shown}put it in quotes", key.start_mark)
             if key.value in seen:
                 raise _wrong(f"key '{key.value:.60}' appears twice", key.start_mark)

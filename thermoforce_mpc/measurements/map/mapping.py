@@ -225,8 +225,8 @@ Bound = Annotated[
 
 
 def _possible_price(price: float | Price) -> float | Price:
-    if not isinstance(price, Price) and abs(price) > _MOST_PRICE:
-        raise ValueError(f"{price:g} is no price of a kWh, at most {_MOST_PRICE:g} in any currency")
+    if not isinstance(price, Price) and not 0.0 <= price <= _MOST_PRICE:  # hours may cost less, not all of them
+        raise ValueError(f"{price:g} is no price of every kWh, from 0 to {_MOST_PRICE:g} in any currency")
     return price
 
 
