@@ -384,6 +384,15 @@ def test_separators_in_quotes_part_no_cells(tmp_path):
     assert tf.read_measurements(path, rules).record.n_steps == 191
 
 
+@pytest.mark.parametrize("unit", ["", "\xa0°C"])
+def test_a_true_minus_sign_is_one(tmp_path, unit):
+    df = house(40).assign(out=np.arange(40) / 4 - 5)
+    same = tf.read_measurements(df, BASE).record.T_out_C
+    df["out"] = [f"{T:.2f}{unit}".replace(".", ",").replace("-", "\u2212") for T in df["out"]]
+    path, _ = written(tmp_path, df, sep=";", decimal=",")
+    np.testing.assert_allclose(tf.read_measurements(path, BASE | {"csv": {"decimal": ","}}).record.T_out_C, same)
+
+
 @pytest.mark.parametrize("decimal", [".", ","])
 @pytest.mark.parametrize(
     ("powers", "sure"),

@@ -373,15 +373,16 @@ def _with_texts(
     texts = np.zeros(len(column), dtype=bool)
     if rest.size:
         codes, words = pd.factorize(column.iloc[rest].astype(str).str.strip())
-        small = [word.lower() for word in words]
+        cells = [str(word).replace("\u2212", "-") for word in words]  # a true minus sign
+        small = [cell.lower() for cell in cells]
         found = np.array([SWITCH.get(word, np.nan) for word in small])
         of_text = np.array([word not in SWITCH and word not in _NONE for word in small])
         if of_text.any():
-            found = np.where(of_text, [_grouped(word, decimal) for word in words], found)
-            found = np.where(np.isnan(found), _of_thousands(list(words), decimal, numbers), found)
+            found = np.where(of_text, [_grouped(cell, decimal) for cell in cells], found)
+            found = np.where(np.isnan(found), _of_thousands(cells, decimal, numbers), found)
             of_text &= np.isnan(found)
         if of_text.any():
-            found = _of_quantities(codes, list(words), found, None if of is None else of[rest], decimal, told)
+            found = _of_quantities(codes, cells, found, None if of is None else of[rest], decimal, told)
             of_text = of_text[codes] & np.isnan(found)
             numbers[rest], texts[rest] = found, of_text
         else:
@@ -395,10 +396,12 @@ def _with_texts(
 
 
 def _grouped(cell: str, decimal: str) -> float:
-    """A number with marks between thousands that can be read in one way only; NaN for others.
+    """A number, with or without marks between thousands, that can be read in one way only; NaN for others.
 
     Such as 2,435.0 (with the other decimal mark 2.435,0), and 2 435 or 2'435,0.
     """
+    if re.fullmatch(rf"[+-]?\d+(?:\{decimal}\d+)?", cell):
+        return float(cell.replace(decimal, "."))
     other = "," if decimal == "." else "."
     by_mark = rf"[+-]?\d{{1,3}}(?:\{other}\d{{3}})+\{decimal}\d+"
     by_space = rf"[+-]?\d{{1,3}}(?:([\s'’])\d{{3}})(?:\1\d{{3}})*(?:\{decimal}\d+)?"
@@ -463,8 +466,6 @@ def quantity_of(cell: str, decimal: str) -> tuple[float, str] | None:
     match = _QUANTITY.fullmatch(_TELEGRAM.sub("", cell.strip(), count=1))
     if match is None or not (name := unit_named(match[2])):
         return None
-    if re.fullmatch(rf"[+-]?\d+(?:\{decimal}\d+)?", match[1]):
-        return float(match[1].replace(decimal, ".")), name
     number = _grouped(match[1], decimal)
     return None if np.isnan(number) else (number, name)
 
