@@ -188,6 +188,10 @@ LANGUAGES = {
     "Potencia bomba de calor (kW);Consigna salón;Temp. impulsión;Humedad salón;Ventana salón",
     "French": "Date;Heure;Température salon;Température extérieure;Rayonnement;Vanne salon;"
     "Puissance pompe à chaleur (kW);Consigne salon;Température départ;Humidité salon;Fenêtre salon",
+    "Polish": "Data;Godzina;Temperatura salon;Temperatura zewnętrzna;Promieniowanie słoneczne;Zawór salon;"
+    "Moc pompa ciepła (kW);Temp. zadana salon;Temperatura zasilania;Wilgotność salon;Okno salon",
+    "Czech": "Datum;Čas;Teplota obývák;Venkovní teplota;Sluneční záření;Ventil obývák;"
+    "Příkon tepelné čerpadlo (kW);Žádaná teplota obývák;Teplota přívod;Vlhkost obývák;Okno obývák",
 }
 
 

@@ -41,6 +41,7 @@ _WORDS: dict[str, tuple[str, str]] = {
         "exterieure aussen aussenluft ta te tout toa tamb text tex tdb drybulb weather wetter meteo weer buiten "
         "oataverage toutdoor outdoortemp tdrybul at dehors gevel "
         "esterno esterna esterni fuori exteriores externa afuera "
+        "zewnetrzna zewnetrzne zewn zewnatrz venkovni venku "
         "ute utomhus utetemp utegivare uteluft ude udendors udeluft utendors ulko ulkona ulkoilma udetemp",
         "aussen buiten exterieur outdoor outside ambienta ambientt tambient drybul weather witterung wetter estern "
         "utomhus udendors utendors ulkolamp ulkoilm utetemp udetemp",
@@ -54,6 +55,7 @@ _WORDS: dict[str, tuple[str, str]] = {
         "diele house home maison huis haus building apartment wohnung flat tenant suite lab library lib kids "
         "child children parents eltern piece thermostat ambiance ambiante woning interne "
         "stanza soggiorno cucina bagno ufficio salotto corridoio interno interna ambiente "
+        "pokoj sypialnia lazienka kuchnia wewnetrzna biuro korytarz obyvak loznice koupelna kuchyne mistnost vnitrni "
         "sala habitacion dormitorio cocina oficina pasillo despacho vivienda comedor "
         "rum rom vardagsrum sovrum kok badrum barnrum inomhus stue kokken sovevaerelse badevaerelse vaerelse kontor "
         "indendors inde soverom kjokken innendors romtemp rumtemp innetemp olohuone makuuhuone keittio kylpyhuone "
@@ -68,15 +70,16 @@ _WORDS: dict[str, tuple[str, str]] = {
         "t temp temps temperature temperatur temperatuur tmp ti ta te tin tout tint text tamb tz tr th degc degf "
         "celsius rt sat rat mat dat oat lwt ewt znt rmt spt zat tzone troom tair tdb toa tex traum tdrybul thermo "
         "hws hwr chws chwr tsup tret tvl trl istwert "
-        "temperatura "
+        "temperatura teplota "
         "lampotila",
-        "temperat temp lampotil",
+        "temperat temp lampotil teplot",
     ),
     "setpoint": (
         "sp stp setp set setting settings setpoint setpt stpt target targ soll sollwert solltemp consigne cons "
         "ingesteld gewenst streefwaarde setpunt instelling desired wunsch csp hsp clgsp htgsp htsp clsp zsp tset "
         "thset tcset tsp tsoll wunschtemperatur doel gewuenscht vorgabe occclgsp occhtgsp eff sptrn sollt gewenste "
         "ingestelde impostata impostato consigna deseada deseado objetivo desiderata desiderato "
+        "zadana zadany nastawa pozadovana nastavena "
         "borvarde onskad onsket indstillet innstilt installd asetus asetusarvo tavoite haluttu settpunkt saetpunkt",
         "setpoint sollwert solltemp consigne streef instelwaarde wunschtemp settemp targettemp tempset vorgabe "
         "gewenst ingesteld "
@@ -94,14 +97,14 @@ _WORDS: dict[str, tuple[str, str]] = {
     "supply": (
         "supply sup sat sa dat da flow vorlauf vl depart aller aanvoer lwt hws chws leaving discharge zuluft "
         "inlet tsup tvl flowtemp soufflage inblaas pulsion "
-        "mandata impulsion "
+        "mandata impulsion zasilanie zasilania privod privodni "
         "framledning fremlob fremlop turledning menovesi meno tilluft",
         "vorlauf aanvoer supply zuluft discharge soufflage pulsion flowtemp mandata impulsion framledning fremlob "
         "fremlop turledn menoves tilluft",
     ),
     "return": (
         "return ret retour rat ra rl rucklauf ruecklauf hwr chwr ewt entering abluft tret trl returntemp reprise "
-        "ritorno retorno "
+        "ritorno retorno powrot powrotu vratna zpatecka "
         "retur returledning paluu paluuvesi franluft",
         "rucklauf ruecklauf retour return abluft ritorno retorno returledn paluu franluft",
     ),
@@ -117,7 +120,7 @@ _WORDS: dict[str, tuple[str, str]] = {
     "hot water": (
         "dhw ww warmwasser ecs tapwater brauchwasser trinkwasser warmwater sww boilerwater dhwt cylinder geyser "
         "legionella shower dusche "
-        "acs acquacalda aguacaliente sanitaria "
+        "acs acquacalda aguacaliente sanitaria cwu tuv "
         "varmvatten varmtvann varmtvand brugsvand tappevann tappvarmvatten kayttovesi lamminvesi vvb lkv",
         "warmwasser brauchwasser trinkwasser tapwater warmwater hotwater warmtapwater eauchaude varmvatten "
         "varmtvann varmtvand brugsvand kayttoves lamminves",
@@ -126,7 +129,7 @@ _WORDS: dict[str, tuple[str, str]] = {
         "valve vlv vp yh yk yv ventil stellventil stellung stellwert stellgrosse stellgroesse stellsignal stellantrieb "
         "vanne klep klepstand afsluiter trv opening ouverture oeffnung offnung hv rv htgvlv clgvlv reheat rhv "
         "rhvlv ventilstellung ventilposition vannenposition servo actuator aktor vlvo "
-        "valvola valvula apertura "
+        "valvola valvula apertura zawor zaworu "
         "venttiili venttiilin shunt",
         "ventil valve vanne klepst stellwert stellgr stellsig stellantr valvol valvul venttiil",
     ),
@@ -148,7 +151,7 @@ _WORDS: dict[str, tuple[str, str]] = {
         "power pwr p pel watt watts w kw leistung puissance vermogen php pwp elec electric electrical elektrisch "
         "electrique load last strom stroom wattage pe phvac pheat pheating pcomp aufnahmeleistung "
         "verbrauchsleistung demandkw draw "
-        "potenza potencia "
+        "potenza potencia moc mocy prikon "
         "effekt teho",
         "power leistung puissance vermogen potenza potencia eleffekt",
     ),
@@ -200,7 +203,8 @@ _WORDS: dict[str, tuple[str, str]] = {
         "sun solar glob irradiance irrad irradiation ghi glohor hglohor global radiation globalstrahlung strahlung "
         "einstrahlung sonne rayonnement ensoleillement straling zonnestraling instraling pyranometer pyrano ps "
         "isol igh solrad solradiation solarradiation shortwave poa isolation glorad zon soleil is sol gsol hsol "
-        "radiazione radiacion irraggiamento solare irradiancia irradianza "
+        "radiazione radiacion irraggiamento solare irradiancia irradianza naslonecznienie promieniowanie "
+        "slunecni zareni "
         "sol solinstralning solindstraling solstraling auringonsateily",
         "irradi strahlung radiation rayonnement straling solar ensoleil radiazion radiacion irragg solinstral "
         "solindstr sateily stralning",
@@ -219,13 +223,13 @@ _WORDS: dict[str, tuple[str, str]] = {
     "humidity": (
         "rh hum humidity feuchte luftfeuchte luftfeuchtigkeit humidite hr vocht luchtvochtigheid vochtigheid "
         "moisture relhum "
-        "umidita humedad "
+        "umidita humedad wilgotnosc vlhkost "
         "luftfuktighet fuktighet luftfugtighed fugtighed fukt fugt kosteus ilmankosteus",
-        "feucht humid vocht umidit humedad fuktighet fugtighed kosteus",
+        "feucht humid vocht umidit humedad fuktighet fugtighed kosteus wilgotn vlhkost",
     ),
     "price": (
         "price tariff preis prix tarif prijs tarief spot epex cost kosten strompreis dayahead "
-        "prezzo precio tariffa tarifa "
+        "prezzo precio tariffa tarifa cena taryfa "
         "pris elpris strompris spotpris hinta sahkonhinta",
         "preis price tarif prezzo precio tariff elpris strompris spotpris hinta",
     ),
@@ -241,6 +245,7 @@ _WORDS: dict[str, tuple[str, str]] = {
         "signalstrength staubsauger drucker phone motionsensor bewegungsmelder people persons personen starts "
         "hours betriebsstunden days license quality flags flag rev kitchenlights plug socket steckdose "
         "stopcontact prise vpd "
+        "okno okna drzwi dvere swiatlo svetlo "
         "finestra ventana porta puerta luce luz vento viento pioggia lluvia pressione presion batteria bateria "
         "fonster vindu vindue ikkuna dorr ovi lys ljus valo tuuli nederbord nedbor luftryck lufttrykk lufttryk "
         "ilmanpaine "
@@ -260,6 +265,7 @@ _PAIRS = {
     "bt1": "outdoor", "bt50": "room", "bt2": "supply", "bt3": "return", "bt6": "hot water", "bt7": "hot water",
     "lamminvesi": "hot water", "linkquality": "other", "dewpoint": "other",
     "heatingrate": "heat", "heatingenergy": "heat",  # of EnergyPlus, whatever gives it
+    "pompaciepla": "heating machine", "pompyciepla": "heating machine", "tepelnecerpadlo": "heating machine",
     "spacetemp": "room", "feedin": "pv", "warmtepomp": "heating machine",
 }  # fmt: skip
 # The heat in the name of a machine is no heat that is measured.
@@ -439,7 +445,7 @@ _MEANS = frozenset(("avg", "average", "mean", "mittel", "mittelwert", "moyenne",
 _EXTREMES = frozenset(("min", "max", "minimum", "maximum", "minimal", "maximal", "std", "stddev", "stdev"))
 _OCCUPIED = frozenset(("occupied", "occ"))
 # Contacts of windows, in the languages above; a contact is 0 or 1.
-_WINDOW = re.compile(r"window|fenster|fenetre|raam|finestra|ventana|fonster|vindu|ikkuna")
+_WINDOW = re.compile(r"window|fenster|fenetre|raam|finestra|ventana|fonster|vindu|ikkuna|^okn[oa]$")
 # Rooms that are inside whatever else their names hold, such as "indoor ambient", unless these say outdoors.
 _INDOORS = frozenset(("indoor", "inside", "innen", "binnen", "interieur", "inomhus", "innendors", "indendors", "sisa"))
 _OUTDOORS = frozenset(("outdoor", "outdoors", "outside", "aussen", "exterieur", "buiten", "ute", "utomhus", "ulko"))
