@@ -7,7 +7,9 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache, partial
+from importlib import import_module
 from pathlib import Path
 
 # Bytecode is kept also where the environment says not to: without it every process of the run compiles all sources, and
@@ -34,6 +36,8 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(__file__).parents[1] / ".pytes
 # A million objects are there when all tests are collected. Walking over them took 6 of the 19 s of a core of the first
 # collecting, 2 s where they were compiled before (2026-11-28).
 gc.set_threshold(50_000, 20, 20)
+
+TESTS = Path(__file__).parent
 
 # Every run tries the same examples, and none fails for being slow on a busy machine. To look for new ones:
 # `--hypothesis-profile=default`.
@@ -67,6 +71,20 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 @cache
 def needs_torch(file: Path) -> bool:
     return "\nfrom later import " in file.read_text()
+
+
+@pytest.hookimpl(wrapper=True, trylast=True)
+def pytest_collection(session: pytest.Session) -> Iterator[None]:
+    """Of tests that nobody has compiled, each process of a whole run compiles its own part, and finds the others'."""
+    number = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
+    if [Path(folder).resolve() for folder in session.config.args] == [TESTS]:
+        files = sorted(TESTS.rglob("test_*.py"))
+        first = int(number) * len(files) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 1))
+        for file in files[first:] if first else ():
+            sys.path.insert(0, str(file.parent))  # as pytest does
+            with suppress(Exception, pytest.skip.Exception):  # which pytest meets again, and tells
+                import_module(file.stem)
+    return (yield)
 
 
 def pytest_collection_finish() -> None:
