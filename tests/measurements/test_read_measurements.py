@@ -384,6 +384,21 @@ def test_separators_in_quotes_part_no_cells(tmp_path):
     assert tf.read_measurements(path, rules).record.n_steps == 191
 
 
+@pytest.mark.parametrize("now", [None, NOW])
+def test_a_status_behind_a_number_says_whether_it_is_one(tmp_path, now):
+    """As a Niagara station writes it; an overridden one was measured all the same."""
+    df, rules = house(40), BASE | {"time": {"zone": "UTC"}}
+    same = tf.read_measurements(df, rules, now=now).record.T_zone_C[0]
+    df["T"] = [
+        f"{T:.2f} °C {{{'fault,down' if k == 7 else 'overridden' if k % 9 == 0 else 'ok'}}}"
+        for k, T in enumerate(df["T"])
+    ]
+    path, _ = written(tmp_path, df)
+    found = tf.read_measurements(path, rules, now=now).record.T_zone_C[0]
+    assert np.isnan(found[7])
+    np.testing.assert_allclose(np.delete(found, 7), np.delete(same, 7), atol=0.011)
+
+
 @pytest.mark.parametrize("unit", ["", "\xa0°C"])
 def test_a_true_minus_sign_is_one(tmp_path, unit):
     df = house(40).assign(out=np.arange(40) / 4 - 5)

@@ -33,6 +33,9 @@ _ACTION = re.compile(r"(?:running_state|hvac_action)$")
 _ACTIONS = {"heat": 1.0, "heating": 1.0, "cool": 1.0, "cooling": 1.0, "fan_only": 0.0, "fan": 0.0}
 # A number and the unit behind it.
 _QUANTITY = re.compile(r"([+-]?\d[\d.,'’\s]*?)\s*([^\d\s.,'’+-][^\d]{0,10}2?)")
+# A number and its status, and what says that it is none.
+_STATUS_BEHIND = re.compile(r"(.*\S)\s*\{([^{}]*)\}(?: @ \w+)?")
+_NOT_GOOD = frozenset(("fault", "down", "stale", "null", "disabled"))
 # A telegram in front of what it says, as '0C 3F | 21.3 °C'.
 _TELEGRAM = re.compile(r"[$0-9a-fA-F ]+\| *")
 # Words of programs for a reading that there is not, beside those that pandas knows.
@@ -373,7 +376,7 @@ def _with_texts(
     texts = np.zeros(len(column), dtype=bool)
     if rest.size:
         codes, words = pd.factorize(column.iloc[rest].astype(str).str.strip())
-        cells = [str(word).replace("\u2212", "-") for word in words]  # a true minus sign
+        cells = [_without_status(str(word).replace("\u2212", "-")) for word in words]  # a true minus sign
         small = [cell.lower() for cell in cells]
         found = np.array([SWITCH.get(word, np.nan) for word in small])
         of_text = np.array([word not in SWITCH and word not in _NONE for word in small])
@@ -393,6 +396,14 @@ def _with_texts(
             of_action = texts[rest] & np.isfinite(said) & (acts[0] if of is None else acts[of[rest]])
             numbers[rest[of_action]], texts[rest[of_action]] = said[of_action], False
     return numbers, texts
+
+
+def _without_status(cell: str) -> str:
+    """A cell without the status behind its number, as '21.3 {ok}' of a Niagara station; 'nan' where that is bad."""
+    found = _STATUS_BEHIND.fullmatch(cell)
+    if found is None:
+        return cell
+    return "nan" if set(re.findall(r"[a-z]+", found[2].lower())) & _NOT_GOOD else found[1]
 
 
 def _grouped(cell: str, decimal: str) -> float:

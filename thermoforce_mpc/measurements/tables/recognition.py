@@ -350,7 +350,7 @@ def _guessed_of_text(path: Path) -> CsvFormat:
     header = next((line for line in lines[skip:] if line.strip() and not (comment and line.startswith(comment))), "")
     after = _after_header(lines, skip, separator, comment) if rows and comment else 0
     below = "\n".join(rows[after:])
-    ends = rf"[ ]*(?:[°%A-Za-z][^{re.escape(separator)}\"\r\n]{{{{0,6}}}})?(?=[{re.escape(separator)}\"\r\n]|$)"
+    ends = rf"[ ]*(?:[°%A-Za-z\x7b][^{re.escape(separator)}\"\r\n]{{{{0,6}}}})?(?=[{re.escape(separator)}\"\r\n]|$)"
     number = rf"(?:^|[{re.escape(separator)}\"])(?:[$0-9A-Fa-f ]+\|)?[ ]*-?\d+{{}}\d+{ends}"
     points, commas = (len(re.findall(number.format(mark), below, re.M)) for mark in (r"\.", ","))
     if separator == ",":  # there a decimal comma needs quotes
