@@ -969,7 +969,12 @@ def _the_same(one: _Look, unit: str, other: _Look, others_unit: str) -> bool:
         converted(look.values, told or "°C")[np.searchsorted(look.time_s, at, side="right") - 1]
         for look, told in ((one, unit), (other, others_unit))
     )
-    return bool(np.average(np.abs(first - second)[:-1] <= _ROUNDED_K, weights=np.diff(at)) >= _SAME_SHARE)
+    return _alike(first[:-1], second[:-1], np.diff(at))
+
+
+def _alike(one_C: Array, other_C: Array, lasts: Array | None = None) -> bool:
+    """Whether temperatures (n,), °C, differ by their rounding alone nearly always: for so long `lasts` each (n,)."""
+    return bool(np.average(np.abs(one_C - other_C) <= _ROUNDED_K, weights=lasts) >= _SAME_SHARE)
 
 
 def _with_place(guess: Guess) -> Guess:
@@ -1001,8 +1006,7 @@ def _again(values: Array, known: Array, unit: str) -> bool:
     both = np.isfinite(values) & np.isfinite(known) if values.size == known.size else np.zeros(values.size, dtype=bool)
     if both.sum() < _LEAST or np.ptp(values[both]) == 0.0:
         return False
-    apart_K = np.abs(converted(values[both], unit) - converted(known[both], unit))
-    return bool((apart_K <= _ROUNDED_K).mean() >= _SAME_SHARE)
+    return _alike(converted(values[both], unit), converted(known[both], unit))
 
 
 def _temperature_alone(name: str) -> bool:
