@@ -66,24 +66,45 @@ def check_points(
             _Wanted(f"{of}.upper", zone.upper, forecast, _KELVIN),
         ]
     for machine, name in zip(points.machines, points.layout.names.machines, strict=True):
-        of = f"machines.{name}" if several else "measurements"
-        power = f"{of}.power" if several else f"{of}.electric_power"
-        wanted += [_Wanted(power, point, measured, _POWER) for point in machine.power]
-        if machine.return_water:
-            wanted.append(_Wanted(f"{of}.return_water", machine.return_water, measured, _KELVIN))
-        of = f"machines.{name}" if several else "forecast"
-        wanted += [_Wanted(f"{of}.price.{key}", point, forecast) for key, point in machine.price.items()]
-        heating = machine.heating_price or {}
-        wanted += [_Wanted(f"{of}.heating_price.{key}", point, forecast) for key, point in heating.items()]
-        wanted.append(_Wanted(f"{of}.emission", machine.emission, forecast))
-        if machine.running:
-            wanted.append(_Wanted(f"{of}.running", f"{machine.running}_u", inputs))
-        for held in machine.held:
-            wanted += [_Wanted(f"{of}.held.{held}", f"{held}_{end}", inputs) for end in ("u", "activate")]
-        if machine.supply:
-            key, point = f"{of}.supply.point", machine.supply.point
-            wanted += [_Wanted(key, f"{point}_u", inputs, _KELVIN), _Wanted(key, f"{point}_activate", inputs)]
+        wanted += _machine_points(machine, f"machines.{name}" if several else "", inputs, measured, forecast)
     wrong = [problem for item in wanted if (problem := _problem(item, plant))]
+    for key, name, value in _values(points):
+        known = inputs.get(f"{name}_u")
+        if known is not None:
+            wrong += _clipped(key, value, known, plant)
+    if wrong:
+        raise ConfigError(f"test case '{testcase.name}' does not fit {plant}:\n  " + "\n  ".join(wrong))
+
+
+def _machine_points(
+    machine: Machine,
+    at: str,
+    inputs: Mapping[str, Point],
+    measured: Mapping[str, Point],
+    forecast: Mapping[str, Point],
+) -> list[_Wanted]:
+    """The points of a machine, whose keys stand `at` its own; of one zone's, "": at those of the test case."""
+    of, power = at or "measurements", f"{at}.power" if at else "measurements.electric_power"
+    wanted = [_Wanted(power, point, measured, _POWER) for point in machine.power]
+    if machine.return_water:
+        wanted.append(_Wanted(f"{of}.return_water", machine.return_water, measured, _KELVIN))
+    of = at or "forecast"
+    wanted += [_Wanted(f"{of}.price.{key}", point, forecast) for key, point in machine.price.items()]
+    heating = machine.heating_price or {}
+    wanted += [_Wanted(f"{of}.heating_price.{key}", point, forecast) for key, point in heating.items()]
+    wanted.append(_Wanted(f"{of}.emission", machine.emission, forecast))
+    if machine.running:
+        wanted.append(_Wanted(f"{of}.running", f"{machine.running}_u", inputs))
+    for held in machine.held:
+        wanted += [_Wanted(f"{of}.held.{held}", f"{held}_{end}", inputs) for end in ("u", "activate")]
+    if machine.supply:
+        key, point = f"{of}.supply.point", machine.supply.point
+        wanted += [_Wanted(key, f"{point}_u", inputs, _KELVIN), _Wanted(key, f"{point}_activate", inputs)]
+    return wanted
+
+
+def _values(points: BuildingPoints) -> list[tuple[str, str, float]]:
+    """The values that a test case would write: key, name of the point and value of each."""
     values = [
         (f"{one.key}.{key}", name, value)
         for one in points.actuators
@@ -95,12 +116,7 @@ def check_points(
         if machine.supply:
             ends = (("minimum", machine.supply.minimum), ("maximum", machine.supply.maximum))
             values += [(f"machines.{name}.supply.{end}", machine.supply.point, value) for end, value in ends]
-    for key, name, value in values:
-        known = inputs.get(f"{name}_u")
-        if known is not None:
-            wrong += _clipped(key, value, known, plant)
-    if wrong:
-        raise ConfigError(f"test case '{testcase.name}' does not fit {plant}:\n  " + "\n  ".join(wrong))
+    return values
 
 
 def _actuator_points(at: str, actuator: Actuator | RoomSetpoints, inputs: Mapping[str, Point]) -> list[_Wanted]:
