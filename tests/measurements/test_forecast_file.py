@@ -119,6 +119,26 @@ def test_a_forecast_that_does_not_fit_is_refused(measured, change, message):
         read_forecast(change(hourly()), measured)
 
 
+@pytest.mark.parametrize("by_file", [False, True])
+def test_the_number_of_a_map_is_no_hour_of_prices_that_change(tmp_path, by_file):
+    """What is known until new prices come at noon is today's: with the map's .5 mixed in, tomorrow is flat and dear."""
+    at = pd.date_range("2025-01-10", periods=97, freq="15min", name="time")
+    past = pd.DataFrame({"T": 21.0, "out": 5.0, "sun": 0.0, "u": 0.5, "P": 500.0, "most": 24.0}, index=at)
+    rules = RULES | {"machines": {"grid": {"power": "P", "price": 0.5}}}
+    ahead = hourly(49).drop(columns="price")
+    prices = pd.Series(0.1 + ahead.index.hour / 100, index=ahead.index, name="price").iloc[:18]
+    if by_file:
+        prices.to_csv(tmp_path / "prices.csv")
+        found = read_forecast(ahead, tf.read_measurements(past, rules), prices=tmp_path / "prices.csv")
+    else:
+        found = read_forecast(
+            ahead.assign(price=prices), tf.read_measurements(past, rules | {"forecast": {"price": "price"}})
+        )
+    hours = found.price_per_kWh[0, ::4]
+    np.testing.assert_allclose(hours[24:42], prices.to_numpy(), atol=1e-9)
+    assert np.isnan(hours[20:24]).all(), "of no day: bridged later"
+
+
 def test_prices_that_end_early_go_on_as_in_the_same_hour_of_the_days_before(measured):
     df = hourly(49)
     df["price"] = 0.1 + np.arange(49) % 24 / 100

@@ -221,8 +221,9 @@ def read_forecast(
     Temperatures and irradiance go straight between two rows, bounds hold until the next one, prices are means over a
     step. Columns are those of the map's key `forecast`, where it has one, else of the same keys as for measurements;
     numbers in the map hold throughout. Each column ends where it ends, at `least_steps` at least: a price is then the
-    mean of the same hour of the last days that are known, here or in `measured`, a bound that of the week or day before
-    (`Boundary.guessed`); weather is NaN (`model.forecast_gaps` bridges it), and what has no such hour.
+    mean of the same hour of the last days that are known, here or in `measured` by the same tariff, a bound that of the
+    week or day before (`Boundary.guessed`); weather is NaN (`model.forecast_gaps` bridges it), and what has no such
+    hour.
 
     `prices`: a file of them for all machines (`prices_over_steps`), or of a bill (`scenario.bill`), in the place of
     those of the map; `left_out` says how it was read.
@@ -251,10 +252,15 @@ def read_forecast(
     price, past_price, at_meter = _prices(sources, reader, grid_s, measured, prices, notes, now)
     others_W = _others_W(sources, reader, grid_s, measured, back, name, notes)
     values, guessed = {"lower_C": lower, "upper_C": upper, "price_per_kWh": price}, {}
+    # What the map says of prices that were is of another tariff where it is one number, or a file has those ahead.
+    by_file = prices is not None and (sources.bill is None or sources.bill.energy is not None)
+    of_map = [measured.map.machines.get(name) for name in measured.record.names.machines]
+    of_another = [by_file or one is None or not isinstance(one.price, Price) for one in of_map]
     for signal, rows_of in values.items():
         past = past_price if signal == "price_per_kWh" else getattr(measured.conditions, signal)
+        apart = of_another if signal == "price_per_kWh" else [False] * len(rows_of)
         values[signal], guessed[signal] = _as_days_before(
-            grid_s, rows_of, measured.conditions.time_s, past, signal, back, measured.record.origin
+            grid_s, rows_of, measured.conditions.time_s, past, signal, back, measured.record.origin, apart
         )
     names, n = measured.record.names, grid_s.size - back
     boundary = Boundary(
@@ -485,7 +491,7 @@ def _others_W(
     past_W = np.full(record.n_steps + 1, np.nan)
     if record.meter_W.size:
         past_W[:-1] = record.meter_W - record.power_W.sum(axis=0)
-    told = grid_s, others_W[None], record.time_s, past_W[None], "others_W", back, record.origin
+    told = grid_s, others_W[None], record.time_s, past_W[None], "others_W", back, record.origin, [False]
     (ahead_W,), (guessed,) = _as_days_before(*told)
     for where, how in ((guessed, "as on days before"), (np.isnan(ahead_W), "taken as 0 W")):
         if where.any():
@@ -507,16 +513,25 @@ def _own_columns() -> Iterator[None]:
 
 
 def _as_days_before(
-    grid_s: Array, values: Array, past_s: Array, past: Array, name: str, back: int, origin: pd.Timestamp
+    grid_s: Array,
+    values: Array,
+    past_s: Array,
+    past: Array,
+    name: str,
+    back: int,
+    origin: pd.Timestamp,
+    apart: Sequence[bool],
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Values (k, n + 1) from place `back` of `grid_s` on, what is not known as on days before, and which those are.
 
     `values` (k, back + n + 1): of the forecast; `past` (k, m): of the measurements at `past_s`. Days are those of the
-    clock of `origin`, of 23 and 25 hours too.
+    clock of `origin`, of 23 and 25 hours too. Rows of `past` that are `apart`, of another tariff, count only where the
+    forecast has no value at all.
     """
     known = values.copy()
-    for row, measured in zip(known, past, strict=True):
-        row[:] = np.where(np.isfinite(row), row, at_instants(grid_s, past_s, measured, 1.0))
+    for k, measured in enumerate(past):
+        if not (apart[k] and np.isfinite(known[k]).any()):
+            known[k] = np.where(np.isfinite(known[k]), known[k], at_instants(grid_s, past_s, measured, 1.0))
     time_s = grid_s[back:]
     out = known[:, back:].copy()
     missing = ~np.isfinite(out)
