@@ -120,7 +120,9 @@ class RoomFit:
     def covariance_at(self, theta: Array) -> Array:
         """Posterior covariance of θ (p, p) by the curvature at some θ (p,)."""
         # What the record does not know stays at its prior: no direction is surer than the data or less than the prior.
-        sizes, directions = np.linalg.eigh(_curvature(self.room, self.runs, self._in_sds(theta)))
+        z = self._in_sds(theta)
+        slope = _scaled(self.room, self.runs, z)[1]
+        sizes, directions = np.linalg.eigh(_curvature(self.room, self.runs, z, slope))
         half = self.room.sd[:, None] * directions / np.sqrt(np.maximum(sizes, 1.0))
         return np.asarray(half @ half.T)
 
@@ -282,10 +284,9 @@ def _scaled(room: RoomNetwork, runs: Sequence[RoomRun], z: Array) -> tuple[float
     return (value, gradient * room.sd) if np.isfinite(value) else (np.inf, np.zeros_like(z))
 
 
-def _curvature(room: RoomNetwork, runs: Sequence[RoomRun], z: Array) -> Array:
-    """Second derivatives of half the negative log posterior at z (p,), (p, p)."""
-    here = _scaled(room, runs, z)[1]
-    slopes = [_scaled(room, runs, z + unit)[1] - here for unit in np.eye(z.size) * DIFFERENCE]
+def _curvature(room: RoomNetwork, runs: Sequence[RoomRun], z: Array, slope: Array) -> Array:
+    """Second derivatives of half the negative log posterior at z (p,), (p, p), where its gradient is `slope` (p,)."""
+    slopes = [_scaled(room, runs, z + unit)[1] - slope for unit in np.eye(z.size) * DIFFERENCE]
     curvature = np.array(slopes) / DIFFERENCE
     return np.asarray(0.5 * (curvature + curvature.T))
 
@@ -305,7 +306,7 @@ def searched(room: RoomNetwork, runs: Sequence[RoomRun], start: Array, spread: A
         options = {"hess_inv0": spread, "gtol": _FLAT, "maxiter": _MOST_STEPS}
         return minimize(lambda z: _scaled(room, runs, z), start, jac=True, method="BFGS", options=options)
     at, (value, slope), trusted = start, _scaled(room, runs, start), _FIRST_STEP
-    curvature, learned = _curvature(room, runs, at), False
+    curvature, learned = _curvature(room, runs, at, slope), False
     for _ in range(_MOST_STEPS):
         sizes, directions = np.linalg.eigh(curvature)
         slopes = slope @ directions
@@ -315,7 +316,7 @@ def searched(room: RoomNetwork, runs: Sequence[RoomRun], start: Array, spread: A
             if not learned:
                 break
             # What misled may have shortened what is trusted too.
-            curvature, learned, trusted = _curvature(room, runs, at), False, max(trusted, _FIRST_STEP)
+            curvature, learned, trusted = _curvature(room, runs, at, slope), False, max(trusted, _FIRST_STEP)
             continue
         moved = directions @ step
         lower, slope_there = _scaled(room, runs, at + moved)
