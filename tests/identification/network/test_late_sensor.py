@@ -172,6 +172,34 @@ def test_where_in_its_step_a_machine_ran_is_no_late_sensor():
     assert late_sensor(RoomNetwork(), [switched(0.05, days=2)]) is None
 
 
+def test_a_machine_that_switches_is_placed_in_parts_of_its_step(monkeypatch):
+    """Steps of 15 min: on for the last 4.5 min of the second, off after 10.5 min of the fourth; likewise of 5 min."""
+    room, runs = RoomNetwork(), []
+
+    def estimated(room: RoomNetwork, given: list[RoomRun], most_starts: int | None = None) -> RoomFit:
+        return RoomFit(room, room.mean, 0.0, given)
+
+    def searched(room: RoomNetwork, given: list[RoomRun], start: Array) -> OptimizeResult:
+        runs.extend(given)
+        return OptimizeResult(x=start, fun=-20.0 * room.late - (len(given[0].readings) > 6))
+
+    monkeypatch.setattr(lag, "estimate_room", estimated)
+    monkeypatch.setattr(lag, "searched", searched)
+    inputs = np.zeros((6, room.n_inputs))
+    inputs[:, room.drive(0)] = 0.0, 0.3, 1.0, 0.7, 0.0, 0.0
+    for step_h in (0.25, 1.0 / 12.0):
+        late_sensor(room, [RoomRun(inputs, np.full(6, 20.0), step_h)])
+    quarters, halves = (
+        next(run for run in runs if run.step_h == step_h and len(run.readings) > 6) for step_h in (0.0625, 1.0 / 24.0)
+    )
+    for run, levels in (
+        (quarters, [0, 0, 0, 0, 0, 0, 0.2, 1, 1, 1, 1, 1, 1, 1, 0.8, 0, 0, 0, 0, 0, 0]),
+        (halves, [0, 0, 0, 0.6, 1, 1, 1, 0.4, 0, 0, 0]),
+    ):
+        np.testing.assert_allclose(run.inputs[:, room.drive(0)], levels, atol=1e-12)
+        assert np.isfinite(run.readings).sum() == 6
+
+
 def test_a_record_of_a_machine_that_switches_weighs_no_more_than_some_days(monkeypatch):
     """Twelve days, of which levels that are held say that the sensor is late, and switched ones do so more."""
     weights, room = [], RoomNetwork()

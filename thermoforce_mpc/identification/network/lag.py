@@ -7,8 +7,8 @@ both at the fit without a lag and at a quick emitter with a slow sensor, and the
 
 A mean level does not say where in its step the heat came, which passes for a lag. Where a machine that switches within
 its steps explains a record better than levels that are held, the sensor must be late by that too, and by no more than
-some days: when it switched is known to half a step, of which a long record would tell ever more surely. A lag that is
-shorter than what is left open is none.
+some days: it may have switched more than once in a step, of which a long record would tell ever more surely. A lag that
+is shorter than what is left open is none.
 """
 
 from __future__ import annotations
@@ -29,9 +29,13 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # Days that such a record weighs at most, by judgement; how far levels are from off, from full and
 # from each other at least where a machine may have been switched, by judgement too. Of 28 days of own control at steps
-# of 15 min a house whose heat pump switches 47 times a day has log odds of 57 and of 5.5 by these, with a sensor that
+# of 15 min a house whose heat pump switches 47 times a day has log odds of 57 and of 4.6 by these, with a sensor that
 # is late by 15 min 452 and 94 (620001:0, 2026-11-30).
 _WEIGHED_DAYS, _PART = 5.0, 0.02
+# How long parts of steps are, h, and least number of them: short beside lags of some minutes. With halves of 15 min an
+# ideal sensor has log odds of 6.4, with quarters 5.2; late ones 0.2 less (620001:0, 620001:7, 913377:1,
+# 2026-11-30).
+_PART_H, _LEAST_PARTS = 1.0 / 16.0, 2
 # Where the second search begins, in prior standard deviations of sensor and emitters. By judgement: the other likely
 # maximum of drawn houses with warm air (2026-11-30).
 _SLOW_SENSOR, _QUICK_EMITTER = 1.5, -1.0
@@ -81,7 +85,7 @@ def late_sensor(room: RoomNetwork, runs: Sequence[RoomRun]) -> tuple[RoomFit, La
     switched = [_switched(run, room) for run in runs]
     moved = any(there is not run for there, run in zip(switched, runs, strict=True))
     if moved and float(searched(room, switched, without.scaled).fun) < without.value:
-        # Where in its half step heat came is known to a quarter of a step.
+        # A machine may have been switched several times in a step: when heat came is known to a quarter of it.
         if lag_h <= 0.25 * max(run.step_h for run in runs):
             return None
         days = sum((len(run.readings) - 1) * run.step_h for run in runs) / 24.0
@@ -123,7 +127,7 @@ def _with_lag(room: RoomNetwork, runs: Sequence[RoomRun], without: RoomFit) -> R
 
 
 def _switched(run: RoomRun, room: RoomNetwork) -> RoomRun:
-    """A run in half steps: what comes at a level between off and full comes at the end of its step that is next to the
+    """A run in parts of steps: a level between off and full is full level at the end of its step that is next to the
     higher level; the run itself where there is nothing of the kind.
     """
     drives = [room.drive(a) for a in range(len(room.signs))]
@@ -132,13 +136,14 @@ def _switched(run: RoomRun, room: RoomNetwork) -> RoomRun:
     part = (levels > _PART) & (levels < 1.0 - _PART) & (np.abs(before - after) > _PART)
     if not part.any():
         return run
-    more, less = np.minimum(2.0 * levels, 1.0), np.maximum(2.0 * levels - 1.0, 0.0)
-    inputs = np.repeat(run.inputs, 2, axis=0)[:-1]
-    inputs[:-1:2, drives] = np.where(part, np.where(before > after, more, less), levels)
-    inputs[1::2, drives] = np.where(part, np.where(before > after, less, more), levels)
+    parts = max(_LEAST_PARTS, round(run.step_h / _PART_H))
+    inputs = np.repeat(run.inputs, parts, axis=0)[: parts * len(levels) + 1]
+    for k in range(parts):
+        at_first, at_last = (np.clip(parts * levels - j, 0.0, 1.0) for j in (k, parts - 1 - k))
+        inputs[k:-1:parts, drives] = np.where(part, np.where(before > after, at_first, at_last), levels)
     readings = np.full(len(inputs), np.nan)
-    readings[::2] = run.readings
-    return replace(run, inputs=inputs, readings=readings, step_h=0.5 * run.step_h)
+    readings[::parts] = run.readings
+    return replace(run, inputs=inputs, readings=readings, step_h=run.step_h / parts)
 
 
 def _log_odds(without: float, fit: RoomFit) -> float:
