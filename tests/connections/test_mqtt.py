@@ -141,12 +141,14 @@ def test_a_retained_command_of_mqtt_5_ends_with_its_time_and_what_is_given_back_
 
 
 @needs_broker
-def test_what_the_device_says_is_waited_for(connect, broker, monkeypatch):
+@pytest.mark.parametrize(("form", "held"), [("{:.1f}", "24.0"), ("{:.1f} °C", "24,0 °C")])
+def test_what_the_device_says_is_waited_for(connect, broker, monkeypatch, form, held):
     monkeypatch.setattr("thermoforce_mpc.connections.mqtt.TAKEN_S", 0.4)
 
     def answers(client, userdata, message):
         taken = min(float(json.loads(message.payload)["t"]), 24.0)
-        client.publish("room/state", json.dumps({"set": taken}), qos=1)
+        said = taken if form == "{:.1f}" else form.format(taken).replace(".", ",")
+        client.publish("room/state", json.dumps({"set": said}), qos=1)
 
     device = broker.client(on_message=answers)
     subscribed(device, "room/set")
@@ -159,7 +161,7 @@ def test_what_the_device_says_is_waited_for(connect, broker, monkeypatch):
     home = connect(actuators={"hall": room})
     home.begin()
     home.write({"hall": 22.0}, 900.0)
-    with pytest.raises(NotAsTold, match=r"room/state#set says 24.0, not 25") as refused:
+    with pytest.raises(NotAsTold, match=f"room/state#set says {held}, not 25") as refused:
         home.write({"hall": 25.0}, 900.0)
     assert refused.value.names == ("hall",)
     device.disconnect()

@@ -12,6 +12,7 @@ import io
 import json
 import logging
 import math
+import re
 import socket
 import ssl
 import struct
@@ -46,6 +47,8 @@ _WHERE = "host and port"
 # How long a device may take to say what it was set to, s.
 TAKEN_S = 10.0
 _HEADER = "time,topic,value\n"
+# What a device says of a set-point or valve.
+_TOLD = re.compile(r"\s*([+-]?\d+)(?:[.,](\d+))?\s*(?:°?C|%)?\s*")
 _MOST_PAYLOAD = 100_000
 # A step of control should see some readings of what changes.
 _LONGEST_EVERY_S = 300.0
@@ -287,12 +290,12 @@ class MqttConnection:
                 self._change.wait(left_s)
             heard = dict(self._heard)
         for name, state in states.items():
-            one, said = self._actuators[name], heard.get(state)
+            one, said = self._actuators[name], heard.get(state, "")
             by_option = {text: level for level, text in one.options.items()}
-            value = None if said is None else by_option.get(said, SWITCH.get(said.lower()))
+            value = by_option.get(said, SWITCH.get(said.lower()))
             if value is None:
                 try:
-                    value = (float(said or "") - one.offset) / one.scale
+                    value = (_number(said) - one.offset) / one.scale
                 except ValueError:
                     continue
             held[name] = value
@@ -598,6 +601,12 @@ def _value(text: str, key: str) -> str | None:
     return said[:200] if said and "\n" not in said else None
 
 
+def _number(text: str) -> float:
+    """A payload as a number, with a decimal comma too and the unit behind it; raises `ValueError` for what is none."""
+    told = _TOLD.fullmatch(text)
+    return float(text if told is None else f"{told[1]}.{told[2] or 0}")
+
+
 def _alike(heard: str | None, wanted: str) -> bool:
     """Whether a device says what it was told, as a number or word."""
     if heard is None:
@@ -606,7 +615,7 @@ def _alike(heard: str | None, wanted: str) -> bool:
     for text in (heard, wanted):
         word = SWITCH.get(text.lower())
         try:
-            numbers.append(float(text) if word is None else word)
+            numbers.append(_number(text) if word is None else word)
         except ValueError:
             return heard == wanted
     return abs(numbers[0] - numbers[1]) <= 0.05
