@@ -20,9 +20,10 @@ class Held:
     name, step_s, horizon_s = "held", HOUR_S, 6 * HOUR_S
 
     def __init__(self, level):
-        self.level = level
+        self.level, self.lower_C = level, {}
 
     def plan(self, observation, state=None):
+        self.lower_C |= {observation.time_s: observation.boundary.lower_C[:, 0]}
         return Plan((Block((self.level,) * ROOMS, HOUR_S),), PlanStatus.SOLVED, "held")
 
 
@@ -34,7 +35,7 @@ def row_of(monkeypatch):
     def said(model, record, conditions, controller, **rest):
         asked.update(rest, record=record, conditions=conditions)
         counted = dict.fromkeys(("cost_was", "outside_Kh", "outside_was_Kh"), 1.0)
-        return SimpleNamespace(saved=1.0, low=0.5, high=1.5, **counted)
+        return SimpleNamespace(saved=1.0, low=0.5, high=1.5, raised_K=-0.5, **counted)
 
     room = "benchmarks.operation.would_save"
     monkeypatch.setattr(f"{room}.identify", lambda record, **_: SimpleNamespace(cards=(SimpleNamespace(unfit=False),)))
@@ -42,7 +43,8 @@ def row_of(monkeypatch):
     monkeypatch.setattr(f"{room}.BEFORE_DAYS", 2)
 
     def run(level):
-        monkeypatch.setattr(f"{room}.ThermoForceMPC", lambda model, config: Held(level))
+        asked["controller"] = Held(level)
+        monkeypatch.setattr(f"{room}.ThermoForceMPC", lambda model, config: asked["controller"])
         return run_worth_case(CASE), asked
 
     return run
@@ -55,6 +57,9 @@ def test_the_truth_is_what_the_house_costs_under_the_same_controller(row_of):
     assert not alone["holds"]
     np.testing.assert_allclose(asked["conditions"].time_s, asked["record"].time_s)
     assert asked["start_s"] + asked["days"] * DAY_S == asked["record"].time_s[-1]
+    record, lower_C = asked["record"], np.fmin(asked["conditions"].lower_C, asked["record"].T_zone_C) - 0.5
+    for time_s, seen_C in asked["controller"].lower_C.items():
+        np.testing.assert_allclose(seen_C, lower_C[:, record.nearest(time_s)], err_msg=f"plans at {time_s} s")
     off, _ = row_of(0.0)
     assert off["true"] != 0.0, "days after it are paid for, too"
     assert off["true_outside_Kh"] > alone["true_outside_Kh"] + 1.0
