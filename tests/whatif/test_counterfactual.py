@@ -271,6 +271,15 @@ def _tf(folder: Path, *words: str) -> tuple[int, str]:
     return said.exit_code, said.output
 
 
+@pytest.mark.parametrize("words", [("forecast",), ("counterfactual", "--level", "0.3")])
+def test_a_map_in_which_an_actuator_does_something_else_is_refused(house: Path, words: tuple[str, ...]) -> None:
+    rules = (house / "map.yaml").read_text()
+    (house / "map.yaml").write_text(rules.replace("zone: zone,", "zone: zone, mode: cooling,"))
+    code, said = _tf(house, *words, "--start", "2026-01-05")
+    assert code != 0
+    assert f"actuator is heating zone, fed by machine, by the map {house / 'map.yaml'} cooling zone" in said
+
+
 def test_counterfactual_command(house: Path) -> None:
     (house / "other.csv").write_text("time,u\n2026-01-05 00:00,0\n2026-01-05 06:00,1\n")
     code, said = _tf(house, "counterfactual", "--start", "2026-01-05", "--schedule", str(house / "other.csv"),

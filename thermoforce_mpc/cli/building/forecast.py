@@ -203,7 +203,9 @@ def other_levels(
     if (level is None) == (schedule is None):
         raise click.UsageError("give the other levels, either --level or --schedule")
     thermal = load_model(model)
-    record = read_measurements(list(files), map_file).served().record
+    measured = read_measurements(list(files), map_file).served()
+    record = measured.record
+    check_same_layout(f"--model {model}:", thermal.layout, f"the map {map_file}", measured.layout)
     first_s = seconds_at(record.origin, start, "--start")
     time_s = first_s + record.step_s * np.arange(round(hours * HOUR_S / record.step_s), dtype=np.float64)
     u = levels_of(schedule, level, record.names, time_s, record.origin)
