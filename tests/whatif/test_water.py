@@ -24,11 +24,14 @@ def test_heat_of_a_level_is_that_of_an_emitter_between_water_and_room(emitters: 
             total += into / emitters
             warm = warm + (into - warm) * _STEP_S / small / (3.0 * HOUR_S)
         expected[:, k] = total / small
-    np.testing.assert_allclose(emitted(u, _STEP_S, emitters), expected, atol=1e-3)
+    np.testing.assert_allclose(emitted(u, _STEP_S, emitters)[0], expected, atol=1e-3)
+    past, warmth = emitted(u[:, :120], _STEP_S, emitters)
+    later, _ = emitted(u[:, 120:], _STEP_S, emitters, warmth)
+    np.testing.assert_allclose(np.concatenate([past, later], axis=1), emitted(u, _STEP_S, emitters)[0])
 
 
 def test_a_level_that_is_held_gives_less_than_when_it_begins() -> None:
-    heat = emitted(np.concatenate([np.zeros((1, 96)), np.full((1, 96), 0.5)], axis=1), _STEP_S, 1.0)[0]
+    heat = emitted(np.concatenate([np.zeros((1, 96)), np.full((1, 96), 0.5)], axis=1), _STEP_S, 1.0)[0][0]
     assert heat[96] > 0.48
     assert heat[-1] == pytest.approx(0.5 / 1.5, abs=1e-3)
     assert (np.diff(heat[96:]) < 0.0).all()
@@ -36,4 +39,4 @@ def test_a_level_that_is_held_gives_less_than_when_it_begins() -> None:
 
 def test_an_emitter_that_takes_any_heat_leaves_levels_as_they_are() -> None:
     u = np.random.default_rng(6).uniform(0.0, 1.0, (1, 96))
-    np.testing.assert_allclose(emitted(u, _STEP_S, 0.0), u)
+    np.testing.assert_allclose(emitted(u, _STEP_S, 0.0)[0], u)

@@ -417,7 +417,8 @@ def counterfactuals(
                 "there is nothing to compare with; choose a stretch in which it was"
             )
     whole, _ = bridged(model.own_heat(record.slice(0, first + n)))
-    context, stretch, before = _known_from(model, whole, first), whole.slice(first, first + n), whole.u[:, :first]
+    context, stretch = _known_from(model, whole, first), whole.slice(first, first + n)
+    emitters = _of_emitters(model, whole, first)
 
     @cache
     def told(m: int) -> _Told:
@@ -425,7 +426,7 @@ def counterfactuals(
         return _Told(model.power_change(m, record), *_beside_law(model, m, record, stretch), rare)
 
     measured_C = np.asarray(record.T_zone_C[:, first + 1 : first + n + 1])
-    return [_under(model, record, levels, context, stretch, before, measured_C, told) for levels in each]
+    return [_under(model, record, levels, context, stretch, emitters, measured_C, told) for levels in each]
 
 
 @dataclass(frozen=True)
@@ -447,11 +448,11 @@ def _under(
     levels: Array,
     context: PredictionContext,
     stretch: Record,
-    before: Array,
+    emitters: Callable[[Array], tuple[Array, Array]],
     measured_C: Array,
     told: Callable[[int], _Told],
 ) -> Counterfactual:
-    """A stretch under other levels, after levels `before` (A, k)."""
+    """A stretch under other levels."""
     applied = np.clip(stretch.u, model.operator.u_min[:, None], 1.0)
     if levels.ndim == 0:
         levels = np.full(applied.shape, levels)
@@ -463,8 +464,9 @@ def _under(
         model.powers_by_law(levels, stretch.T_out_C[:-1]),
     )
     was, other = (energy_kWh(power.sum(axis=1), record.step_s) for power in (power_W, power_other_W))
-    emitters = _of_emitters(model, stretch, before, applied, levels)
-    energies = [_energy(model, m, told, stretch, levels, effect, was[m], other[m], emitters) for m in range(len(was))]
+    more, more_sd = emitters(levels)
+    each = zip(was, other * more, other * more_sd, strict=True)
+    energies = [_energy(model, m, told, stretch, levels, effect, *one) for m, one in enumerate(each)]
     was, other, energy_low, energy_high = np.array(energies).T
     unseen = [_never_held(model, m, record, levels) for m in range(len(model.machines))]
     energy_high = np.where(unseen, np.fmax(energy_high, _HELD * other), energy_high)
@@ -498,17 +500,16 @@ def _energy(
     effect_K: Array,
     was: float,
     other: float,
-    emitters: tuple[Array, Array],
+    emitters_sd: float,
 ) -> tuple[float, float, float, float]:
     """Energy of machine `m` as it was and under levels `u` (A, N) with its 90 % band, kWh.
 
-    `was`, `other`: by the law of power; `effect_K` (Z, N): what the levels change; `emitters`: see `_of_emitters`. What
-    the meter said more or less than the law of the stretch it says of the other levels too. Rooms that are colder take
-    more from the water.
+    `was`, `other`: by the law of power, the latter with what emitters take more, known to `emitters_sd`; `effect_K` (Z,
+    N): what the levels change. What the meter said more or less than the law of the stretch it says of the other levels
+    too. Rooms that are colder take more from the water.
     """
     if not np.isfinite(other):
         return was, other, np.nan, np.nan
-    other, emitters_sd = other * emitters[0][m], emitters[1][m] * other
     of_record = told(m)
     metered, usual, errors, share = of_record.metered, of_record.usual, of_record.errors, of_record.share
     known = bool(np.isfinite(metered)) and was > 0.0
@@ -539,27 +540,40 @@ def _energy(
     return was, said, max(min(ends), 0.0), max(ends)
 
 
-def _of_emitters(model: ThermalModel, stretch: Record, before: Array, was: Array, other: Array) -> tuple[Array, Array]:
-    """How much more machines (M,) take under levels `other` than `was` (A, N) than their laws say, and its standard
-    deviation, since emitters whose valves were open for less long take more from the water. `before` (A, k): levels
-    until then.
+def _of_emitters(model: ThermalModel, whole: Record, first: int) -> Callable[[Array], tuple[Array, Array]]:
+    """How much more machines (M,) take under other levels (A, N) from step `first` of a record on than their laws say
+    beside the levels applied, and its standard deviation: emitters whose valves are less open take more from the water.
     """
-    valves = of_water(model)[:, None] > 0.0
+    valves, stretch = of_water(model)[:, None] > 0.0, whole.slice(first, whole.n_steps)
+    if not valves.any():
+        none = np.ones(len(model.machines)), np.zeros(len(model.machines))
+        return lambda other: none
+    applied = np.clip(stretch.u, model.operator.u_min[:, None], 1.0)
 
-    def more(emitters: float) -> Array:
-        levels = [np.concatenate([before, u], axis=1) for u in (was, other)]
-        heats = [emitted(u, stretch.step_s, emitters) for u in levels]
-        usual = levels[0].sum() / max(float(heats[0].sum()), 1e-9)
-        each = []
-        for level, heat in zip(levels, heats, strict=True):
-            both = (u[:, before.shape[1] :] for u in (np.where(valves, usual * heat, level), level))
-            of_heat, of_level = (model.powers_by_law(u, stretch.T_out_C[:-1]).sum(axis=1) for u in both)
-            each.append(np.divide(of_heat, of_level, out=np.ones(len(of_level)), where=of_level > 0.0))
-        return np.asarray(each[1] / each[0])
+    def of_heat(level: Array, heat: Array) -> Array:
+        both = np.where(valves, heat, level), level
+        W, by_level_W = (model.powers_by_law(u, stretch.T_out_C[:-1]).sum(axis=1) for u in both)
+        return np.divide(W, by_level_W, out=np.ones(len(by_level_W)), where=by_level_W > 0.0)
+
+    def more(emitters: float) -> Callable[[Array], Array]:
+        past, warmth = emitted(whole.u[:, :first], whole.step_s, emitters)
+        heat, _ = emitted(applied, whole.step_s, emitters, warmth)
+        usual = (whole.u[:, :first].sum() + applied.sum()) / max(float(past.sum() + heat.sum()), 1e-9)
+        as_it_was = of_heat(applied, usual * heat)
+
+        def under(other: Array) -> Array:
+            return of_heat(other, usual * emitted(other, whole.step_s, emitters, warmth)[0]) / as_it_was
+
+        return under
 
     median, log_sd = EMITTERS
-    mean = more(median)
-    return mean, np.abs(more(median * float(np.exp(log_sd))) - mean)
+    likely, better = more(median), more(median * float(np.exp(log_sd)))
+
+    def of_levels(other: Array) -> tuple[Array, Array]:
+        mean = likely(other)
+        return mean, np.abs(better(other) - mean)
+
+    return of_levels
 
 
 def _beside_law(model: ThermalModel, m: int, record: Record, stretch: Record) -> tuple[float, float, float]:

@@ -34,21 +34,22 @@ def of_water(model: ThermalModel) -> Array:
     )
 
 
-def emitted(u: Array, step_s: float, emitters: float) -> Array:
-    """Heat of valves at levels `u` (A, n), over that of a cold emitter at full level; their first day begins as usual.
+def emitted(u: Array, step_s: float, emitters: float, warmth: Array | None = None) -> tuple[Array, Array]:
+    """Heat of valves at levels `u` (A, n), over that of a cold emitter at full level, and how warm emitters are then.
 
     An emitter that is warm takes less: v = u·(1 − r·y), and y follows v over `_EMITTER_H`; `emitters`: r, see
     `EMITTERS`. A valve that stays open gives u/(1 + r·u), so that half of its level is more than half of its heat.
+    `warmth` (A,): y at first; None: as usual on the first day.
     """
     begin = u[:, : steps_in(DAY_S, step_s)].mean(axis=1)
-    y, step = begin / (1.0 + emitters * begin), step_s / HOUR_S / _EMITTER_H
+    y, step = begin / (1.0 + emitters * begin) if warmth is None else warmth, step_s / HOUR_S / _EMITTER_H
     heat = np.empty_like(u)
     for k, level in enumerate(u.T):
         rate = 1.0 + emitters * level
         to, stays = level / rate, np.exp(-rate * step)
         heat[:, k] = level * (1.0 - emitters * (to + (y - to) * (1.0 - stays) / (rate * step)))
         y = to + (y - to) * stays
-    return heat
+    return heat, y
 
 
 def others_by(was: Array, other: Array) -> float:
