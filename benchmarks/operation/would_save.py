@@ -23,7 +23,7 @@ from thermoforce_mpc.comparison.outcome import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation, Period, Plan
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.experiment.worth import as_comfortable, worth
+from thermoforce_mpc.experiment.worth import Raised, as_comfortable, worth
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
@@ -104,8 +104,7 @@ def run_worth_case(case: WorthCase) -> Row:
     except DataError as refused:
         return row | {"refused": str(refused)[:200]}
     own = _lived(plant, start_s, warmup_s, scored_s, None)
-    asked = as_comfortable(of_record, hourly)
-    asked = replace(asked, lower_C=np.minimum(asked.lower_C + found.raised_K, asked.upper_C))
+    asked = Raised(found.raised_K).of_bounds(as_comfortable(of_record, hourly))
     planned = _lived(plant, start_s, warmup_s, scored_s, _Asked(controller, asked))
     true = own[0] - planned[0]
     return row | {

@@ -22,6 +22,10 @@ the end of the next: no more would change what is done now."""
 YEAR_S = 365 * DAY_S
 """A year of weather, prices and schedules, s: it has no 29 February, and repeats."""
 
+CLOCKS_S, ZONES_S = 300.0, 1200.0
+"""How far two clocks are apart at most that are both set, s; and from when on one is probably of another zone: zones
+differ by half an hour at least, less what a reading is old."""
+
 ZERO_C_K = 273.15
 """0 °C in K."""
 

@@ -272,7 +272,7 @@ def worth(
     progress(f"house 1 of {draws + 1}, the likeliest, {span}")
     raised = Raised()
     likeliest = houses.lived(0, period, conditions, asked=asked, error=error)
-    outside_was_Kh, below_was_Kh = outside_Kh(likeliest.was, conditions, first)
+    outside_was_Kh, below_was_Kh = (of(likeliest.was, conditions, first) for of in (outside_Kh, _below_Kh))
     for _ in range(_MOST_ROUNDS):
         spare_Kh = 0.0 if bounds_kept else below_was_Kh - likeliest.below_Kh
         more = raised.further(likeliest, outside_was_Kh, spare_Kh, days)
@@ -337,6 +337,10 @@ class Raised:
         way = "raised" if self.rooms_K > 0.0 else "lowered"
         parts = [f"bounds {way} by {abs(self.rooms_K):g} K"] * (self.rooms_K != 0.0)
         return " and ".join(parts + [f"a tank warmer by {self.tank_K:g} K"] * (self.tank_K > 0.0))
+
+    def of_bounds(self, conditions: Boundary) -> Boundary:
+        """Bounds of rooms with lower ones that are raised, to the upper ones at most."""
+        return replace(conditions, lower_C=np.minimum(conditions.lower_C + self.rooms_K, conditions.upper_C))
 
     def further(self, lived: Lived, outside_was_Kh: float, spare_Kh: float, days: float) -> Raised:
         """What is colder than it was over `days` raised by a step more, to two steps; rooms that are below their lower
@@ -437,7 +441,7 @@ class Houses:
         house = IdentifiedHouse(
             model,
             record,
-            replace(asked, lower_C=np.minimum(asked.lower_C + raised.rooms_K, asked.upper_C)),
+            raised.of_bounds(asked),
             effects=self._effects[k],
             less_per_K=self._less_per_K[k],
             commands=self._commands,
@@ -460,7 +464,8 @@ class Houses:
             lived,
             was,
             *counted,
-            *outside_Kh(lived, conditions, first),
+            outside_Kh(lived, conditions, first),
+            _below_Kh(lived, conditions, first),
             who_acted(result.steps, record.names),
             None if tank is None else _of_tank(house, slice(first + 1, first + n + 1)),
             house.state,
@@ -545,12 +550,15 @@ def as_comfortable(conditions: Boundary, record: Record) -> Boundary:
     return replace(conditions, lower_C=np.fmin(conditions.lower_C, T_C), upper_C=np.fmax(conditions.upper_C, T_C))
 
 
-def outside_Kh(record: Record, conditions: Boundary, first: int) -> tuple[float, float]:
-    """K·h outside the bounds in all zones, and those below the lower ones."""
-    T_C, hours = record.T_zone_C[:, 1:], record.step_s / HOUR_S
+def outside_Kh(record: Record, conditions: Boundary, first: int) -> float:
+    """K·h outside the bounds in all zones."""
+    return float(np.nansum(conditions.outside_K(record.T_zone_C[:, 1:], first)) * record.step_s / HOUR_S)
+
+
+def _below_Kh(record: Record, conditions: Boundary, first: int) -> float:
+    """K·h below the lower bounds in all zones."""
     no_upper = replace(conditions, upper_C=np.full_like(conditions.upper_C, np.inf))
-    outside, below = (float(np.nansum(one.outside_K(T_C, first)) * hours) for one in (conditions, no_upper))
-    return outside, below
+    return outside_Kh(record, no_upper, first)
 
 
 def band_of(saved: float, drawn: Sequence[float]) -> tuple[float, float]:

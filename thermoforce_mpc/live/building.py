@@ -27,7 +27,7 @@ from thermoforce_mpc.commands.command import Command, TemperatureCommand
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.tank import TANK_NAME, LearnedTank, TankRecord
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Names, Record, steps_in
-from thermoforce_mpc.data.clock import in_celsius
+from thermoforce_mpc.data.clock import CLOCKS_S, ZONES_S, in_celsius
 from thermoforce_mpc.errors import DataError, InputError, NoConnection, NoForecast, NotAsTold, PlantError, StorageError
 from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.experiment.run_models import origin
@@ -52,9 +52,8 @@ _BACK_DAYS, _OLDEST_DAYS = 31.0, 1.0
 ANSWER_S, _LEFT_BEHIND = 60.0, 3
 # Outdoor temperature of so many seconds, so far from its forecast, and as °F so near to it, K: a wrong unit.
 _LATELY_S, _FAR_K, _NEAR_K = 10800.0, 10.0, 4.0
-# Readings stamped after the clock: so little is nothing, so much two clocks that are not the same, s; more is refused,
-# and so much more probably the zone, of half an hour at least less what a reading is old.
-_SAME_CLOCK_S, _CLOCKS_S, _ZONE_S = 60.0, 300.0, 1200.0
+# Readings stamped so little after the clock are of the same one, s; by more than `CLOCKS_S` they are refused.
+_SAME_CLOCK_S = 60.0
 # Steps on end whose new readings are older than the step, from which on that is said.
 _LATE = 3
 # A device that takes whole degrees makes of a temperature one so far from it, K, and one that takes halves, which may
@@ -252,10 +251,10 @@ class LiveBuilding:
         newest = measured.record.origin + pd.Timedelta(seconds=newest_s)
         after = f"{_duration(ahead_s)} after the clock ({now:%H:%M %Z})"
         what = f"the newest temperature of a room is stamped {newest}, {after}"
-        if ahead_s <= _CLOCKS_S:
+        if ahead_s <= CLOCKS_S:
             return (f"{what}: set one of the clocks",)
         of_zone = self._another_zone
-        cause = f"probably {of_zone}" if ahead_s >= _ZONE_S else f"one of the clocks is wrong, or {of_zone}"
+        cause = f"probably {of_zone}" if ahead_s >= ZONES_S else f"one of the clocks is wrong, or {of_zone}"
         raise DataError(f"{what}: {cause}. Nothing is set on readings of another time")
 
     @property

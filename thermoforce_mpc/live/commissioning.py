@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from controllers.state_classes import model_key
+from thermoforce_mpc.data.clock import ZONES_S
 from thermoforce_mpc.data.layout import check_same_layout
 from thermoforce_mpc.errors import ConfigError, DataError, InputError, PlantError, ThermoForceError, counted
 from thermoforce_mpc.execution.keys import digest
@@ -41,8 +42,6 @@ _LEAST_DAYS, _SHADOW_DAYS = 2.9, 7
 # Readings of fewer steps are a record that has just begun.
 _BEGUN_STEPS = 3.0
 _AHEAD_S = 24 * 3600.0
-# No reading of any point for so long is odd, s: zones differ by half an hour at least.
-_OLD_S = 1200.0
 # Remarks on which nothing is tried: what would be set, or watched, is another thing.
 _BARS = ("rooms swapped", "command is no command", "unit of temperature")
 
@@ -160,7 +159,7 @@ def _of_ages(points: Sequence[LivePoint], rules: MeasurementMap) -> list[str]:
     """What is odd of the ages of readings: that all are old, where each point has new ones more often."""
     every_s = [point.every_s for point in points if math.isfinite(point.every_s)]
     age_s = min((point.age_s for point in points if point.values.size), default=0.0)
-    if not every_s or not age_s > max(_OLD_S, 3.0 * float(np.median(every_s))):
+    if not every_s or not age_s > max(ZONES_S, 3.0 * float(np.median(every_s))):
         return []
     of_zone = f"is time.zone of the map, {rules.time.zone or 'UTC'}, that of the stamps, or does the logger stand?"
     return [f"the newest reading of all is {age_s / 60.0:.0f} min old, and they come more often: {of_zone}"]

@@ -331,7 +331,7 @@ def _day(begin: pd.Timestamp, told: _ToldDay, lived: Sequence[Lived], *, goes_on
         cost_was=float((energy_was * price).sum()),
         cost=likeliest.cost,
         saved=tuple(one.saved for one in lived),
-        outside_was_Kh=outside_Kh(was, told.conditions, first)[0],
+        outside_was_Kh=outside_Kh(was, told.conditions, first),
         outside_Kh=likeliest.outside_Kh,
         warmer_K=float(np.nanmean(likeliest.record.T_zone_C[:, 1:] - was.T_zone_C[:, 1:])),
         planned=planned_share(likeliest.acted),

@@ -25,9 +25,11 @@ def on_dates(time_s: Array, origin: pd.Timestamp | None) -> Any:
 
 
 def date_ticks(axes: Axes, *, years: bool = True) -> None:
-    """Days, or hours of them, below `axes`, which are of times."""
+    """Days, or hours of them, below `axes` on which times are drawn; where these are seconds, nothing."""
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
+    if not axes.xaxis.have_units():
+        return
     dates = AutoDateLocator(minticks=3, maxticks=8)
     begins = ["", "%b %Y" if years else "%b", "%d %b", "%d %b", "%H:%M", "%H:%M"]
     axes.xaxis.set_major_locator(dates)

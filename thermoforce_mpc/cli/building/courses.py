@@ -101,5 +101,4 @@ def finish_axes(figure: Figure) -> None:
     upper.grid(alpha=0.3)
     told = upper.get_legend_handles_labels()
     figure.legend(*told, loc="outside lower center", ncols=4, frameon=False, fontsize="small")
-    if upper.xaxis.have_units():  # else they are seconds
-        date_ticks(upper)
+    date_ticks(upper)

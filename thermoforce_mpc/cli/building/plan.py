@@ -407,8 +407,7 @@ def drawn_plan(plan: Plan, table: pd.DataFrame, ahead: Boundary, commands: Seque
     for axes, several in ((upper, names.zones), (middle, names.actuators)):
         if len(several) > 1:
             _legend_above(axes)
-    if upper.xaxis.have_units():
-        date_ticks(upper)
+    date_ticks(upper)
     return figure
 
 

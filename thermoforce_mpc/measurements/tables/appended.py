@@ -23,6 +23,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.clock import CLOCKS_S
 from thermoforce_mpc.errors import DataError, counted
 from thermoforce_mpc.measurements.tables.clock import newest_first, parsed_or_nat
 from thermoforce_mpc.measurements.tables.files import (
@@ -54,8 +55,6 @@ from thermoforce_mpc.measurements.tables.raw_table import (
 
 # A stamp so far from its place in the file is none, s; after the clock it is none where few rows have such.
 _FAR_S, _FEW = 86400.0, 0.01
-# Two clocks differ by so much, s: what is stamped later than that is of a time to come.
-_CLOCKS_S = 300.0
 # Stamps of a wall clock go back in autumn, s.
 _HOUR_TWICE_S = 3600.0
 # Where rows are not in the order of time, so far from most others.
@@ -226,7 +225,7 @@ def _joined(
     if now is not None:
         signal = np.concatenate(codes) if codes else np.zeros(len(at), dtype=np.int32)
         wall = now.tz_convert(text.clock.zone).tz_localize(None).tz_localize("UTC") if text.clock.zone else now
-        latest_s = np.where(offset, now.timestamp(), wall.timestamp() + _HOUR_TWICE_S) + _CLOCKS_S
+        latest_s = np.where(offset, now.timestamp(), wall.timestamp() + _HOUR_TWICE_S) + CLOCKS_S
         wrong = np.flatnonzero(keep)[_before_set_back(at[keep], signal[keep], latest_s[keep])]
         for row in wrong:
             left.add("stamped after the clock, which was set back since", int(lines[row]), _second(at.iloc[row]))
