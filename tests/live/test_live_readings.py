@@ -177,4 +177,4 @@ def test_prices_that_end_first_are_said_with_their_share():
     house.forecast = lambda: live().assign(spot=lambda f: np.where(np.arange(len(f)) < 8, 80.0, np.nan))
     told = controlled(house, 2, rules)
     assert told[0].plan.status == "bridged"
-    assert "price_per_kWh at 4 of 13 instants by the value before" in in_words(told[0])
+    assert "price_per_kWh at 5 of 13 instants by the value before" in in_words(told[0])

@@ -149,12 +149,12 @@ def test_prices_that_end_early_go_on_as_in_the_same_hour_of_the_days_before(meas
     known = slice(0, 26)
     np.testing.assert_allclose(hours[known], 0.1 + np.arange(26) % 24 / 100)
     # The record has 0.3 the day before: of two days that are known the mean.
-    np.testing.assert_allclose(hours[28:48], (0.1 + np.arange(28, 48) % 24 / 100 + 0.3) / 2)
+    np.testing.assert_allclose(hours[26:48], (0.1 + np.arange(26, 48) % 24 / 100 + 0.3) / 2)
     guessed = ahead.guessed["price_per_kWh"][0]
     assert not guessed[: 26 * 4].any()
-    assert guessed[27 * 4 :].all()
+    assert guessed[26 * 4 :].all()
     filled, words = completed(ahead, measured.record, None)
-    assert "price_per_kWh at 86 of 193 instants (45 % of the plan) by the same hour of the days before" in words
+    assert "price_per_kWh at 89 of 193 instants (46 % of the plan) by the same hour of the days before" in words
     assert filled.head(8).guessed["price_per_kWh"].shape == (1, 9)
 
 
@@ -169,6 +169,21 @@ def test_each_column_is_bridged_by_a_rule_of_its_own(measured):
     assert filled.price_per_kWh[0, 12 * 4 + 3] == pytest.approx(0.3)
     for signal in ("T_out_C", "upper_C", "price_per_kWh"):
         assert signal in words
+
+
+@pytest.mark.parametrize("by_file", [False, True])
+def test_a_price_holds_for_its_own_hour_where_the_next_is_lacking(measured, tmp_path, by_file):
+    """The last of a list that ends at midnight does not hold beyond it either."""
+    df = hourly(49).assign(price=0.5)
+    prices = df["price"].drop(df.index[[6, *range(12, 49)]])
+    prices.to_csv(tmp_path / "prices.csv")
+    if by_file:
+        ahead = read_forecast(df, measured, prices=tmp_path / "prices.csv")
+    else:
+        ahead = read_forecast(df.assign(price=prices), measured)
+    quarters = ahead.price_per_kWh[0, :50]
+    given = np.isclose(quarters, 0.5) & ~ahead.guessed.get("price_per_kWh", np.zeros((1, 193), dtype=bool))[0, :50]
+    assert np.flatnonzero(given).tolist() == [*range(24), *range(28, 48)]
 
 
 def test_a_forecast_that_begins_a_little_later_is_joined_to_the_last_reading(measured):

@@ -40,6 +40,8 @@ _LEAST_CHANGES, _MOST_SAME, _ALIVE, _STEPS, _RESTS, _STAYED = 3, 0.02, 0.7, 3.0,
 _IRREGULAR, _LEAST_GAPS = 0.15, 3
 # Set-points of rooms, °C and °F.
 _SETPOINTS = ((10.0, 32.0), (50.0, 90.0))
+# What ends at an instant does not hold there any more, s.
+_NO_TIME_S = 1e-3
 # Longest time between readings that is no gap: this many times their 90th percentile.
 LOOSE, _PERCENTILE = 1.5, 90.0
 
@@ -339,9 +341,11 @@ def held(readings: SignalReadings, at_s: Array) -> Array:
 
 
 def held_means(readings: SignalReadings, lasts_s: Array, grid_s: Array, step_s: float, coverage: float) -> Array:
-    """What holds over the steps of `step_s` that begin at `grid_s` (n,): its mean, or where little is known, `held`.
+    """What holds over the steps of `step_s` that begin at `grid_s` (n,): its mean, or where little is known, what holds
+    at their begin; NaN where nothing does.
 
     `lasts_s`: how long each reading holds, see `durations_s`; `coverage`: see `means`.
     """
     over_step = means(readings.time_s, lasts_s, readings.values, np.append(grid_s, grid_s[-1] + step_s), coverage)
-    return np.where(np.isfinite(over_step), over_step, held(readings, grid_s))
+    at_begin = held(replace(readings, ends_s=readings.time_s + lasts_s - _NO_TIME_S), grid_s)
+    return np.where(np.isfinite(over_step), over_step, at_begin)
