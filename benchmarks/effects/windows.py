@@ -9,7 +9,7 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, NORMAL_95, Array
 from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.whatif.counterfactual import step_response_of
+from thermoforce_mpc.whatif.step_response import step_response_of
 
 STEP_S = 900.0
 # Hours off, then at full level, and hours from the start of the block that are scored.

@@ -15,7 +15,7 @@ from benchmarks.operation import saving as bench
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, Names, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.whatif.counterfactual import days_of
+from thermoforce_mpc.whatif.days import days_of
 from thermoforce_mpc.whatif.saving import verified_saving
 
 _BEFORE, _AFTER = 28, 21

@@ -21,13 +21,8 @@ from thermoforce_mpc.loop.closed_loop import RunResult, Sample, StepRecord, in_f
 from thermoforce_mpc.loop.inputs import price_paid
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.report.page import Json, exactly, packed, rows_packed, smooth
-from thermoforce_mpc.whatif.counterfactual import (
-    Counterfactual,
-    counterfactuals,
-    full_level_of,
-    step_answer,
-    step_response_of,
-)
+from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactuals
+from thermoforce_mpc.whatif.step_response import full_level_of, step_answer, step_response_of
 
 # Bytes of the courses of all runs of a page, before base64 adds a third; of more, consecutive blocks are averaged.
 _MOST_COURSES_BYTES = 800_000

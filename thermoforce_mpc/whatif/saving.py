@@ -26,7 +26,7 @@ from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.data.dataframes import seconds_since, stamps
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError, check_kind, counted
-from thermoforce_mpc.whatif.counterfactual import LAGS_H, Days, days_of
+from thermoforce_mpc.whatif.days import LAGS_H, Days, days_of
 
 LEAST_BEFORE, LEAST_AFTER = 10, 7
 _LEVEL = 0.95

@@ -16,7 +16,8 @@ from matplotlib.text import Text
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.model.thermal_model import load_model
-from thermoforce_mpc.whatif.counterfactual import plot_identification, rollouts
+from thermoforce_mpc.whatif.picture import plot_identification
+from thermoforce_mpc.whatif.rollouts import rollouts
 
 pytestmark = pytest.mark.slow
 

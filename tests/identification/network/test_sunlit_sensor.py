@@ -20,7 +20,7 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor, facade_W_m2, sensor_lag, sun_at
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, House, draw_house
-from thermoforce_mpc.whatif.counterfactual import rollouts
+from thermoforce_mpc.whatif.rollouts import rollouts
 
 # Three sunny days in March, before the sunny week of these houses.
 START_S = 66 * DAY_S

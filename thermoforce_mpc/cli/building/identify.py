@@ -160,7 +160,7 @@ def _options(options: dict[str, Any]) -> IdentificationConfig:
 def _finish(model: ThermalModel, record: Record, out: Path, display: RunDisplay, *, overwrite: bool) -> None:
     """Save and show a model and the plot of its fit; exit code 4 where it is not competent."""
     from thermoforce_mpc.experiment.identifying import may_act
-    from thermoforce_mpc.whatif.counterfactual import PLOT_NAME, plot_identification
+    from thermoforce_mpc.whatif.picture import PLOT_NAME, plot_identification
 
     model.save(out, overwrite=overwrite)
     show_model(str(out), model, display.console)
@@ -251,7 +251,7 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
     console.print(f"Certificate: {certified}", soft_wrap=True)
     from thermoforce_mpc.data import NORMAL_95
     from thermoforce_mpc.identification.estimation.regression import STEP_RESPONSE_H
-    from thermoforce_mpc.whatif.counterfactual import step_response_of
+    from thermoforce_mpc.whatif.step_response import step_response_of
 
     hours = STEP_RESPONSE_H[-1]
     table = plain_table(["zone", *operator.actuators])

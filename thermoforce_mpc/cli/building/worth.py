@@ -30,7 +30,7 @@ from thermoforce_mpc.data.layout import check_same_layout
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.report.display import RunDisplay
 from thermoforce_mpc.scenario.settings import parse_overrides, validate
-from thermoforce_mpc.whatif.counterfactual import Days
+from thermoforce_mpc.whatif.days import Days
 from thermoforce_mpc.whatif.saving import Saving, verified_saving
 
 if TYPE_CHECKING:
