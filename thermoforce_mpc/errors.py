@@ -69,11 +69,12 @@ class NotAsTold(PlantError):
 
 
 class NoForecast(PlantError):
-    """The plant gave no forecast, while it may still be controlled. `past`: read from the journal of a resumed run."""
+    """The plant gave no forecast, while it may still be controlled. `past`: read from the journal of a resumed run;
+    `known`: the `Boundary` of what is known all the same, such as prices of a file of their own."""
 
-    def __init__(self, message: str, *, past: bool = False) -> None:
+    def __init__(self, message: str, *, past: bool = False, known: object = None) -> None:
         super().__init__(message)
-        self.past = past
+        self.past, self.known = past, known
 
 
 class StorageError(ThermoForceError):

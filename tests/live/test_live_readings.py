@@ -8,7 +8,7 @@ import pytest
 from simulated_building import RULES, START, SimulatedBuilding, mpc
 
 from thermoforce_mpc.cli.live.control import in_words
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import DataError, NoForecast
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 
@@ -178,3 +178,62 @@ def test_prices_that_end_first_are_said_with_their_share():
     told = controlled(house, 2, rules)
     assert told[0].plan.status == "bridged"
     assert "price_per_kWh at 5 of 13 instants by the value before" in in_words(told[0])
+
+
+def of_files(folder):
+    """A house whose weather and hourly prices of today and tomorrow, 0.1 to 0.33, are files; the map has no price."""
+    house = SimulatedBuilding()
+    of_house = house.forecast
+
+    def forecast():
+        if (broken := folder / "weather is broken").exists():
+            return broken
+        return of_house()
+
+    house.forecast = forecast
+    at = pd.date_range(START, periods=48, freq="1h", name="time")
+    pd.Series(0.1 + at.hour / 100, index=at, name="price").to_csv(folder / "prices.csv")
+    return house, RULES | {"machines": {"machine": {"power": "P"}}}
+
+
+@pytest.mark.parametrize("broken", ["prices.csv", "weather is broken"])
+def test_a_broken_file_takes_no_other_source_down(tmp_path, caplog, broken):
+    house, rules = of_files(tmp_path)
+    given, told = [], []
+
+    def break_it(decision):
+        told.append(decision)
+        if len(told) == 2:
+            (tmp_path / broken).write_text("<html>502 Bad Gateway</html>\n")
+
+    live = LiveBuilding(house, MeasurementMap.model_validate(rules), 3600.0, tmp_path / "prices.csv")
+    of_building = live.forecast
+
+    def forecast(*asked):
+        try:
+            given.append(of_building(*asked))
+        except NoForecast as error:
+            given.append(error.known)
+            raise
+        return given[-1]
+
+    live.forecast = forecast
+    control(live, mpc(), clock=house, steps=5, told=break_it)
+    assert [one.plan.status for one in told] == ["solved"] * 2 + ["bridged"] * 3
+    said = caplog.text + " ".join(told[-1].notes)
+    assert broken in said
+    last = given[-1]
+    assert np.isfinite(last.T_out_C).all() == (broken == "prices.csv")
+    assert np.isfinite(last.price_per_kWh).all() == (broken != "prices.csv")
+    if broken != "prices.csv":
+        assert last.price_per_kWh[0, 0] == pytest.approx(0.14), "as the file says, of hours that come too"
+    else:
+        assert "price_per_kWh at 13 of 13 instants by the last forecast (3 h old)" in told[-1].plan.why
+
+
+def test_prices_that_were_never_read_are_an_error(tmp_path):
+    house, rules = of_files(tmp_path)
+    (tmp_path / "prices.csv").write_text("<html>502 Bad Gateway</html>\n")
+    live = LiveBuilding(house, MeasurementMap.model_validate(rules), 3600.0, tmp_path / "prices.csv")
+    with pytest.raises(NoForecast, match=r"prices\.csv"):
+        control(live, mpc(), clock=house, steps=2)

@@ -324,6 +324,21 @@ def test_the_last_good_answer_stands_in_also_after_a_restart(outlook, caplog):
         make().now()
 
 
+def test_prices_that_fail_for_days_take_no_weather_down(outlook, caplog):
+    make, server, clock = outlook
+    one = make()
+    one.now()
+    clock[0] = NOW + pd.Timedelta("50h")
+    server.weather = (200, json.dumps(open_meteo(clock[0].floor("1D") - DAY, 96)))
+    server.prices = (500, "")
+    table = one.now()
+    assert np.isfinite(table.loc[clock[0] :, "temperature_C"]).all()
+    assert table["price_per_kWh"].isna().all()
+    assert "no answer of awattar" in caplog.text
+    with pytest.raises(PlantError, match="no answer of awattar"):
+        make().now()
+
+
 def test_a_service_that_fails_is_not_asked_again_at_once(outlook):
     make, server, clock = outlook
     one = make()

@@ -13,6 +13,7 @@ import logging
 import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -111,6 +112,7 @@ class LiveBuilding:
         self._prices, self._people = prices, people
         self._told: dict[str, LastTold] = {}
         self._rounds = set[str]()  # said already
+        self._forecast_before = False
         self._reverted: dict[str, int] = {}
         self._looked: tuple[pd.Timestamp, pd.Timestamp] | None = None
         self._late = 0
@@ -280,25 +282,43 @@ class LiveBuilding:
         return (f"{come}: {self._another_zone}, or they are late; plans take the house for what it was then",)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """The forecast from the last `record` on; see `Plant.forecast`."""
+        """The forecast from the last `record` on; see `Plant.forecast`.
+
+        Once there was one, a file of prices that cannot be read costs the prices only, and weather that is not there
+        leaves the prices of their own file, as `NoForecast.known`.
+        """
         assert self._measured is not None
+        n = round(horizon_s / interval_s)
         try:
-            n, left_out = round(horizon_s / interval_s), list[str]()
-            ahead = read_forecast(
-                self._call("forecast"),
-                self._measured,
-                least_steps=n,
-                prices=self._prices,
-                now=self.now,
-                left_out=left_out,
-            )
-            self.left_out = (*self.left_out, *left_out, *_doubt_of_outdoors(self._measured.record, ahead))
-            if self._people is not None and self.now is not None:
-                ahead, asked = self._people.applied(ahead, self.origin, self.now)
-                self.left_out = (*self.left_out, *asked)
-            return as_if_empty(ahead, self._windows).head(n)
+            ahead = self._ahead_of(self._call("forecast"), n)
+            self.left_out = (*self.left_out, *_doubt_of_outdoors(self._measured.record, ahead))
+            self._forecast_before = True
+            return ahead
         except (InputError, PlantError) as error:
-            raise NoForecast(str(error)) from error
+            known = None
+            if self._forecast_before:
+                with suppress(InputError):
+                    known = self._ahead_of(None, n)
+            raise NoForecast(str(error), known=known) from error
+
+    def _ahead_of(self, table: pd.DataFrame | str | Path | None, n: int) -> Boundary:
+        """`n` steps of the forecast by `table` (None: there is none), with what people ask; raises `InputError`."""
+        assert self._measured is not None
+        left_out = list[str]()
+        ahead = read_forecast(
+            table,
+            self._measured,
+            least_steps=n,
+            prices=self._prices,
+            now=self.now,
+            left_out=left_out,
+            prices_may_lack=self._forecast_before,
+        )
+        if self._people is not None and self.now is not None:
+            ahead, asked = self._people.applied(ahead, self.origin, self.now)
+            left_out += asked
+        self.left_out = (*self.left_out, *left_out)
+        return as_if_empty(ahead, self._windows).head(n)
 
     def write(
         self,

@@ -268,7 +268,8 @@ class _Building:
         try:
             forecast = self.building.forecast(horizon_s, interval_s)
         except NoForecast as error:
-            self._given = replace(self._given, no_forecast=str(error))
+            known = error.known if isinstance(error.known, Boundary) else None
+            self._given = replace(self._given, forecast=known, no_forecast=str(error))
             raise
         self._given = replace(self._given, forecast=forecast)
         return forecast

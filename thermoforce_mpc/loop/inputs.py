@@ -35,8 +35,9 @@ class Forecaster(Protocol):
 class Forecasts:
     """Gets the forecast of each step from the plant.
 
-    Where it gives none, the step has an empty one (NaN), which controllers fill as they fill holes. That is said once
-    in the log, and in the notes of every step. After `outage_h` hours without one, `NoForecast` ends the run.
+    Where it gives none, the step has an empty one (NaN) but for what is `known` all the same, which controllers fill as
+    they fill holes. That is said once in the log, and in the notes of every step. After `outage_h` hours without one,
+    `NoForecast` ends the run.
     """
 
     def __init__(self, plant: Forecaster, horizon_s: float, step_s: float, outage_h: float) -> None:
@@ -57,6 +58,8 @@ class Forecasts:
             forecast = self._plant.forecast(self._horizon_s, self._step_s)
         except NoForecast as error:
             forecast, notes = empty_forecast(history, self._n_steps, self._step_s), (self._without(error, now_s),)
+            if isinstance(error.known, Boundary):
+                forecast = lengthened(error.known, self._n_steps, self._step_s)
         else:
             forecast = lengthened(forecast, self._n_steps, self._step_s)
             notes = holes(forecast)

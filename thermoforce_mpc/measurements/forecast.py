@@ -21,7 +21,7 @@ from thermoforce_mpc.data.clock import in_celsius, in_fahrenheit
 from thermoforce_mpc.data.dataframes import clock_s, days_before_s, new_year, seconds_since, stamps
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H
 from thermoforce_mpc.data.series import at_instants
-from thermoforce_mpc.errors import ConfigError, DataError, check_kind
+from thermoforce_mpc.errors import ConfigError, DataError, InputError, check_kind
 from thermoforce_mpc.measurements.load import Measurements, sunlight
 from thermoforce_mpc.measurements.map.mapping import (
     MappedMachine,
@@ -201,6 +201,7 @@ def _of_year(tariff: Tariff, name: str, origin: pd.Timestamp, grid_s: Array, by_
         return out
 
 
+_AS_BEFORE = "prices are those that were read before"
 # Days before now whose hours tell what a price or bound is likely to be.
 _DAYS = 7
 # A single row of a forecast so far ahead has a wrong stamp.
@@ -208,13 +209,14 @@ _LATEST = pd.Timedelta("60D")
 
 
 def read_forecast(
-    file: str | Path | pd.DataFrame,
+    file: str | Path | pd.DataFrame | None,
     measured: Measurements,
     *,
     least_steps: int = 0,
     prices: Path | None = None,
     now: pd.Timestamp | None = None,
     left_out: list[str] | None = None,
+    prices_may_lack: bool = False,
 ) -> Boundary:
     """The conditions from the end of `measured` to that of the forecast, at the step of the record.
 
@@ -229,16 +231,17 @@ def read_forecast(
     those of the map; `left_out` says how it was read.
 
     With the time `now` a file that a machine writes is read: what cannot be read is left out and said in `left_out`,
-    as by `read_measurements`.
+    as by `read_measurements`. Without a `file` nothing is known (NaN) but what the map and `prices` say. Where
+    `prices_may_lack`, a file of them that cannot be read is said in `left_out`, and prices are NaN.
 
     Raises `DataError`, naming file, column and time, for several files, a forecast that begins more than 6 h after the
     end of the record or ends before it, outdoor temperatures that go on from the record in another unit only, and a
     column without any value.
     """
     check_kind(measured, Measurements, "measured", "read_measurements(...).served() gives them")
-    sources = _Sources.of(measured, prices)
     notes = [] if left_out is None else left_out
-    rows, name = _rows(file, sources, now, notes)
+    sources = _Sources.of(measured, prices, notes if prices_may_lack else None)
+    rows, name = _no_rows(sources, measured.record, least_steps) if file is None else _rows(file, sources, now, notes)
     time_s = seconds_since(measured.record.origin, rows.index, name)
     grid_s, back = _grid(rows, time_s, name, measured, least_steps)
     reader = SignalReader(rows, time_s, grid_s, measured.record.step_s, sources.ours, refuse=now is None)
@@ -249,7 +252,8 @@ def read_forecast(
         notes.append(f"{name}, {doubt}")
     solar, _ = sunlight(sources.ours, reader, grid_s, measured.record.origin)
     lower, upper = _bounds(sources, reader, grid_s, measured)
-    price, past_price, at_meter = _prices(sources, reader, grid_s, measured, prices, notes, now)
+    of_prices = (sources, reader, grid_s, measured, prices, notes, now)
+    price, past_price, at_meter = _prices_if_any(*of_prices) if prices_may_lack else _prices(*of_prices)
     others_W = _others_W(sources, reader, grid_s, measured, back, name, notes)
     values, guessed = {"lower_C": lower, "upper_C": upper, "price_per_kWh": price}, {}
     # What the map says of prices that were is of another tariff where it is one number, or a file has those ahead.
@@ -270,7 +274,8 @@ def read_forecast(
         others_W=others_W,
         **{key: of_meter[back:] for key, of_meter in at_meter.items()},
     )  # fmt: skip
-    _check_known(boundary, measured, name)
+    if file is not None:
+        _check_known(boundary, measured, name, ("price_per_kWh",) if prices_may_lack else ())
     return boundary
 
 
@@ -280,6 +285,7 @@ class _Sources:
 
     `ours`: the map with the forecast's own columns of time and weather; `bounds`: of each zone, `tariffs`: of each
     machine, `at_meter`: of other loads and generation, a column, a number or None; `bill`: of a file of prices.
+    `broken`: that file cannot be read.
     """
 
     ours: MeasurementMap
@@ -288,9 +294,11 @@ class _Sources:
     at_meter: Sequence[Power | None]
     bill: Bill | None
     given: frozenset[str]
+    broken: bool = False
 
     @classmethod
-    def of(cls, measured: Measurements, prices: Path | None) -> _Sources:
+    def of(cls, measured: Measurements, prices: Path | None, unread: list[str] | None) -> _Sources:
+        """`unread`: collects why a file of `prices` cannot be read; None where that is an error."""
         rules, names = measured.map, measured.record.names
         own = {key: value for key, value in rules.forecast if value is not None}
         weather = {"outdoor": rules.outdoor.model_copy(update={"stuck_h": None}), "sun": rules.sun} | own
@@ -300,11 +308,18 @@ class _Sources:
         zones = [rules.zones[name] for name in names.zones]
         bounds = {key: [own.get(key, getattr(zone, key)) for zone in zones] for key in ("lower", "upper")}
         machines = [rules.machines.get(name, MappedMachine()) for name in names.machines]
-        bill = read_bill(prices) if prices is not None and prices.suffix in SUFFIXES else None
+        bill, broken = None, False
+        try:
+            bill = read_bill(prices) if prices is not None and prices.suffix in SUFFIXES else None
+        except InputError as error:
+            if unread is None:
+                raise
+            unread.append(f"{error}: {_AS_BEFORE}")
+            broken = True
         by_file = prices is not None and (bill is None or bill.energy is not None)
         tariffs = [0.0 if by_file else own.get("price", machine.price) for machine in machines]
         at_meter = [rules.forecast.load, rules.forecast.generation]
-        return cls(ours, bounds, tariffs, at_meter, bill, frozenset(own))
+        return cls(ours, bounds, tariffs, at_meter, bill, frozenset(own), broken)
 
     @property
     def signals(self) -> list[Signal]:
@@ -350,6 +365,13 @@ def _rows(
     if now is not None:
         notes += rows.notes
     return rows, tables[0].name
+
+
+def _no_rows(sources: _Sources, record: Record, n_steps: int) -> tuple[Timed, str]:
+    """As `_rows`, of a forecast of `n_steps` of which nothing is known."""
+    at = pd.DatetimeIndex(stamps(record.time_s[-1] + record.step_s * np.arange(n_steps + 1), record.origin))
+    columns = [column for signal in sources.signals for column in signal.columns]
+    return Timed(at, {column: np.full(len(at), np.nan) for column in columns}), "forecast"
 
 
 def _taken_for(paths: Sequence[Path], rules: MeasurementMap) -> Recognised | None:
@@ -436,6 +458,26 @@ def _bounds(sources: _Sources, reader: SignalReader, grid_s: Array, measured: Me
         )
 
     return bound("lower"), bound("upper")
+
+
+def _prices_if_any(
+    sources: _Sources, reader: SignalReader, grid_s: Array, measured: Measurements, prices: Path | None,
+    notes: list[str], now: pd.Timestamp | None,
+) -> tuple[Array, Array, dict[str, Array]]:  # fmt: skip
+    """As `_prices`; NaN with a note where the file `prices` cannot be read."""
+    past_price = measured.conditions.price_per_kWh
+    unknown, at_meter = np.full((len(past_price), grid_s.size), np.nan), dict[str, Array]()
+    if not sources.broken:
+        try:
+            return _prices(sources, reader, grid_s, measured, prices, notes, now)
+        except InputError as error:
+            if prices is None:
+                raise
+            notes.append(f"{error}: {_AS_BEFORE}")
+        if sources.bill is not None:
+            limit_W = 1000.0 * sources.bill.limit_kW(pd.DatetimeIndex(stamps(grid_s, measured.record.origin)))
+            at_meter = {"limit_W": limit_W} if limit_W.size else {}
+    return unknown, np.full(past_price.shape, np.nan), at_meter
 
 
 def _prices(
@@ -552,11 +594,14 @@ def _as_days_before(
     return out, missing & np.isfinite(out)
 
 
-def _check_known(boundary: Boundary, measured: Measurements, name: str) -> None:
-    """Refuse a forecast in which a column has no value at all, or bounds leave no band; raises `DataError`."""
+def _check_known(boundary: Boundary, measured: Measurements, name: str, lacking: Sequence[str]) -> None:
+    """Refuse a forecast in which a column, but for those `lacking`, has no value at all, or bounds leave no band.
+
+    Raises `DataError`.
+    """
     at = stamps(boundary.time_s, measured.record.origin)
     for signal in ("T_out_C", "solar_W_m2", "lower_C", "upper_C", "price_per_kWh"):
-        if not np.isfinite(np.atleast_2d(getattr(boundary, signal))).any(axis=1).all():
+        if signal not in lacking and not np.isfinite(np.atleast_2d(getattr(boundary, signal))).any(axis=1).all():
             raise DataError(
                 f"{name}: {signal} has no value from {at[0]} to {at[-1]}: fill its column, or name another one"
             )

@@ -62,7 +62,7 @@ class Outlook:
         clock: Callable[[], pd.Timestamp] = lambda: pd.Timestamp.now("UTC"),
     ) -> None:
         """From a file's name, or providers, whose last answers are kept in `folder` (default: the user's cache)."""
-        self._clock, self._source = clock, source
+        self._clock, self._source, self._priced = clock, source, False
         self._kept: list[tuple[ProviderConfig, KeptAnswer, str]] = []
         if isinstance(source, OutlookConfig):
             folder = cache_folder() / "providers" if folder is None else folder
@@ -72,15 +72,26 @@ class Outlook:
                     self._kept.append((config, KeptAnswer(config, provider, folder, column), column))
 
     def now(self) -> pd.DataFrame | str:
-        """The table or file; raises `PlantError` where there is no weather, or never were prices."""
+        """The table or file; raises `PlantError` where there is no weather, or never were prices since it began.
+
+        Prices that are not there any more are NaN: they take no weather down.
+        """
         if isinstance(self._source, str):
             return self._source
         now = self._clock()
         index = pd.date_range((now - _BACK).floor("1h"), now + _AHEAD, freq=_STEP, name="time")
         columns: dict[str, Any] = {}
         for config, kept, column in self._kept:
-            answer = kept.at(now)
+            try:
+                answer = kept.at(now)
+            except PlantError as error:
+                if column != PRICE or not self._priced:
+                    raise
+                _LOG.warning("%s: no prices", error)
+                columns[PRICE] = np.full(len(index), np.nan)
+                continue
             if column == PRICE:
+                self._priced = True
                 columns[PRICE] = _of_intervals(index, answer) * config.factor + config.add_per_kWh
             else:
                 for name in (OUTDOOR, SUN):

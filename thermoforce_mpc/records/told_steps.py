@@ -277,9 +277,10 @@ def _next_forecast(steps: Sequence[ToldStep], last: Boundary | None) -> tuple[Bo
     if forecast is None:
         history = history_before(steps)
         return completed(empty_forecast(history, n_steps, step_s), history, last)[0], last
+    no_weather = not np.isfinite(forecast.T_out_C).any()  # as where there is no forecast
     if holes(forecast):
         forecast = completed(forecast, history_before(steps), last)[0]
-    return forecast, forecast
+    return forecast, last if no_weather else forecast
 
 
 def spliced(record: Record, tail: Record) -> Record:
