@@ -127,6 +127,25 @@ def test_a_step_that_was_not_the_plans_says_whose(folder, tmp_path):
     )
 
 
+def test_what_the_model_found_and_the_run_learned_until_then_is_said(folder, tmp_path):
+    kept = Journal(tmp_path / "journal.jsonl")
+    for entry in read_run(folder / "journal.jsonl").entries:
+        hour = entry.content.get("index") if "status" in entry.content else None
+        kept.write(entry.kind, entry.content | ({"news": f"news of hour {hour}"} if hour in (2, 9) else {}))
+    kept.close()
+    model = simple_model()
+    believing = replace(model, cards=tuple(replace(card, blocked_hours=(2, 3)) for card in model.cards))
+    believing.save(tmp_path / "model")
+    done = call("explain", tmp_path, "--at", "10 04:30", "--json", tmp_path / "told.json")
+    assert done.exit_code == 0, done.output
+    (claim,) = believing.claims
+    assert f"found before the run: {claim}\n" in done.output
+    assert "learned: day 10 02:00: news of hour 2\n" in done.output
+    assert "news of hour 9" not in done.output, "that came later"
+    told = json.loads((tmp_path / "told.json").read_text())
+    assert (told["claims"], told["learned"]) == ([claim], ["day 10 02:00: news of hour 2"])
+
+
 def test_where_there_is_no_model_it_is_said(folder, tmp_path):
     other = call("explain", folder, "--controller", "thermostat")
     assert "alternatives: none are known, thermostat acts without a model" in other.output

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from html import unescape
 from types import SimpleNamespace
 
+from report_page import body_of
+from report_runs import planned, report_of
 from two_houses import two_model
 
 from thermoforce_mpc.data import HOUR_S
@@ -60,3 +63,10 @@ def test_what_a_plan_said_of_an_actuator_is_not_said_again() -> None:
     hours = model.claims[3].partition(": ")[2]
     model.say_claims(said.append, f"radiator: watch: {hours}, found while probing")
     assert said == [f"Found: {claim}" for k, claim in enumerate(model.claims) if k != 3]
+
+
+def test_the_report_says_them_of_the_model_of_the_run(tmp_path) -> None:
+    page = unescape(body_of(report_of(planned(), {}, tmp_path, model=believing())))
+    for claim in believing().claims:
+        assert f"Found before the run: {claim}" in page
+    assert "Found before the run" not in body_of(report_of(planned(), {}, tmp_path, model=two_model()))

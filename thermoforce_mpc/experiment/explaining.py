@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 _BINDING_K = 0.05
 # Mean effect of what is planned from which a margin has a share of it, K.
 _HELD_K = 1.0
+# Latest instants at which a run learned something that are told.
+_MOST_LEARNED = 10
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,18 @@ class ExplainedStep:
             if outside[worst] > _BINDING_K:
                 sentences.append(f"{of}the plan is up to {outside[worst]:.2f} K outside the {worst} bound")
         return sentences
+
+    def learned(self) -> list[str]:
+        """What the run had learned of sensors, meters, hours and limits before this step, each with its instant: the
+        latest of it.
+        """
+        told = [
+            f"{self.building.in_words(step.time_s)}: {news}"
+            for step in self.steps[:-1]
+            if (news := step.told.get("news"))
+        ]
+        more = len(told) - _MOST_LEARNED
+        return [f"{more} times more before"] * (more > 0) + told[-_MOST_LEARNED:]
 
     def margins_in_words(self) -> list[str]:
         """What the plan kept inside the comfort bounds of its first step, zone by zone, and what it learned else.
@@ -175,6 +189,22 @@ def hour_ends(n: int, step_s: float, hours: float) -> range:
     """Number of steps at the end of each of the first `hours` of a plan of `n` steps; of less than one hour its end."""
     every = steps_in(min(hours, 1.0) * HOUR_S, step_s)
     return range(every, min(n, max(every, round(hours * HOUR_S / step_s))) + 1, every)
+
+
+def claims_of(folder: Path, decision: ExplainedStep) -> tuple[str, ...]:
+    """What the model of the run found of sensors, meters, hours and neighbours (`ThermalModel.claims`); none where
+    there is no model, or it cannot be read. Raises `JournalError`.
+    """
+    from thermoforce_mpc.model.thermal_model import load_model
+
+    with making_sense(folder / NAME):
+        entry: Mapping[str, Any] = models_before(read_run(folder / NAME).entries).get(decision.controller, {})
+        if not entry.get("folder"):
+            return ()
+        try:
+            return load_model(kept_model(folder, entry["folder"])).claims
+        except ArtifactError:
+            return ()  # `alternatives_of` says why
 
 
 # What a plan would have been made on does not matter here, so no weights are loaded.

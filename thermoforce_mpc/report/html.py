@@ -274,6 +274,7 @@ def write_report(
         forecast=forecast_errors(result),
         free_forecast=free_forecast_scores(result),
         watch=[spell.in_words(clock.in_words) for spell in watch_spells(result)],
+        claims=model.claims if model else (),
         capped={name: Capped(**figures).in_words() for name, figures in kpis.get("power_cap", {}).items()},
         apart=apart(courses, everyone),
         scaled={name: course.scaled for name, course in courses.items() if course.scaled != 1.0},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ from thermoforce_mpc.experiment.explaining import (
     ExplainedStep,
     alternatives_json,
     alternatives_of,
+    claims_of,
     decision_at,
     hour_ends,
 )
@@ -70,8 +72,9 @@ def explain(run: Path, at: str | None, controller: str | None, hours: float, jso
       tf-mpc explain runs/my-run --at '16 06:30' --hours 24
     """
     decision = decision_at(run, at, controller)
+    claims = claims_of(run, decision)
     console = Console(highlight=False, markup=False, soft_wrap=True)
-    for line in _lines(decision, under_way=in_use(run)):
+    for line in _lines(decision, claims, under_way=in_use(run)):
         console.print(line)
     if decision.plan:
         print_whole(_table(decision, hours), console)
@@ -84,7 +87,8 @@ def explain(run: Path, at: str | None, controller: str | None, hours: float, jso
         for note in alternatives.notes:
             console.print(f"alternatives: {note}")
     if json_file:
-        write_json(json_file, _json(decision) | {"alternatives": alternatives_json(alternatives)}, follow=True)
+        told = _json(decision) | {"claims": list(claims), "learned": decision.learned()}
+        write_json(json_file, told | {"alternatives": alternatives_json(alternatives)}, follow=True)
         console.print(f"JSON: {json_file}")
 
 
@@ -116,7 +120,7 @@ def _reason(decision: ExplainedStep, alternatives: Alternatives) -> str:
     return f"the plan's first step, of {alternatives.reason}{but}"
 
 
-def _lines(decision: ExplainedStep, *, under_way: bool) -> list[str]:
+def _lines(decision: ExplainedStep, claims: Sequence[str], *, under_way: bool) -> list[str]:
     step = decision.step
     record, names = step.told, step.names
     begun = decision.building.in_words(step.time_s)
@@ -136,6 +140,8 @@ def _lines(decision: ExplainedStep, *, under_way: bool) -> list[str]:
         lines.append(f"solver: {record['solver_status']}, {record['iterations']} iterations")
     lines += [f"bound: {bound}" for bound in decision.bounds()]
     lines += [f"margin: {margin}" for margin in decision.margins_in_words()]
+    lines += [f"found before the run: {claim}" for claim in claims]
+    lines += [f"learned: {news}" for news in decision.learned()]
     plan = decision.step.plan
     if plan.saving is not None:
         lines.append(f"saving of its commands: {saving_in_words(plan.saving)}")
