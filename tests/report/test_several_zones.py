@@ -88,6 +88,7 @@ def test_predictions_that_no_reading_answers_are_not_scored(result):
 def test_progress_shows_every_zone_and_marks_those_outside_their_bounds(result, monkeypatch):
     console = Console(width=200, record=True, force_terminal=False)
     monkeypatch.setattr(display_module, "SAID_AFTER_S", 0.0)
+    monkeypatch.setattr(display_module, "MOST_APART_S", 0.0)
     with LoopDisplay(console, "planner", result.period, lambda: {}, "EUR", quiet=False) as display:
         for step in result.steps:
             display.step(step)

@@ -28,8 +28,10 @@ from thermoforce_mpc.report.whole_tables import figure, plain_table, print_whole
 Kpis = Callable[[], Mapping[str, float]]
 # Loops that end sooner say nothing of it.
 _SHORT_S = 5.0
-# Where nothing can be overwritten, the first line of progress comes after this time, s, the next after twice that, ….
+# Where nothing can be overwritten, the first line of progress comes after this time, s, the next after twice that, …,
+# but none later than so long after the one before: who looks at a log has to see that it goes on (by judgement).
 SAID_AFTER_S = 5.0
+MOST_APART_S = 60.0
 # Shortest wait before it is said that nothing has come yet, s.
 _LEAST_WAIT_S = 0.1
 # Steps that are counted, in the order in which they are said.
@@ -49,52 +51,68 @@ KPI_COLUMNS = {
 class _Line:
     """A line that is written over, on a terminal that is not quiet; elsewhere lines at growing distances in time.
 
-    `before`: what goes on until the first progress, or until `then`, said in the meantime, since a plant that warms up
-    tells nothing.
+    `before`: what goes on until the first progress, or until `then`. A plant that warms up, a slow step of an FMU and a
+    look at what probing knows tell nothing while they go on: how long they do is said in the meantime.
     """
 
     def __init__(self, console: Console, quiet: bool, begins: str = "", before: str = "") -> None:
         self._console, self._quiet, self._begins, self._before = console, quiet, begins, before
         self._live: Live | None = None
+        self._lock, self._over = threading.RLock(), threading.Event()
         self._began, self._next_said_s = time.monotonic(), SAID_AFTER_S
-        self._progressed = threading.Event()
+        self._goes_on("{}: {} so far", before)
 
     def __enter__(self) -> Self:
-        self._began = time.monotonic()
         if self._console.is_terminal and not self._quiet:
             self._live = Live(Text(self._begins), console=self._console, refresh_per_second=8, transient=True)
             self._live.__enter__()
-        self._tell_of(self._before)
+        self.then(self._before)
+        if self._before and not self._quiet:
+            threading.Thread(target=self._say_until_over, name="progress", daemon=True).start()
         return self
 
     def then(self, text: str) -> None:
         """What goes on from here, which tells nothing itself."""
-        self._progressed.set()
-        self._began, self._next_said_s, self._progressed = time.monotonic(), SAID_AFTER_S, threading.Event()
-        self._tell_of(text)
+        with self._lock:
+            self._began, self._next_said_s = time.monotonic(), SAID_AFTER_S
+            self._goes_on("{}: {} so far", text)
 
-    def _tell_of(self, text: str) -> None:
-        if text and not self._quiet:
-            args = text, self._progressed
-            threading.Thread(target=self._say_until, args=args, name="progress", daemon=True).start()
+    def _goes_on(self, form: str, text: str) -> None:
+        """What to say where nothing comes for a while: `text` and for how long, in the `form` of both."""
+        self._form, self._text, self._since = form, text, time.monotonic()
 
     def __exit__(self, *exception: object) -> None:
-        self._progressed.set()
+        with self._lock:
+            self._over.set()
         if self._live:
             self._live.__exit__(None, None, None)
 
-    def _say_until(self, text: str, progressed: threading.Event) -> None:
-        """Until there is progress: what goes on, and for how long already."""
-        while not progressed.wait(max(self._began + self._next_said_s - time.monotonic(), _LEAST_WAIT_S)):
-            self._show(f"{text}: {duration(time.monotonic() - self._began)} so far")
+    def _say_until_over(self) -> None:
+        """Where nothing came for a while: what goes on, and since when."""
+        while not self._over.wait(self._silent_s()):
+            with self._lock:
+                if not self._over.is_set() and self._silent_s() <= _LEAST_WAIT_S:
+                    self._show(self._form.format(self._text, duration(time.monotonic() - self._since)))
 
-    def _show(self, line: str, also: bool = True) -> None:
+    def _silent_s(self) -> float:
+        """How long to wait until something is to be said of what goes on."""
+        due_s = max(self._began + self._next_said_s, self._since + SAID_AFTER_S)
+        return max(due_s - time.monotonic(), _LEAST_WAIT_S)
+
+    def _progress(self, line: str, also: bool = True) -> None:
         """Show a line of progress; where it cannot be overwritten, only when one is due, and where `also`."""
+        with self._lock:
+            self._goes_on("{}, {} ago", line)
+            if also or self._live:
+                self._show(line)
+
+    def _show(self, line: str) -> None:
+        gone_s = time.monotonic() - self._began
         if self._live:
             self._live.update(Text(line))
-            self._next_said_s = time.monotonic() - self._began + SAID_AFTER_S
-        elif also and not self._quiet and time.monotonic() - self._began >= self._next_said_s:
-            self._next_said_s = max(2.0 * self._next_said_s, SAID_AFTER_S)
+            self._next_said_s = gone_s + SAID_AFTER_S
+        elif not self._quiet and gone_s >= self._next_said_s:
+            self._next_said_s = gone_s + min(max(gone_s, SAID_AFTER_S), MOST_APART_S)
             self._print(line)
 
     def _print(self, line: str) -> None:
@@ -122,7 +140,6 @@ class LoopDisplay(_Line):
 
     def step(self, record: StepRecord) -> None:
         """Update the display with one control step."""
-        self._progressed.set()
         status = record.plan.status
         self._odd.update([status.value] * (status in (PlanStatus.BRIDGED, PlanStatus.GATE, PlanStatus.WATCH)))
         self._odd.update(["fallbacks"] * (status.fallen_back or bool(record.refused)))
@@ -138,7 +155,7 @@ class LoopDisplay(_Line):
         if day_is_over:
             self._days_done = days_done
             self._so_far = _so_far(self._kpis(), self._currency)
-        self._show(self._line(record, day), also=day < self._days)
+        self._progress(self._line(record, day), also=day < self._days)
 
     @property
     def _days(self) -> float:
@@ -193,8 +210,7 @@ class ProbingDisplay(_Line):
 
     def __call__(self, progress: ProbingProgress) -> None:
         """Show `progress`, every hour."""
-        self._progressed.set()
-        self._show(f"probing: day {progress.days:5.2f}/{progress.planned_days:g}")
+        self._progress(f"probing: day {progress.days:5.2f}/{progress.planned_days:g}")
 
 
 _FILE_WIDTH = 110
