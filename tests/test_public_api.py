@@ -17,11 +17,13 @@ from simple_house import simple_model
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.data import DAY_S, PlanStatus
+from thermoforce_mpc.data import DAY_S, Block, PlanStatus
 from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.loop.probing import probe
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.scenario.settings import validate
 
 NAMES = {"zone": "T_room", "outdoor": "T_out", "solar": "sun", "level": "u", "power": "P_el"}
 AHEAD = {"outdoor": "T_out", "solar": "sun"}
@@ -260,11 +262,53 @@ def test_what_is_no_observation_model_or_options_is_refused_by_name(tables):
         (lambda r, m: m.predict("room.csv", None, 0.5), "record is of class str, expected Record"),
         (lambda r, m: tf.read_forecast("f.csv", r), r"measured is of class Record, expected Measurements: read_meas"),
         (lambda r, m: tf.Plan((), "ok", "why"), "plan: status is 'ok', expected one of solved, bridged"),
+        (lambda r, m: tf.plan_many([m], {}), "models is of class list, expected Mapping: give them by the name"),
+        (lambda r, m: tf.plan_many({"a": m}, [r]), "observations is of class list, expected Mapping"),
+        (
+            lambda r, m: tf.read_measurements(None, {"outdoor": "o", "zones": {"r": {"temperature": "T"}}}),
+            "files is of",
+        ),
+        (lambda r, m: tf.read_measurements([r], {"outdoor": "o", "zones": {"r": {"temperature": "T"}}}), "of them is"),
+        (lambda r, m: tf.read_measurements("room.csv", None), "map is of class NoneType.*tf-mpc data map FILE"),
+        (lambda r, m: tf.load_model(None), "folder is of class NoneType, expected str or PathLike"),
+        (lambda r, m: m.save(None), "folder is of class NoneType"),
+        (lambda r, m: Block("0.5", 900.0), r"block: a level \(u\) is '0.5', expected a number"),
+        (lambda r, m: Block(0.5, None), "block: duration_s is None, expected a number"),
+        (lambda r, m: tf.identify(None), "runs is of class NoneType, expected Record or Iterable"),
+        (lambda r, m: tf.identify(r, layout="house"), "layout is of class str, expected Layout"),
+        (lambda r, m: tf.step_function("my_house"), "model is of class str, expected ThermalModel"),
+        (lambda r, m: tf.modulation_function("my_house"), "model is of class str, expected ThermalModel"),
+        (
+            lambda r, m: tf.run("bestest_hydronic_heat_pump", model="my_house"),
+            "model is of class str, expected Thermal",
+        ),
     ],
 )
 def test_what_a_program_mistakes_is_named(tables, call, words):
     with pytest.raises(DataError, match=words):
         call(tf.Record.from_dataframe(tables[0], **NAMES), simple_model())
+
+
+def test_options_of_python_are_explained_as_those_of_files_are():
+    with pytest.raises(ConfigError, match=r"MPCConfig:\n  horizn_h: unknown key, did you mean 'horizon_h'\?; known"):
+        tf.MPCConfig(horizn_h=24)
+    with pytest.raises(ConfigError, match="IdentificationConfig:\n  modulation: Input should be 'always', 'auto' or"):
+        tf.IdentificationConfig(modulation="lin")
+    with pytest.raises(ConfigError, match=r"file:\n  watch\.most_seconds: unknown key"):  # the whole path of a key
+        validate(tf.MPCConfig, {"watch": {"most_seconds": 3}}, "file")
+
+
+def test_a_price_of_no_kilowatt_hour_is_refused_or_doubted(tables):
+    record, ahead = tf.Record.from_dataframe(tables[0], **NAMES), tables[1].assign(**{"price EUR/MWh": 85.0, "p": 30.0})
+    with pytest.raises(DataError, match="column 'price EUR/MWh' is per MWh by its name: divide by 1000"):
+        tf.Boundary.from_dataframe(ahead, record, **AHEAD, price="price EUR/MWh")
+    with pytest.raises(DataError, match=r"price is -0\.3: no price of every kWh is below 0"):
+        tf.Boundary.from_dataframe(ahead, record, **AHEAD, price=-0.3)
+    for price in (85, "p"):
+        with pytest.warns(DoubtfulInput, match="are they per MWh, or in cents, or in another currency"):
+            tf.Boundary.from_dataframe(ahead, record, **AHEAD, price=price)
+    ahead = ahead.rename(columns={"p": "price JPY/kWh"})
+    assert tf.Boundary.from_dataframe(ahead, record, **AHEAD, price="price JPY/kWh").price_per_kWh.max() == 30.0
 
 
 def test_the_status_of_a_plan_may_be_its_word():

@@ -7,6 +7,7 @@ A failed solve is not an exception: it is reported by the status of the `Plan`.
 from __future__ import annotations
 
 import difflib
+import os
 import signal
 import sys
 import threading
@@ -26,6 +27,10 @@ class InputError(ThermoForceError):
 
 class ConfigError(InputError):
     """A YAML file, an option or a `--set` value is invalid; names the file, the key and the allowed values."""
+
+
+class OptionError(ConfigError, ValueError):
+    """An option that a program gives to a class of options is invalid; told as those of files are."""
 
 
 class HiddenPackage(InputError, ImportError):
@@ -186,11 +191,17 @@ def out_of_memory(error: BaseException) -> bool:
     return False
 
 
-def check_kind(given: object, kind: type, what: str, remedy: str = "") -> None:
-    """Raise `DataError` where what a program gives as `what` is not of class `kind`; `remedy`: what to do."""
+def check_kind(given: object, kind: type | tuple[type, ...], what: str, remedy: str = "") -> None:
+    """Raise `DataError` where what a program gives as `what` is of no class of `kind`; `remedy`: what to do."""
     if not isinstance(given, kind):
         hint = f": {remedy}" if remedy else ""
-        raise DataError(f"{what} is of class {type(given).__name__}, expected {kind.__name__}{hint}")
+        expected = " or ".join(one.__name__ for one in (kind if isinstance(kind, tuple) else (kind,)))
+        raise DataError(f"{what} is of class {type(given).__name__}, expected {expected}{hint}")
+
+
+def check_path(given: object, what: str, remedy: str = "") -> None:
+    """Raise `DataError` where what a program gives as `what` is no path; `remedy`: what to do."""
+    check_kind(given, (str, os.PathLike), what, remedy)
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:

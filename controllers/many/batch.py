@@ -17,7 +17,7 @@ from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.state import MPCState
 from controllers.safety.deadline import BoundedCalls
 from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import DataError, check_kind
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, gather, run, timed
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
@@ -37,8 +37,9 @@ def buildings_of(models: Mapping[str, ThermalModel], config: MPCConfig | Mapping
     """Model and options of each building, the default options where `config` names none.
 
     Raises `ControllerConfigError` where that names a building without a model, or what is given is no model or no
-    options.
+    options, and `DataError` where models are not given by name.
     """
+    check_kind(models, Mapping, "models", "give them by the name of the building")
     configs = config if isinstance(config, Mapping) else {} if config is None else dict.fromkeys(models, config)
     if unknown := sorted(configs.keys() - models.keys()):
         raise ControllerConfigError(f"config: there is no model of building '{unknown[0]}' ({len(unknown)} such)")

@@ -18,7 +18,7 @@ from controllers.many.batch import AT_A_TIME, BatchPlanner, Planned, PlanRequest
 from controllers.many.worker import Answer, PlanningProcess, Plans
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import Observation
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import DataError, check_kind
 from thermoforce_mpc.execution.local import refuse_while_starting
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
@@ -45,7 +45,7 @@ def plan_many(
     Raises:
         ControllerConfigError: `workers` is no number of processes, `config` names a building without a model, or what
             is given for a building is no model or no options.
-        DataError: what is given is no observation.
+        DataError: what is given is no observation, or not by name.
         EngineError: `workers` is above 1 in a process that is itself being started.
     """
     with Portfolio(models, config, workers=workers) as portfolio:
@@ -104,6 +104,8 @@ class Portfolio:
         self, observations: Mapping[str, Observation], states: Mapping[str, object] | None = None
     ) -> dict[str, Planned]:
         """See `plan_many`; raises `DataError` where what is given is no observation."""
+        check_kind(observations, Mapping, "observations", "give them by the name of the building")
+        check_kind(states or {}, Mapping, "states", "give `Planned.state` by the name of the building")
         for name, observation in observations.items():
             if not isinstance(observation, Observation):
                 raise DataError(f"building '{name}': a {type(observation).__name__} is no Observation")

@@ -13,8 +13,8 @@ from simulated_building import RULES, SimulatedBuilding, mpc
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.boundary.tariffs import price_doubt
 from thermoforce_mpc.data import DAY_S, ZERO_C_K, Layout, Names, Period, Record
+from thermoforce_mpc.data.prices import price_doubt
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.loop.inputs import UnitDoubts

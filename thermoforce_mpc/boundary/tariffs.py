@@ -11,18 +11,16 @@ import warnings
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array
 from thermoforce_mpc.data.clock import hour_of_day
+from thermoforce_mpc.data.prices import price_doubt
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import DoubtfulInput, plain_number, read_bounded, read_pieces
 
-PriceUnit = Literal["per kWh", "per MWh", "cent per kWh", "cent per MWh"]
-"""What a price is of: hundredths of its currency are cents."""
 EMISSION_KG_PER_KWH = 0.167
 CONSTANT = 0.2535
 DYNAMIC_DAY, DYNAMIC_NIGHT = 0.2666, 0.2383
@@ -33,12 +31,6 @@ _MOST_BYTES = 20_000_000
 _MOST_PRICES = 600_000
 # Per kWh in any currency.
 _MOST_PRICE = 1e5
-# Means of energy that is sold in EUR or USD: gas in the cheapest years, and electricity in the dearest.
-_USUAL_PRICES, _USUAL_IN = (0.01, 2.0), ("EUR", "USD")
-# Hundredths of a currency, in the name of a column of its prices.
-_CENTS = re.compile(r"(?i)(?<![^\W\d_])(?:ct|(?:euro?[ -]?)?cents?|öre|øre|pence|[cp](?= ?/ ?[km]wh))(?![^\W\d_])|¢")
-# A code of three capitals before the unit, as "JPY/kWh" or "SEK per MWh".
-_CURRENCY = re.compile(r"(?<![A-Z])([A-Z]{3})(?: ?/ ?|[ _]per[ _]|_)[kM]Wh")
 _PRICE_COLUMNS = (
     "price",
     "PriceElectricPowerHighlyDynamic",
@@ -156,44 +148,6 @@ def tariff_from_file(path: Path) -> Tariff:
             stacklevel=2,
         )
     return held_prices(time_s, price, str(path))
-
-
-def currency_of(name: str) -> str:
-    """The currency that the name of a column of prices tells, as JPY of 'price JPY/kWh'; '' where it tells none."""
-    told = _CURRENCY.search(name)
-    return told[1] if told else ""
-
-
-def price_unit_of(name: str) -> PriceUnit | None:
-    """The unit that the name of a column of prices tells, as 'cent per kWh' of 'Preis ct/kWh'; None: it tells none."""
-    energy = re.search(r"(?i)([km])wh", name)
-    cents = _CENTS.search(name) is not None
-    if energy is None:
-        return "cent per kWh" if cents else None
-    if energy[1].lower() == "m":
-        return "cent per MWh" if cents else "per MWh"
-    return "cent per kWh" if cents else "per kWh"
-
-
-def price_doubt(price: Array, currency: str = "", *, fuel: bool = False) -> str:
-    """What is doubtful about the size of prices per kWh in EUR or USD; '' where nothing is.
-
-    `fuel`: of another carrier than electricity, which may be a tenth as dear: gas of `bestest_air` costs 0.0029 USD.
-    """
-    if currency and currency not in _USUAL_IN:
-        return ""
-    known = np.abs(price[np.isfinite(price)])
-    mean, (low, high) = (float(known.mean()) if known.size else 0.0), _USUAL_PRICES
-    low = low / 10.0 if fuel else low
-    # Of prices of an exchange a night may cost next to nothing: the dearest hour says more.
-    if mean == 0.0 or (mean <= high and known.max() >= low):
-        return ""
-    unit = "per MWh, or in cents" if mean > high else "too low by a factor of 10, 100 or 1000"
-    other = "" if currency else ", or in another currency"
-    return (
-        f"prices of {mean:.3g} per kWh on average, where {low:g} to {high:g} {currency or ' or '.join(_USUAL_IN)} are "
-        f"usual: are they {unit}{other}?"
-    )
 
 
 def held_prices(time_s: Array, price: Array, source: str = "tariff") -> Tariff:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,8 +17,10 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data.clock import CLOCK_ROUNDING_S, CLOCK_TOLERANCE_S, HOUR_S, Array, check_clock
 from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.data.names import AXIS, SINGLE, Names, frozen
+from thermoforce_mpc.data.prices import currency_of, price_doubt, price_unit_of
 from thermoforce_mpc.data.record import Record
 from thermoforce_mpc.errors import DataError, check_kind
+from thermoforce_mpc.files import DoubtfulInput
 
 if TYPE_CHECKING:  # loaded only where tables come in
     import pandas as pd
@@ -111,14 +114,15 @@ class Boundary:
             solar: column of the global horizontal irradiance, W/m²; None where the record has none either.
             lower: lower comfort bound, °C; a column, or one number. A plan needs both bounds, a prediction does not.
             upper: upper comfort bound, °C; the same.
-            price: energy price, currency/kWh; the same.
+            price: energy price, currency/kWh; the same. One that is unusual in euros and dollars gives a warning.
             occupancy: persons; a column, or one number.
             emission: kg CO2/kWh; a column, or one number.
 
         Raises:
             DataError: `df` is no data frame, a column is missing or most of it impossible in its unit, a bound or price
-                is neither a column nor a number, rows are not in order or do not begin at the end of `record`, `record`
-                is one instant, or a bound is no room temperature in °C or the lower one above the upper one.
+                is neither a column nor a number, a price is of no kWh by the name of its column, rows are not in order
+                or do not begin at the end of `record`, `record` is one instant, or a bound is no room temperature in °C
+                or the lower one above the upper one.
         """
         import pandas as pd
 
@@ -169,7 +173,26 @@ class Boundary:
             step(emission, "emission"),
         )
         ahead._check_bounds(stamps(time_s, record.origin))
+        if price is not None:
+            ahead._check_price(price)
         return ahead
+
+    def _check_price(self, source: str | float) -> None:
+        """Raises `DataError` where a price is of no kWh by the name of its column, or below 0 as a number.
+
+        Warns with `DoubtfulInput` of one that is unusual in euros and dollars.
+        """
+        name = source if isinstance(source, str) else ""
+        parts = {None: 1, "per kWh": 1, "cent per kWh": 100, "per MWh": 1000, "cent per MWh": 100_000}
+        if (over := parts[unit := price_unit_of(name)]) != 1:
+            raise DataError(
+                f"forecast: price: column '{name}' is {unit} by its name: divide by {over}, call it 'price per kWh'"
+            )
+        if not name and self.price_per_kWh[0, 0] < 0.0:  # hours may cost less than nothing, not all of them
+            raise DataError(f"forecast: price is {self.price_per_kWh[0, 0]:g}: no price of every kWh is below 0")
+        if doubt := price_doubt(self.price_per_kWh, currency_of(name)):
+            other = "give a price per kWh; name the column for another currency, as 'price JPY/kWh'"
+            warnings.warn(f"forecast: price: {doubt} If so {other}", DoubtfulInput, stacklevel=3)
 
     def _check_bounds(self, at: pd.Index) -> None:
         """Raises `DataError` where a bound is no room temperature in °C, or the lower one is above the upper."""

@@ -111,12 +111,12 @@ class Block:
     command: tuple[CommandValue | None, ...]
 
     def __init__(self, u: Levels, duration_s: float, command: Commands = None) -> None:
-        levels: tuple[Any, ...] = tuple(u) if isinstance(u, Sequence) else (u,)
+        levels: tuple[Any, ...] = tuple(u) if isinstance(u, Sequence) and not isinstance(u, str) else (u,)
         commands = tuple(map(_as_told, commands_of_each(command, len(levels))))
         if len(commands) != len(levels):
             raise DataError(f"a block of {len(levels)} levels has {len(commands)} commands")
-        object.__setattr__(self, "u", tuple(None if level is None else float(level) for level in levels))
-        object.__setattr__(self, "duration_s", duration_s)
+        object.__setattr__(self, "u", tuple(map(_as_level, levels)))
+        object.__setattr__(self, "duration_s", _as_number(duration_s, "duration_s"))
         object.__setattr__(self, "command", commands)
 
     @classmethod
@@ -133,6 +133,20 @@ class Block:
     def as_array(self) -> Array:
         """Levels (A,), NaN under native control."""
         return np.array([np.nan if level is None else level for level in self.u])
+
+
+def _as_level(value: Any) -> float | None:
+    return None if value is None else _as_number(value, "a level (u)")
+
+
+def _as_number(value: Any, what: str) -> float:
+    """A number; raises `DataError` for what is none."""
+    try:
+        if not isinstance(value, str):
+            return float(value)
+    except (TypeError, ValueError):
+        pass
+    raise DataError(f"block: {what} is {value!r:.60}, expected a number (None as a level: left to itself)")
 
 
 def _as_told(value: Any) -> Any:

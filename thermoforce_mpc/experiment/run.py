@@ -18,7 +18,7 @@ import yaml
 from controllers.registry import lent
 from thermoforce_mpc.data import DAY_S, Period, PlantInfo
 from thermoforce_mpc.data.clock import seconds_of
-from thermoforce_mpc.errors import ConfigError, counted
+from thermoforce_mpc.errors import ConfigError, check_kind, counted
 from thermoforce_mpc.experiment.equal_comfort import (
     THERMOSTAT,
     AsComfortable,
@@ -239,6 +239,10 @@ def run(
         InputError: something given cannot be used; the message names the key.
         PlantError: the plant or its service failed.
     """
+    if model is not None:
+        from thermoforce_mpc.model.thermal_model import ThermalModel
+
+        check_kind(model, ThermalModel, "model", "identify or load_model gives one")
     with nullcontext(controller) if isinstance(controller, str) else lent(controller) as name:
         scenario = load_scenario(None, merge({"testcase": testcase, "controller": {"name": name}}, settings))
         if "url" in scenario.plant.model_fields_set:

@@ -6,7 +6,7 @@ beside all others (`zones`); assemble the operator of the building. All steps ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -93,6 +93,8 @@ def identify(
             numbers and what to do.
     """
     config = config or IdentificationConfig()
+    check_kind(config, IdentificationConfig, "config", "give IdentificationConfig(...)")
+    check_kind(runs, (Record, Iterable), "runs", "give a record, or several")
     runs = (runs,) if isinstance(runs, Record) else tuple(runs)
     for one in runs:
         check_kind(one, Record, "runs: one of them", "Record.from_dataframe makes one of a table")
@@ -102,7 +104,9 @@ def identify(
         raise DataError(f"mode is {mode} and the lowest level {u_min:g}: mode both needs one below 0, others 0")
     if not runs and not pairs:
         raise DataError("nothing to identify from: give at least one run or pair")
-    if layout is None:
+    if layout is not None:
+        check_kind(layout, Layout, "layout", "give Layout(...), or that of read_measurements(...)")
+    else:
         names = (runs[0] if runs else pairs[0].a).names
         if not names.single:
             raise DataError(f"the records have {names}: say what acts where (layout)")

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from thermoforce_mpc.boundary.tariffs import price_doubt
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Layout, Record
+from thermoforce_mpc.data.prices import price_doubt
 from thermoforce_mpc.errors import NoForecast
 from thermoforce_mpc.model.forecast_gaps import completed, lengthened
 

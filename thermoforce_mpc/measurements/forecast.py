@@ -15,11 +15,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from thermoforce_mpc.boundary.tariffs import Tariff, by_name, currency_of, price_doubt, price_unit_of, tariff_from_file
+from thermoforce_mpc.boundary.tariffs import Tariff, by_name, tariff_from_file
 from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array, Boundary, Record, steps_in
 from thermoforce_mpc.data.clock import in_celsius, in_fahrenheit
 from thermoforce_mpc.data.dataframes import clock_s, days_before_s, new_year, seconds_since, stamps
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H
+from thermoforce_mpc.data.prices import currency_of, price_doubt, price_unit_of
 from thermoforce_mpc.data.series import at_instants
 from thermoforce_mpc.errors import ConfigError, DataError, InputError, check_kind
 from thermoforce_mpc.measurements.load import Measurements, sunlight

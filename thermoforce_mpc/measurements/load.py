@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import NoneType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -17,7 +19,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, 
 from thermoforce_mpc.data.dataframes import clock_s, new_year, seconds_at, seconds_since, stamps
 from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.data.series import step_means
-from thermoforce_mpc.errors import ConfigError, DataError, counted
+from thermoforce_mpc.errors import ConfigError, DataError, check_kind, check_path, counted
 from thermoforce_mpc.measurements import readings
 from thermoforce_mpc.measurements.map.guesses import rooms_beside
 from thermoforce_mpc.measurements.map.mapping import (
@@ -261,6 +263,7 @@ def read_measurements(
         DataError: the table cannot be used; names file, line or column, and what to do.
     """
     rules, left_out, notes = _rules(map), list[str](), list[str]()
+    check_kind(now, (pd.Timestamp, NoneType), "now", "give pd.Timestamp(..., tz=...)")
     columns = [column for _, signal in rules.signals() for column in signal.columns]
     clock = rules.time if now is None else rules.time.lenient()
     head, decimal = None, rules.csv.decimal
@@ -271,8 +274,7 @@ def read_measurements(
             tables = [frame_appended(files, columns, clock, now + _LATEST, left_out, rules.units())]
         head = files.iloc[:_ROWS]
     else:
-        patterns = [files] if isinstance(files, str | Path) else list(files)
-        paths = found_files(patterns, most_bytes)
+        paths = found_files(_patterns(files), most_bytes)
         if now is None:
             tables = read_tables(paths, columns, rules.written, notes, rules.units())
             first = rules.written(paths[0])
@@ -308,7 +310,22 @@ def _refused(found: Measurements, now: pd.Timestamp) -> list[str]:
 def _rules(map: str | Path | Mapping[str, Any] | MeasurementMap) -> MeasurementMap:
     if isinstance(map, MeasurementMap):
         return map
-    return validate(MeasurementMap, map, "map") if isinstance(map, Mapping) else load_map(Path(map))
+    if isinstance(map, Mapping):
+        return validate(MeasurementMap, map, "map")
+    check_path(map, "map", "give its file, or its keys and values; `tf-mpc data map FILE` writes one to start from")
+    return load_map(Path(map))
+
+
+def _patterns(files: object) -> list[str | Path]:
+    """Paths and patterns that a program gives; raises `DataError` for what is none."""
+    instead = "give paths or patterns, or one data frame (of several pd.concat([...]), of a Series .to_frame(name))"
+    if isinstance(files, str | os.PathLike):
+        return [Path(files)]
+    check_kind(files, Iterable, "files", instead)
+    several: list[Any] = list(files) if isinstance(files, Iterable) and not isinstance(files, pd.Series) else [files]
+    for one in several:
+        check_path(one, "files: one of them", instead)
+    return several
 
 
 def _from_table(

@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from thermoforce_mpc.boundary.tariffs import currency_of, price_doubt
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.limits import EXCURSION_S, SignalRule
+from thermoforce_mpc.data.prices import currency_of, price_doubt
 from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.measurements.map.guesses import tags

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from thermoforce_mpc.boundary.tariffs import price_unit_of
 from thermoforce_mpc.data import J_PER_KWH, ZERO_C_K, Array
+from thermoforce_mpc.data.prices import price_unit_of
 
 
 class Unit(NamedTuple):

@@ -16,23 +16,22 @@ Where it was not measured, v is proportional to u and all are the same.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import casadi as ca
 import numpy as np
 
 from thermoforce_mpc.data.clock import PLAN_STEP_S
-from thermoforce_mpc.errors import DataError, suggestion
+from thermoforce_mpc.errors import DataError, check_kind, suggestion
 from thermoforce_mpc.model.operator import casadi_export
 from thermoforce_mpc.model.operator.casadi_export import heat_input_expression
 from thermoforce_mpc.model.operator.parameters import N_FEATURES, OUTDOOR, OperatorParameters
-
-if TYPE_CHECKING:
-    from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 PartLoad = Literal["blocks", "held", "smooth", "split"]
 # Width of the rounding, as a share of the lowest level. By judgement: solvers see no kink, levels no difference.
 _ROUNDING = 0.05
+_GIVE = "identify or load_model gives one"
 
 
 def modulation_function(model: ThermalModel, *, actuator: str | None = None) -> ca.Function:
@@ -40,6 +39,7 @@ def modulation_function(model: ThermalModel, *, actuator: str | None = None) -> 
 
     `actuator` may be left out where there is one; raises `DataError` for an unknown or missing name.
     """
+    check_kind(model, ThermalModel, "model", _GIVE)
     pair = model.operator.of_actuator(_number(actuator, model.operator.actuators, "actuator"))
     return casadi_export.modulation_function(pair)
 
@@ -114,7 +114,8 @@ def _rounded(z: ca.SX) -> ca.SX:
 
 
 def _pair(model: ThermalModel, step_s: float, zone: str | None, actuator: str | None) -> OperatorParameters:
-    if not (np.isfinite(step_s) and step_s > 0):
+    check_kind(model, ThermalModel, "model", _GIVE)
+    if not (isinstance(step_s, int | float | np.number) and np.isfinite(step_s) and step_s > 0):
         raise DataError(f"step_s is {step_s!r}, expected seconds above 0")
     operator = model.operator.resampled(float(step_s))
     a = _number(actuator, operator.actuators, "actuator")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import HOUR_S, SINGLE, Array, Boundary, Layout, Names, Observation, Record
 from thermoforce_mpc.data.limits import EFFECT_K
 from thermoforce_mpc.data.names import check_same_building, numbers
-from thermoforce_mpc.errors import ArtifactError, DataError, check_kind
+from thermoforce_mpc.errors import ArtifactError, DataError, check_kind, check_path
 from thermoforce_mpc.model.card import UNTOLD_SD, ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
@@ -338,6 +338,8 @@ class ThermalModel:
         """
         check_kind(record, Record, "record")
         check_same_building("the model", self.names, "the record", record.names, single_alike=True)
+        for one in free_response if isinstance(free_response, Sequence) else filter(None, [free_response]):
+            check_kind(one, FreeResponse, "free_response", "build_free_response(name) gives one")
         methods = free_response or [build_free_response("residual", rc=free) for free in self.free]
         levels = numbers(u, "levels (u)")
         if levels.ndim == 0:
@@ -391,6 +393,7 @@ class ThermalModel:
         Raises `ArtifactError` as `check_replaceable` or where the model fails its certificate, and `StorageError` where
         the disk refuses.
         """
+        check_path(folder, "save: folder")
         folder = Path(folder)
         check_replaceable(folder, overwrite)
         proofs = self.operator.certificates()
@@ -406,8 +409,9 @@ class ThermalModel:
 def load_model(folder: Path | str) -> ThermalModel:
     """Read a saved model; what its card says of its arrays, and its certificate, are worked out again.
 
-    Raises `ArtifactError` naming the file and the reason.
+    Raises `ArtifactError` naming the file and the reason, `DataError` for what is no path.
     """
+    check_path(folder, "load_model: folder", "give the folder that `tf-mpc identify` or model.save wrote")
     folder = Path(folder)
     content, arrays = read_model_file(folder)
     return model_from(content, arrays, folder / JSON_NAME)

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from thermoforce_mpc.boundary.tariffs import price_doubt
+from thermoforce_mpc.data.prices import price_doubt
 from thermoforce_mpc.dependencies import cache_folder
 from thermoforce_mpc.errors import PlantError, StorageError, ThermoForceError
 from thermoforce_mpc.files import storage_errors, write_whole

@@ -34,7 +34,7 @@ from pydantic import (
     model_validator,
 )
 
-from thermoforce_mpc.errors import ConfigError, suggestion
+from thermoforce_mpc.errors import ConfigError, OptionError, suggestion
 from thermoforce_mpc.files import named_configs, odd_number, read_bounded
 
 # Largest magnitude by the unit at the end of a key: far beyond any building, but finite. Temperatures in °C also have a
@@ -90,6 +90,16 @@ class StrictModel(BaseModel):
     gone: ClassVar[Mapping[str, tuple[Any, str]]] = {}
     # What validates a model is built with its first value: a process has values of few of them.
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+
+    def __init__(self, **data: Any) -> None:
+        """Raises `OptionError` listing invalid keys, their values and what is allowed."""
+        try:
+            super().__init__(**data)
+        except ValidationError as error:
+            raise OptionError(_explained(type(self), data, error, type(self).__name__)) from None
+
+    # What stands inside other models is validated by pydantic itself, whose errors then name the whole path of a key.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """As pydantic's; what was derived from the values (`cached_property`) is derived anew from the copy's."""
@@ -437,11 +447,22 @@ def validate(
     try:
         return model.model_validate(dict(data))
     except ValidationError as error:
-        items = _without_consequences(error.errors())
-        lines = [_explain(model, data, item, also) for item in items[:_MOST_LISTED]]
-        if len(items) > _MOST_LISTED:
-            lines.append(f"and {len(items) - _MOST_LISTED} more")
-        raise ConfigError(f"{source}:\n" + "\n".join(f"  {line}" for line in lines)) from error
+        raise ConfigError(_explained(model, data, error, source, also)) from error
+
+
+def _explained(
+    model: type[BaseModel],
+    data: Mapping[str, Any],
+    error: ValidationError,
+    source: str,
+    also: Callable[[], Iterable[str]] = tuple,
+) -> str:
+    """What is wrong with `data` from `source`, a line for each key; see `validate`."""
+    items = _without_consequences(error.errors())
+    lines = [_explain(model, data, item, also) for item in items[:_MOST_LISTED]]
+    if len(items) > _MOST_LISTED:
+        lines.append(f"and {len(items) - _MOST_LISTED} more")
+    return f"{source}:\n" + "\n".join(f"  {line}" for line in lines)
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

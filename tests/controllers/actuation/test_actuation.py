@@ -5,10 +5,10 @@ import itertools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
 from controllers.checks import ControllerConfigError
+from thermoforce_mpc.errors import ConfigError
 
 HOUR = 3600.0
 
@@ -153,5 +153,5 @@ def test_duty_at_a_partial_level_scales_the_share():
 
 
 def test_minimum_times_that_are_not_whole_blocks_are_refused():
-    with pytest.raises(ValidationError, match="min_on_s must be a multiple of block_s"):
+    with pytest.raises(ConfigError, match="min_on_s must be a multiple of block_s"):
         ActuationConfig(block_s=300.0, min_on_s=400.0)

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from houses import random_levels, weather
-from pydantic import ValidationError
 
 from thermoforce_mpc.data import Record
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.pipeline import identify
@@ -142,7 +141,7 @@ def test_pairs_correct_what_a_wrong_second_stage_found(modulation):
 
 
 def test_two_stages_of_another_order_are_refused():
-    with pytest.raises(ValidationError, match="two_stage is of order 1"):
+    with pytest.raises(ConfigError, match="two_stage is of order 1"):
         IdentificationConfig(method="two_stage", order=3)
 
 

@@ -23,8 +23,8 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.boundary.tariffs import PriceUnit, price_unit_of
 from thermoforce_mpc.data import DAY_S, Array
+from thermoforce_mpc.data.prices import PriceUnit, price_unit_of
 from thermoforce_mpc.measurements.map.mapping import (
     IrradianceUnit,
     LevelUnit,

@@ -11,12 +11,12 @@ import numpy as np
 import pandas as pd
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from thermoforce_mpc.boundary.tariffs import PriceUnit, price_unit_of
 from thermoforce_mpc.commands.command import Command, TemperatureCommand
 from thermoforce_mpc.commands.kinds import KINDS, AnyCommand, names_of
 from thermoforce_mpc.commands.tank import AnyTankCommand
 from thermoforce_mpc.data import Array, Layout, Names
 from thermoforce_mpc.data.limits import ZONE_C
+from thermoforce_mpc.data.prices import PriceUnit, price_unit_of
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.tables.forms import (
     CsvFormat,
