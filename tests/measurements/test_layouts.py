@@ -100,6 +100,19 @@ def influx(folder: Path) -> list[Path]:
     return [folder / "influx.csv"]
 
 
+def line_protocol(folder: Path) -> list[Path]:
+    """As `influxd inspect export-lp` writes it, of Home Assistant's readings: text beside numbers, escaped spaces."""
+    lines = ["# INFLUXDB EXPORT: 2026-01-12T00:00:00Z - 2026-01-17T00:00:00Z", "# DDL", "CREATE DATABASE ha", "# DML"]
+    for k, (name, entity) in enumerate(ENTITIES.items()):
+        unit = "°C" if k < 3 else "%" if k < 5 else "W"
+        beside = f'friendly_name_str="The {name}, of the \\"house\\""'
+        tags = f"domain=sensor,entity_id={entity[7:]},source=Home\\ Assistant"
+        lines += [f"{unit},{tags} {beside},value={v} {at.as_unit('ns').value}" for at, v in HOUSE[name].items()]
+    lines += [f'state,entity_id=mode state="heat",value=1i {HOUSE.index[3].as_unit("ns").value}']
+    (folder / "dump.lp").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return [folder / "dump.lp"]
+
+
 def metasys(folder: Path) -> list[Path]:
     """One row per reading, 12-hour clock, the United States' dates, °F in the names."""
     names = {
@@ -623,6 +636,7 @@ LAYOUTS = (
     ha_history,
     ha_statistics,
     influx,
+    line_protocol,
     metasys,
     niagara,
     rooms,
@@ -984,11 +998,33 @@ def test_a_sensor_under_a_second_name_is_no_neighbour(apart_K):
     assert any("current temp looks like a room" in one for one in said) is (apart_K > 0.1)
 
 
-def test_the_line_protocol_of_influx_is_no_table(tmp_path):
+def test_a_line_of_the_line_protocol_without_its_time_is_refused(tmp_path):
     path = tmp_path / "dump.lp"
-    path.write_text("temperature,room=living value=21.3 1736726400000000000\n" * 3)
-    with pytest.raises(DataError, match=r"line protocol, no table: export it as CSV"):
+    path.write_text(
+        "temperature,room=living value=21.3 1736726400000000000\n" * 3 + "temperature,room=living value=2\n"
+    )
+    with pytest.raises(DataError, match=r"dump\.lp, line 4: has no time, as in 'measurement,tag=a"):
         starting_map(path)
+
+
+def test_signals_of_programs_with_tags_of_their_own_are_named_by_these(tmp_path):
+    """Telegraf: a topic of a broker, a plug's device, the computer: of those without a topic the names were lost."""
+    lines = []
+    for k, at in enumerate(HOUSE.index.as_unit("ns").asi8):
+        lines += [
+            f"mqtt,host=pi,topic=home/living temperature={HOUSE['living'].iloc[k]},humidity=45i {at}",
+            f"mqtt,host=pi,topic=home/outdoor temperature={HOUSE['out'].iloc[k]} {at}",
+            f"shelly,host=pi,device=heatpump apower={HOUSE['power'].iloc[k]},output={'t' if k % 9 < 4 else 'f'} {at}",
+            f"cpu,host=pi,cpu=cpu-total usage_idle=93.2 {at}",
+        ]
+    (tmp_path / "dump.lp").write_text("\n".join(lines))
+    rules = yaml.safe_load(starting_map(tmp_path / "dump.lp"))
+    assert rules["outdoor"]["column"] == "home/outdoor temperature"
+    assert rules["machines"]["machine"]["power"]["column"] == "heatpump apower"
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(rules))
+    record = tf.read_measurements(tmp_path / "dump.lp", tmp_path / "map.yaml").record
+    np.testing.assert_array_equal(record.power_W[0], HOUSE["power"].to_numpy()[:-1])
+    np.testing.assert_array_equal(record.u[0], np.arange(N - 1) % 9 < 4)
 
 
 def test_a_word_in_one_cell_of_a_long_table_does_not_hide_the_signal(tmp_path):

@@ -30,6 +30,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import check_regular, pyarrow_for
 from thermoforce_mpc.measurements.tables.clock import instants
 from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm, TimeStampRules, Written, each_column
+from thermoforce_mpc.measurements.tables.line_protocol import columns_of_lines, frames_of_lines, is_line_protocol
 from thermoforce_mpc.measurements.tables.raw_table import (
     MISSING,
     RawTable,
@@ -49,9 +50,9 @@ Lines: TypeAlias = int | NDArray[np.int64]
 # What is read at once, bytes when unpacked: about 15 million rows of six columns, in 4 GB of memory.
 MOST_BYTES = 1_000_000_000
 _COMPRESSED: dict[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
-_BLOCK = 1_000_000
+_BLOCK, _LOOKED_AT = 1_000_000, 100_000
 PARQUET = (".parquet", ".pq")
-_WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 # How files begin that are no text, and what they are.
 _MAGIC = {
     b"\x89PNG": "a picture (PNG)", b"\xff\xd8\xff": "a picture (JPEG)", b"GIF8": "a picture (GIF)", b"%PDF": "a PDF",
@@ -131,9 +132,9 @@ def _unpacked_bytes(path: Path, most_bytes: int) -> int:
 def named_after(path: Path, form: CsvFormat) -> str:
     """The name that a file gives its readings: that of a line `history:` above its header, else its own."""
     stem = path.name
-    while Path(stem).suffix.lower() in (*_COMPRESSED, *PARQUET, *_WORKBOOKS, ".csv", ".txt", ".tsv"):
+    while Path(stem).suffix.lower() in (*_COMPRESSED, *PARQUET, *WORKBOOKS, ".csv", ".txt", ".tsv"):
         stem = Path(stem).stem
-    if path.suffix.lower() in (*PARQUET, *_WORKBOOKS) or not form.skip_lines:
+    if path.suffix.lower() in (*PARQUET, *WORKBOOKS) or not form.skip_lines:
         return stem
     with reading(path), opened(path, "rt", form.encoding) as lines:
         for line in itertools.islice(iter(lambda: lines.readline(_BLOCK), ""), form.skip_lines):
@@ -288,8 +289,10 @@ def _parts(path: Path, form: CsvFormat, *, scan: bool = True) -> list[_Part]:
     suffix = path.suffix.lower()
     if suffix in PARQUET:
         parts = [_parquet(path)]
-    elif suffix in _WORKBOOKS:
+    elif suffix in WORKBOOKS:
         parts = [_workbook(path, form)]
+    elif not is_text(path):
+        parts = [_line_protocol(path)]
     else:
         parts = _csv(path, form, scan=scan)
     return [replace(part, frames=partial(_numbered, part.frames, form)) for part in parts] if form.words else parts
@@ -464,6 +467,19 @@ def _parquet(path: Path) -> _Part:
             raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
 
     return _Part(path, list(schema.names), frames)
+
+
+def _line_protocol(path: Path) -> _Part:
+    with reading(path), opened(path, "rt", "utf-8") as lines:
+        names = columns_of_lines(lines)
+
+    def frames(columns: Sequence[str] | None, rows: int | None) -> Iterator[tuple[pd.DataFrame, Lines]]:
+        told = names if columns is None else list(columns)
+        with reading(path), opened(path, "rt", "utf-8") as lines:
+            for df, at in frames_of_lines(lines, str(path), told, rows):
+                yield df, np.array(at, dtype=np.int64)
+
+    return _Part(path, names, frames)
 
 
 def longest_sheet(path: Path, most: int) -> tuple[dict[str, int], str, list[str]]:
@@ -710,8 +726,12 @@ def _told_apart(names: list[str], groups: list[str]) -> list[str]:
 
 
 def is_text(path: Path) -> bool:
-    """Whether a file is read as text, by its suffix."""
-    return path.suffix.lower() not in (*PARQUET, *_WORKBOOKS)
+    """Whether a file is read as a table in text: by its suffix, and not of the line protocol."""
+    if path.suffix.lower() in (*PARQUET, *WORKBOOKS):
+        return False
+    with reading(path), opened(path) as file:
+        start = file.read(_LOOKED_AT).decode("utf-8", errors="replace").splitlines()
+    return not is_line_protocol(start[:-1] or start)
 
 
 # What programs write that is no table, by how it begins, and Python that makes one of it.

@@ -174,10 +174,14 @@ def tables_of(
 
 
 def told_points(df: pd.DataFrame, points: Sequence[str]) -> pd.Series[str]:
-    """The name of the signal of each row (n,): its cells in the columns `points`, joined by a space."""
+    """The name of the signal of each row (n,): its cells in the columns `points` that are not empty, and a space."""
     told = df[points[0]].astype(str).str.strip()
-    for more in points[1:]:
-        told = told + " " + df[more].astype(str).str.strip()
+    if len(points) == 1:
+        return told
+    parts = [df[point].astype(object).where(df[point].notna(), "").astype(str).str.strip() for point in points]
+    told = parts[0]
+    for more in parts[1:]:
+        told = told + np.where((told != "") & (more != ""), " ", "") + more
     return told
 
 

@@ -17,8 +17,8 @@ import pandas as pd
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.tables.clock import LATE, newest_first, plain, times_of
 from thermoforce_mpc.measurements.tables.files import (
-    PARQUET,
     SEPARATORS,
+    WORKBOOKS,
     cells_of,
     head_of,
     header_of,
@@ -82,9 +82,6 @@ _QUANTITY_COLUMN = re.compile(
 _UNIT_COLUMN = re.compile(r"(?i)^(unit|units|unit_of_measurement|uom|einheit|unité|unite|eenheid|enhet|enhed|yksikkö)$")
 # Stamps without a year, as EnergyPlus writes them, and the year that is taken: 2017, like its own, began on a Sunday.
 _NO_YEAR, _YEAR = r"\s*\d{1,2}/\d{1,2}\s+\d{1,2}:\d{2}(:\d{2})?\s*", 2017
-# A line of InfluxDB's line protocol: what, tags, fields, and when.
-_FIELD = r"[^\s=,]+=(?:\"[^\"]*\"|[^\s,\"]+)"
-_LINE_PROTOCOL = re.compile(rf"(?:[^\s\\]|\\.)+ {_FIELD}(?:,{_FIELD})*(?: \d{{10,19}})?\s*$")
 # A line above the names of columns with what each of them is to be divided by, as NIBE's heat pumps write it.
 _DIVISORS = re.compile(r"(?i)^\W*divisors\b")
 # What stands in a line of units below the names of columns.
@@ -324,7 +321,7 @@ def _guessed(path: Path) -> tuple[CsvFormat, str]:
     """See `guessed_form`; and which other sheets of a workbook hold a table, in words: one sheet is read."""
     if is_text(path):
         return _guessed_of_text(path), ""
-    if path.suffix.lower() in PARQUET:
+    if path.suffix.lower() not in WORKBOOKS:
         return CsvFormat(), ""
     rows_of, longest, lines = longest_sheet(path, _LINES)
     skip, _, _ = _header_at(lines)
@@ -337,13 +334,6 @@ def _guessed(path: Path) -> tuple[CsvFormat, str]:
 def _guessed_of_text(path: Path) -> CsvFormat:
     encoding, text = sample(path)
     lines = text[:_LINES]
-    if next((line for line in lines if line.strip() and not line.startswith("#")), "") and all(
-        _LINE_PROTOCOL.match(line) for line in lines[:20] if line.strip() and not line.startswith("#")
-    ):
-        raise DataError(
-            f"{path}: is InfluxDB's line protocol, no table: export it as CSV, by influx query '...' --raw, or "
-            "influx -execute '...' -format csv"
-        )
     with reading(path):
         skip, separator, comment = _header_at(lines)
     rows = [line for line in lines[skip + 1 :] if line.strip() and not (comment and line.startswith(comment))]
@@ -675,7 +665,8 @@ def _form_of(
     if of_readings is not None:
         programs = {"entity_id": "Home Assistant's history", "statistic_id": "Home Assistant's statistics"}
         of_influx = of_readings.value == "_value"
-        what = "InfluxDB's annotated CSV" if of_influx else programs.get(str(of_readings.point), "a table")
+        influx = "InfluxDB's annotated CSV" if is_text(paths[0]) else "InfluxDB's line protocol"
+        what = influx if of_influx else programs.get(str(of_readings.point), "a table")
         return of_readings, f"{what} with one row per reading"
     status = next(
         (c for c in columns if c.lower() in ("status", "quality", "reliability") and not _numbers(head[c])), None
@@ -765,7 +756,7 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
         tags = [
             c
             for c in columns
-            if c not in ("_value", "result", "table", "", "_start", "_stop") and head[c].nunique() > 1
+            if c not in ("_value", "result", "table", "", "_start", "_stop") and head[c].nunique(dropna=False) > 1
         ]
         # A tag that another one tells already is not needed: the unit of an entity, its domain.
         named = sorted(tags, key=lambda c: (not _POINT.match(c) or c in ("_field", "_measurement"), -head[c].nunique()))
@@ -774,6 +765,11 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
         for key in named:
             if not point or len(head[point].drop_duplicates()) < n:
                 point.append(key)
+        # What has none of these tags, as of another program, is named by its own.
+        for key in sorted(named, key=lambda c: c == "_measurement"):
+            nameless = head[[c for c in point if c not in ("_field", "_measurement")]].isna().all(axis=1)
+            if key not in (*point, "_field") and head.loc[nameless, key].notna().any():
+                point.insert(0, key)
         if not point:
             given = [
                 c
