@@ -92,7 +92,7 @@ def run_detectors_bench(
         weeks: house-weeks of clean plants, the kinds in turn; None: 200.
         faults: plants with each fault; None: 4.
         seed: of the plants that are drawn; None: 62. With `against` and none of the three: the weeks of
-            that run, and one of each fault that it has not, where it has any.
+            that run, and those of one plant of each fault (`faulty`) that it lacks, where it has any.
         engine: where they are run; the result does not depend on it.
         quick: one house-week of each of two kinds, and one fault.
         against: JSON of an earlier run, to compare the weeks that both have: same kind, number, seed and fault.
@@ -125,9 +125,9 @@ def run_detectors_bench(
 
 
 def _again(kept: list[PanelCase]) -> list[PanelCase]:
-    """The weeks of an earlier run, and where that has faults one of each that is new in the panel since."""
-    faults = {case.fault for case in kept} - {""}
-    return kept + [case for case in faulty(1, kept[0].seed) if faults and case.fault not in faults]
+    """The weeks of an earlier run, and where that has faults those with one plant of each that it lacks."""
+    has_faults = any(case.fault for case in kept)
+    return kept + [case for case in faulty(1, kept[0].seed) if has_faults and case not in kept]
 
 
 def _asked_for(weeks: int | None, faults: int | None, seed: int, quick: bool) -> list[PanelCase]:

@@ -45,6 +45,8 @@ _AFTER_S = 2.0 * DAY_S
 _OTHER_W, _SUN_K, _ASLEEP_H, _LATE_S = 400.0, 2.5, 5.0, 900.0
 # Which houses of a draw have that sensor: others than those of the clean weeks.
 _LATE_FROM, _LATE_EVERY = 2000, 100
+# Fewest plants of a fault: of readings in half degrees three days say nothing of a lag.
+_LEAST = {"late sensor": 3}
 # Hours of the morning in which a schedule acts, and how many times the ventilation that it blows in then.
 _MORNING_H, _PURGES = (6.0, 7.5), 4.0
 # How far a door moves a sensor, K; a quarter of an hour, s; share of the name plate's heat that a worn machine gives.
@@ -101,8 +103,12 @@ def clean(weeks: int, seed: int) -> list[PanelCase]:
 
 
 def faulty(each: int, seed: int) -> list[PanelCase]:
-    """`each` plants with each fault."""
-    return [PanelCase(kind, number, seed, fault) for fault, (kind, _) in FAULTS.items() for number in range(each)]
+    """`each` plants with each fault, and `_LEAST` of those that not every record can show."""
+    return [
+        PanelCase(kind, number, seed, fault)
+        for fault, (kind, _) in FAULTS.items()
+        for number in range(max(each, _LEAST.get(fault, each)) if each else 0)
+    ]
 
 
 def built(case: PanelCase) -> BuiltCase:

@@ -59,7 +59,8 @@ def test_the_panel_takes_every_kind_in_turn_and_every_fault_is_for_a_rule():
     assert [case.kind for case in cases] == [*KINDS, next(iter(KINDS))]
     assert cases[-1].number == 1
     assert {rule_of(case.fault) for case in faulty(2, seed=3)} <= set(NAMES)
-    assert len(faulty(2, seed=3)) == 2 * len(FAULTS)
+    assert len(faulty(2, seed=3)) == 2 * len(FAULTS) + 1, "a lag shows in three plants at least"
+    assert faulty(0, seed=3) == []
     assert not any(case.fault for case in cases)
 
 
@@ -244,6 +245,22 @@ def test_a_fault_that_is_new_in_the_panel_is_run_beside_the_weeks_of_an_earlier_
     run_detectors_bench(engine=LocalEngine(1), against=tmp_path / "earlier.json")
     assert ran[: len(kept)] == kept
     assert ran[len(kept) :] == faulty(1, seed=7)[-2:]
+
+
+def test_plants_that_an_earlier_result_lacks_of_a_fault_are_run_too(tmp_path, monkeypatch):
+    lacking = [PanelCase("generated house", number, 7, "late sensor") for number in (1, 2)]
+    kept = [case for case in faulty(1, seed=7) if case not in lacking]
+    rows = [{"week": case.in_words, "cost": 1.0, "K_h": 0.0} for case in kept]
+    (tmp_path / "earlier.json").write_text(json.dumps({"rows": rows}))
+    ran = []
+
+    def ran_all(function, cases, *given):
+        ran.extend(cases)
+        return [asdict(replace(week(0, 1.0), case=case)) for case in cases]
+
+    monkeypatch.setattr(bench, "run_all", ran_all)
+    run_detectors_bench(engine=LocalEngine(1), against=tmp_path / "earlier.json")
+    assert ran == [*kept, *lacking]
 
 
 def test_weeks_of_another_seed_are_no_weeks_to_compare(tmp_path):
