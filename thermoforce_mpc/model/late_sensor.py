@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, Array, Record
+from thermoforce_mpc.data import DAY_S, NORMAL_95, Array, Record
 from thermoforce_mpc.data.series import bridged, first_order
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.forced_state import heat_drive
@@ -51,11 +51,18 @@ class LateSensor:
                 "lag above 0 and below a day, a standard deviation of at least 0 and a probability"
             )
 
+    @property
+    def band_s(self) -> tuple[float, float]:
+        """Between what times its time constant lies in 90 %, s: what is known of it is a factor (log-normal)."""
+        factor = math.exp(NORMAL_95 * self.sd_s / self.lag_s)
+        return self.lag_s / factor, self.lag_s * factor
+
     def in_words(self) -> str:
         """One line."""
+        low, high = (f"{time_s / 60.0:.0f}" for time_s in self.band_s)
         return (
-            f"the zone sensor reads the room {self.lag_s / 60.0:.1f} ± {self.sd_s / 60.0:.1f} min late "
-            f"(probability {self.probability:.2g}): what it has yet to read of the heat is added to its readings"
+            f"the zone sensor reads the room {self.lag_s / 60.0:.0f} min late ({low} to {high} in 90 %; probability "
+            f"{self.probability:.3g}): what it has yet to read of the heat is added to its readings"
         )
 
 

