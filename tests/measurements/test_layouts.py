@@ -1027,6 +1027,98 @@ def test_signals_of_programs_with_tags_of_their_own_are_named_by_these(tmp_path)
     np.testing.assert_array_equal(record.u[0], np.arange(N - 1) % 9 < 4)
 
 
+def ours_of(tmp_path, columns: dict[str, object]) -> dict[str, dict[str, object]]:
+    """The map that is written for a table of some columns over the days of the house."""
+    table = pd.DataFrame({"time": local("%Y-%m-%d %H:%M")} | {k: np.asarray(v) for k, v in columns.items()})
+    table.to_csv(tmp_path / "house.csv", index=False)
+    return yaml.safe_load(starting_map(tmp_path / "house.csv"))
+
+
+def set_by(low: float) -> np.ndarray:
+    return np.where((np.arange(N) // 4 + 1) % 24 < 7, low, low + 3.0)
+
+
+def test_actual_and_target_of_evohome_are_not_exchanged(tmp_path):
+    """'Bath [T]' was taken for the bath's temperature, 'Bath [A]' for amperes."""
+    columns = {"Living [A]": HOUSE["living"], "Living [T]": set_by(18), "Bath [A]": HOUSE["bath"]}
+    rules = ours_of(tmp_path, columns | {"Bath [T]": np.full(N, 22.5), "Outside": HOUSE["out"]})
+    assert [one["temperature"]["column"] for one in rules["zones"].values()] == ["Living [A]", "Bath [A]"]
+    assert rules["comfort"]["schedule"]["living"] == "7-24 20.5-24, else 17.5-24"
+
+
+def test_a_t_behind_a_word_is_a_temperature(tmp_path):
+    """heatpumpmonitor.org: heatpump_outsideT was the level of an actuator that heats and cools."""
+    columns = {"heatpump_elec": HOUSE["power"], "heatpump_flowT": 30 + HOUSE["v_bath"] / 10}
+    rules = ours_of(tmp_path, columns | {"heatpump_outsideT": HOUSE["out"], "heatpump_roomT": HOUSE["living"]})
+    assert rules["outdoor"]["column"] == "heatpump_outsideT"
+    assert [one["temperature"]["column"] for one in rules["zones"].values()] == ["heatpump_roomT"]
+    assert "level" not in next(iter(rules["actuators"].values()))
+
+
+def test_counters_of_two_tariffs_are_one_meter_and_an_export_is_none(tmp_path):
+    """A Dutch meter (HomeWizard): the still counter of exports was taken for 1285 kWh in each step, 5 MW."""
+    night = np.arange(N) // 4 % 24 < 7
+    counted = {k: 9000 + np.cumsum(HOUSE["power"] / 4000 * (night == (k == 2))) for k in (1, 2)}
+    columns = {"T room": HOUSE["living"], "outdoor": HOUSE["out"]} | {f"Import T{k} kWh": counted[k] for k in (1, 2)}
+    rules = ours_of(tmp_path, columns | {"Export T1 kWh": np.full(N, 1285.951), "L1 max W": HOUSE["power"] + 260})
+    power = rules["machines"]["machine"]["power"]
+    assert power == {"column": ["Import T1 kWh", "Import T2 kWh"], "unit": "kWh counter"}
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(rules))
+    record = tf.read_measurements(tmp_path / "house.csv", tmp_path / "map.yaml").record
+    np.testing.assert_allclose(record.power_W[0, 2:-2], HOUSE["power"].to_numpy()[3:-2], atol=1.0)
+
+
+def test_a_unit_above_readings_is_that_of_all(tmp_path):
+    """Green Button: the energy of each quarter of an hour was read as kW, a quarter of the power."""
+    rows = ["TYPE,DATE,START TIME,END TIME,USAGE (kWh),COST,NOTES"]
+    for k, t in enumerate(HOUSE.index):
+        end = t + pd.Timedelta("14min")
+        rows.append(f"Electric usage,{t:%Y-%m-%d},{t:%H:%M},{end:%H:%M},{HOUSE['power'].iloc[k] / 4000:.3f},$0.12,")
+    (tmp_path / "usage.csv").write_text("Name,J DOE\nService,Electric Service\n\n" + "\n".join(rows))
+    rooms = pd.DataFrame({"Indoor": HOUSE["living"].array, "Outdoor": HOUSE["out"].array})
+    rooms.set_axis(HOUSE.index.strftime("%Y-%m-%d %H:%M")).to_csv(tmp_path / "rooms.csv", index_label="time")
+    rules = yaml.safe_load(starting_map([tmp_path / "rooms.csv", tmp_path / "usage.csv"]))
+    assert rules["machines"]["machine"]["power"] == {"column": "Electric usage", "unit": "kWh per step"}
+
+
+@pytest.mark.parametrize("at", ["/Server 1/AHU/{}/{} TL", "{}-measure {}"])
+def test_what_all_signals_are_called_says_of_none_where_it_is(tmp_path, at):
+    """A server's folders (EcoStruxure) hid valves, a word of all (Homey) gave each room the heat pump's meter."""
+    columns: dict[str, object] = {at.format("HP1", "Elec Power (W)"): HOUSE["power"]}
+    for room, name in (("R101", "living"), ("R102", "bath")):
+        columns |= {at.format(room, "Space Temp (°C)"): HOUSE[name], at.format(room, "Valve (%)"): HOUSE[f"v_{name}"]}
+    rules = ours_of(tmp_path, columns | {at.format("Weather", "OAT (°C)"): HOUSE["out"]})
+    assert list(rules["machines"]) == ["machine"]
+    levels = {one["zone"]: one["level"]["column"] for one in rules["actuators"].values()}
+    temperatures = {zone: one["temperature"]["column"] for zone, one in rules["zones"].items()}
+    for room in ("R101", "R102"):
+        (zone,) = (zone for zone, column in temperatures.items() if room in column)
+        assert levels[zone] == at.format(room, "Valve (%)")
+    del columns[at.format("R101", "Valve (%)")], columns[at.format("R102", "Valve (%)")]
+    assert list(ours_of(tmp_path, columns | {at.format("Weather", "OAT (°C)"): HOUSE["out"]})["machines"]) == [
+        "machine"
+    ]
+
+
+def test_rows_of_devices_with_several_readings_become_a_file_of_each_as_is_said(tmp_path, monkeypatch):
+    """A dump of Domoticz or of a logger's database: the rooms were one, of all their readings in turn."""
+    monkeypatch.chdir(tmp_path)
+    parts = [
+        pd.DataFrame({"sensor": name, "temperature": HOUSE[name].array, "humidity": 45, "at": local("%Y-%m-%d %H:%M")})
+        for name in ("living", "bath", "out")
+    ]
+    pd.concat(parts).sort_values("at", kind="stable").to_csv("dump.csv", index=False)
+    with pytest.raises(DataError, match=r"each row is of one of 3 by column 'sensor', with several readings") as told:
+        starting_map("dump.csv")
+    exec(str(told.value).split('python -c "')[1].removesuffix('"'), {})
+    rules = yaml.safe_load(starting_map(["living.csv", "bath.csv", "out.csv"]))
+    assert rules["outdoor"]["column"] == "out temperature"
+    assert [one["temperature"]["column"] for one in rules["zones"].values()] == [
+        "living temperature",
+        "bath temperature",
+    ]
+
+
 def test_a_word_in_one_cell_of_a_long_table_does_not_hide_the_signal(tmp_path):
     files = fhem(tmp_path)
     text = files[0].read_text().replace("Aussen;CUL_HM;temperature;3.0", "Aussen;CUL_HM;temperature;sensor lost", 1)
@@ -1047,6 +1139,8 @@ def test_a_word_in_one_cell_of_a_long_table_does_not_hide_the_signal(tmp_path):
         ("h.csv", "<!DOCTYPE html><html><body>Log in</body></html>", "is a page of the web"),
         ("h.xml", '<?xml version="1.0"?><Statistics/>', "is XML"),
         ("h.csv", "2026-01-12 01:00,21.0,3.1\n2026-01-12 01:15,21.1,3.0\n", "its first line is a reading"),
+        ("h.csv", "".join(f"{1768176000 + 900 * k},21.{k}\n" for k in range(9)), "first line.*such as 'time,value'"),
+        ("h.csv", "".join(f"2026-01-12T01:0{k}:00Z,a/temp,3.{k}\n" for k in range(9)), "such as 'time,topic,value'"),
         ("h.log", "2026-01-12T01:00:01 WP temp: 21.0\n2026-01-12T01:09:00 WP temp: 21.1\n", "nothing parts the cells"),
         (
             "h.csv",
@@ -1093,6 +1187,7 @@ OF_PROGRAMS = {
         '{{"name":"Bad_Temperatur","datapoints":"96","data":[', '{{"time":{ms},"state":"{T:.1f} °C"}}{comma}', "]}}",
         "Bad_Temperatur",
     ),
+    "log.json": ("", '{{"topic":"Bad Temperatur","payload":{T:.1f},"ts":{ms}}}\n', "", "Bad Temperatur"),
     "fhem-2026-01.log": (
         "", "{t:%Y-%m-%d_%H:%M:%S} Bad temperature: {T:.1f} °C\n{t:%Y-%m-%d_%H:%M:%S} Bad set on\n"
         "{t:%Y-%m-%d_%H:%M:%S} Bad humidity: 4{k}\n", "", "Bad temperature",

@@ -276,7 +276,23 @@ _LETTERS = str.maketrans({"ß": "ss", "ø": "o", "æ": "ae", "œ": "oe", "đ": "
 _GENERAL = frozenset(
     (
         *("sensor", "binary", "climate", "switch", "number", "input", "state", "value", "wert", "valeur", "waarde"),
-        *("reading", "ist", "istwert", "actual", "current", "av", "ai", "ao", "bi", "bo", "bv", "pv", "act", "avg"),
+        *(
+            "reading",
+            "measure",
+            "ist",
+            "istwert",
+            "actual",
+            "current",
+            "av",
+            "ai",
+            "ao",
+            "bi",
+            "bo",
+            "bv",
+            "pv",
+            "act",
+            "avg",
+        ),
         *("mean", "average", "trend", "log", "point", "data", "present", "analog", "device", "temp", "celsius"),
         *("fahrenheit", "the", "of", "de", "la", "le", "les", "des", "du", "d", "l", "het", "een", "der", "die", "das"),
         *("deg", "c", "f", "k", "w", "kw", "pct", "in", "o", "air", "rate", "low", "high", "therm"),
@@ -359,7 +375,8 @@ def tags(name: str) -> frozenset[str]:
     # T_a and T_i are Ta and Ti.
     of_two = {pair for pair in pairs if len(pair) == 2}
     found |= {tag for tag in ("outdoor", "room", "temperature", "heat", "sun") if not of_two.isdisjoint(_WHOLE[tag])}
-    if found & {"temperature", "humidity"} and _WHOLE["pv"].intersection(words) <= {"export"}:
+    of_files = _WHOLE["pv"].intersection(words) <= {"export"} and unit_of(name) not in _LOADS
+    if found & {"temperature", "humidity"} and of_files:
         found.discard("pv")  # an export of readings, as files are called, is none of electricity
     return frozenset(found | {tag for pair, tag in _PAIRS.items() if pair in pairs})
 
@@ -431,6 +448,12 @@ _MADE_OF_OTHERS = re.compile(
     r"\b(dew ?points?|dpt|wet ?bulb|wind ?chill|heat ?index|humidex|feels|felt|taupunkt\w*|gefue?hlte?|dauwpunt|"
     r"gevoels\w*|point de rosee|ressentie?|punto (de|di) (rocio|rugiada)|dagg ?punkt|dugg ?punkt|kastepiste)\b"
 )
+# Measured and wanted temperatures of a zone, as evohome's loggers write both: 'Kitchen [A]', 'Kitchen [T]'.
+_ACTUAL_OR_TARGET = re.compile(r"(.+ )\[([AT])\]")
+# So many signals below one folder say nothing by its name.
+_LEAST_SHARING = 3
+# Temperatures as 'flowT' or 'T_flow'.
+_SHORT_T = re.compile(r"[a-z]T$|_T$|^T_")
 _IDS = frozenset(("id", "idx", "row", "uuid", "epoch", "unix"))
 _SHORT = ("znt", "spt", "rmt", "sat", "rat", "mat", "dat", "oat", "lwt", "ewt", "degc", "degf")
 _LEAST, _PERCENT = 8, 100.5
@@ -492,6 +515,34 @@ class Column:
 
 def guesses(columns: Sequence[Column]) -> list[Guess]:
     """What each of the signals of one building probably is."""
+    called = _called(columns)
+    found = _guesses([replace(c, name=called[c.name], unit=_unit_beside(c, called[c.name])) for c in columns])
+    name_of = {told: name for name, told in called.items()}
+    return [replace(guess, name=name_of[guess.name]) for guess in found]
+
+
+def _called(columns: Sequence[Column]) -> dict[str, str]:
+    """What says of what each signal is, by its name: without the folders that all have, and with what letters mean."""
+    folders = [re.split(r"(?<=[/\\\\|])", column.name)[:-1] for column in columns if not column.text]
+    alike = [level[0] for level in zip(*folders, strict=False) if len(set(level)) == 1]
+    shared = "".join(alike) if len(folders) >= _LEAST_SHARING else ""
+    names = {column.name for column in columns}
+    out: dict[str, str] = {}
+    for name in names:
+        letter = _ACTUAL_OR_TARGET.fullmatch(name)
+        if letter and {letter[1] + other for other in ("[A]", "[T]")} <= names:
+            out[name] = letter[1] + ("temperature" if letter[2] == "A" else "target temperature")
+        else:
+            out[name] = name.removeprefix(shared) or name
+    return out if len(set(out.values())) == len(names) else {name: name for name in names}
+
+
+def _unit_beside(column: Column, called: str) -> str:
+    """The unit of a signal; none of a letter that says that a temperature is actual, not ampere."""
+    return "" if column.name.endswith("[A]") and called != column.name else column.unit
+
+
+def _guesses(columns: Sequence[Column]) -> list[Guess]:
     looks = {column.name: _Look(column) for column in columns}
     fahrenheit = _fahrenheit(looks)
     found = _without_extremes([_guess(look, fahrenheit) for look in looks.values()])
@@ -734,6 +785,8 @@ def _share_unit(look: _Look) -> str:
 
 def _temperature_word(look: _Look, t: frozenset[str]) -> bool:
     """Whether a name says temperature in full, or in the short of a point list."""
+    if "temperature" in t and "valve" not in t and _SHORT_T.search(look.name):
+        return True
     return ("temperature" in t and any("temp" in word or word in _SHORT for word in words_of(look.name))) or (
         "temperature" in t and not t & {"power", "energy", "heat", "valve", "level"}
     )  # fmt: skip
@@ -785,6 +838,8 @@ def _load(look: _Look) -> Guess:
         counted = unit if unit in _ENERGIES else "kWh" if look.most < 1e6 else "Wh"
         sure = unit in _ENERGIES or "energy" in t
         return Guess(look.name, role, f"{counted} counter", "" if sure else "it only rises: a counter, of kWh or Wh?")
+    if unit in _ENERGIES and look.constant:  # a counter that stands still
+        return Guess(look.name, "")
     if unit in _ENERGIES or ("energy" in t and unit not in _LOADS and "power" not in t):
         if unit in _ENERGIES:
             return Guess(look.name, role, f"{unit} per step")

@@ -68,6 +68,8 @@ _LANGUAGES = {
 # Words of what a meter tells of an interval beside its mean, and of what is not billed.
 _OF_INTERVALS = frozenset(("max", "min", "peak", "aprt", "apparent", "reactive", "react", "fund", "ret", "returned"))
 _IN_FORCE = frozenset(("eff", "effective", "active"))
+# Which of the counters of a meter with two tariffs, as 'Import T1 kWh' or 'electricity_delivered_2'.
+_REGISTER = re.compile(r"(?i)(?<![a-z])(t|tari[ef]+|rate|delivered)[ _]?[12](?!\d)")
 _PUT_LAST = re.compile(r"pump|pomp|fan|relay|switch|status|stat$|enable", re.I)
 
 
@@ -119,6 +121,8 @@ def _columns(taken: Recognised) -> list[Column]:
         units: dict[str, str] = {}
         of_utc = taken.clock.unit is not None or _have_offsets(taken.paths[0], taken)
         clock = UTC if of_utc else taken.clock.zone or ""
+        values = taken.table.values
+        of_all = unit_of(values[0]) if len(values) == 1 else ""  # as 'USAGE (kWh)'
         for path in taken.paths:
             units |= units_of_points(head_of(path, _ROWS, taken.csv), taken.table, taken.csv.decimal)
         return [
@@ -127,7 +131,7 @@ def _columns(taken: Recognised) -> list[Column]:
                 at[:: -(-at.size // _READINGS)],
                 values[:: -(-at.size // _READINGS)],
                 sum(words.values()) > np.isfinite(values).sum(),
-                unit_of(f"({units.get(name, '')})"),
+                unit_of(f"({units.get(name, '')})") or of_all,
                 words=tuple(word for word in words if word and not _NUMBER.search(word)),
                 clock=clock,
             )
@@ -391,12 +395,24 @@ class _Text:
         return lines
 
     def _signal(self, guess: Guess, *more: str) -> str:
-        self.used.add(guess.name)
+        columns = self._registers(guess)
+        self.used.update(columns)
         unit = [f"unit: '{guess.unit}'"] if guess.unit and guess.unit != "0-1" else []
         factor = self._factor(guess) * self.column[guess.name].by
         by = [f"factor: {factor:.4g}"] if abs(factor - 1.0) > 1e-9 and not more else []
-        told = ", ".join([f"column: {_quoted(guess.name)}", *unit, *by, *more])
+        column = _quoted(guess.name) if len(columns) == 1 else _value(columns)
+        told = ", ".join([f"column: {column}", *unit, *by, *more])
         return f"{{{told}}}"
+
+    def _registers(self, guess: Guess) -> tuple[str, ...]:
+        """The columns of a signal: of a meter with a counter for each tariff, all of its counters."""
+
+        def of(name: str) -> str:
+            return _REGISTER.sub(r"\1", name)
+
+        if not guess.unit.endswith("counter") or of(guess.name) == guess.name:
+            return (guess.name,)
+        return tuple(g.name for g in self.found if (of(g.name), g.unit) == (of(guess.name), guess.unit))
 
     def _weather(self) -> list[str]:
         lines = []
@@ -602,7 +618,7 @@ class _Text:
         powers = self.of("power")
         near = {z: self._there([p for p in powers if self._match(p, z)], z) for z in zones if len(zones) > 1}
         each = {z: ours[-1] for z, ours in near.items() if ours}
-        if len(each) > 1:
+        if len(each) > 1 and len({power.name for power in each.values()}) == len(each):
             return {self._unique(f"{zone}_heater", found): (zone, None, power) for zone, power in each.items()}
         best_of = sorted([*levels, *heats], key=lambda g: -self._worth(g))
         if best_of:
@@ -636,7 +652,12 @@ class _Text:
         )
 
     def _match(self, guess: Guess | None, zone: str) -> bool:
-        return guess is not None and zone in self.zones and bool(guess.place & self.zones[zone].place)
+        if guess is None or zone not in self.zones:
+            return False
+        place = self.zones[zone].place
+        # What all rooms are called says of none what is there.
+        shared = frozenset.intersection(*(one.place for one in self.zones.values()))
+        return bool(guess.place & (place - shared or place))
 
     def _there(self, guesses: Sequence[Guess], zone: str) -> Sequence[Guess]:
         """Those of `guesses` whose place is that of the zone to the word and in its order; all where none is."""

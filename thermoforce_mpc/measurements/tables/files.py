@@ -750,6 +750,12 @@ _PROGRAMS = (
         "pandas.DataFrame(d['data']).to_csv(d['name'] + '.csv', index=False)",
     ),
     (
+        re.compile(rb"\s*\{[^\r\n]*\}\r?\n\s*\{"),
+        "lines of JSON",
+        "import json, pandas; from pathlib import Path as P; rows = P('{file}').read_text('utf-8').splitlines(); "
+        "pandas.json_normalize([json.loads(r) for r in rows if r.strip()]).to_csv('lines.csv', index=False)",
+    ),
+    (
         re.compile(rb"\d{4}-\d{2}-\d{2}_\d{2}:\d{2}:\d{2} \S+ [^\s:]+: "),
         "a log of FHEM",
         "from pathlib import Path as P; rows = map(str.split, P('{file}').read_text('utf-8').splitlines()); "

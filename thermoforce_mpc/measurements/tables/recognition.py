@@ -116,6 +116,7 @@ _BETWEEN = (" ", ", ", "T", " - ", ":")
 _SERIALS = (36526.0, 54789.0)
 # A reading of day and month under which a record is so many times as long as under another one is wrong.
 _SURELY_LONGER = 5.0
+_IS_STAMP = re.compile(r"\s*\d{1,4}[-./]\d{1,2}[-./]\d{1,4}(?!\d)")
 # A sheet of so many rows is more than a summary.
 _LEAST_ROWS = 48
 
@@ -272,10 +273,12 @@ def _check_layout(path: Path, head: pd.DataFrame) -> None:
             "tabs or | between them (csv.separator for another mark) and a line of column names; of a log take the "
             "export as CSV"
         )
-    if _stamp(names[0]) and len(names) > 1 and all(_numeric(name) for name in names[1:]):
+    if len(names) > 1 and (_IS_STAMP.match(names[0]) or all(_numeric(name) for name in names)):
+        others_numbers = all(_numeric(name) for name in names[1:])
+        such = "time,value" if others_numbers and len(names) == 2 else "time,living temperature,outdoor temperature"
         raise DataError(
             f"{path}: its first line is a reading ({', '.join(names[:3])}, …), and none names the columns: write one "
-            "above it that says what each is, such as 'time,living temperature,outdoor temperature'"
+            f"above it that says what each is, such as '{such if others_numbers else 'time,topic,value'}'"
         )
     times = [name for name in names if _stamp(name)]
     if len(times) >= _LEAST_TIMES_ASIDE and len(times) > len(names) / 2:
@@ -286,6 +289,29 @@ def _check_layout(path: Path, head: pd.DataFrame) -> None:
             f"t = pandas.read_csv('{path.name}'); t = t.set_index(t.columns[0]).iloc[:, {first - 1}:].T; "
             "t.to_csv('turned.csv', index_label='time')\""
         )
+
+
+def _check_devices(path: Path, head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]) -> None:
+    """Refuse a table in which a column says of which device a row is, and several what it measured."""
+    known = [c for c in columns if not _UNIT_COLUMN.match(c) and not _BESIDE.match(c)]
+    measured = [c for c in known if _numbers(head[c]) and not _points(head, c, again=True)]
+    again = head[list(of_stamps)].duplicated().mean() if of_stamps <= set(map(str, head.columns)) else 0.0
+    for column in known if len(measured) > 1 else ():
+        told = head[column].dropna()
+        of_rows = _POINT.match(column) or _DEVICE_COLUMN.match(column) or column.lower().endswith("id")
+        changes = float((told != told.shift()).mean())
+        if (
+            of_rows
+            and column not in measured
+            and 1 < told.nunique() <= len(head) / 3
+            and (again > 0.2 or changes > 0.3)
+        ):
+            raise DataError(
+                f"{path}: each row is of one of {told.nunique()} by column '{column}', with several readings "
+                f"({', '.join(measured[:3])}): make a file of each, named as its room; they are read together: "
+                f"python -c \"import pandas; t = pandas.read_csv('{path.name}', sep=None, engine='python'); "
+                f"[d.to_csv(str(n).replace('/', ' ') + '.csv', index=False) for n, d in t.groupby('{column}')]\""
+            )
 
 
 def _check_one_clock(path: Path, head: pd.DataFrame) -> None:
@@ -668,6 +694,9 @@ def _form_of(
         influx = "InfluxDB's annotated CSV" if is_text(paths[0]) else "InfluxDB's line protocol"
         what = influx if of_influx else programs.get(str(of_readings.point), "a table")
         return of_readings, f"{what} with one row per reading"
+    for path, one in zip(paths, heads, strict=True):
+        named = [str(c) for c in one.columns if str(c) not in of_stamps and not _dated(one[str(c)])]
+        _check_devices(path, one, named, of_stamps)
     status = next(
         (c for c in columns if c.lower() in ("status", "quality", "reliability") and not _numbers(head[c])), None
     )
@@ -684,7 +713,7 @@ def _form_of(
     told = named_after(paths[0], form) != named_after(paths[0], CsvFormat())
     said = each_one and all(_VALUE.match(name) for name in values)
     pairs = [(i, j) for j in range(len(heads)) for i in range(j) if set(valued[i]) & set(valued[j])]
-    shared = any(_at_the_same_time(heads[i], heads[j]) for i, j in pairs[:_MOST_PAIRS])
+    shared = any(_at_the_same_time(*(_stamps_of(heads[k], of_stamps) for k in (i, j))) for i, j in pairs[:_MOST_PAIRS])
     if each_one and (said or told or status is not None or (shared and len(values) == 1)):
         by_file = TableForm(by_file="point", value=values[0] if len(values) == 1 else values, status=status)
         return by_file, "one file per signal"
@@ -731,14 +760,20 @@ def _numbers(column: pd.Series) -> bool:
     )
 
 
-def _at_the_same_time(*heads: pd.DataFrame) -> bool:
+def _stamps_of(head: pd.DataFrame, of_stamps: set[str]) -> pd.Series[str]:
+    """The stamps of a table as they are written, those of two columns parted by a space; else its first column."""
+    columns = [name for name in head.columns if str(name) in of_stamps] or [head.columns[0]]
+    return head[columns].dropna().astype(str).agg(" ".join, axis=1)
+
+
+def _at_the_same_time(*stamps: pd.Series[str]) -> bool:
     """Whether stamps of two files are of the same time, rather than one after the other."""
-    first, second = ({str(one) for one in head.iloc[:, 0].astype(str)} for head in heads)
+    first, second = (set(of_file) for of_file in stamps)
     if len(first & second) > 0.3 * min(len(first), len(second)):
         return True
     ranges = []
-    for head in heads:
-        text = plain(head.iloc[:, 0].dropna().astype(str))
+    for of_file in stamps:
+        text = plain(of_file)
         form, _ = _stamp_format(text) if len(text) else (None, "")
         if form == "FILL IN":
             return False
