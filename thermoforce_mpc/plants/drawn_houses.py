@@ -35,6 +35,10 @@ MASSES: dict[Mass, tuple[float, float]] = {
     "very heavy": (3.5, 370e3),
 }
 HEIGHT_M = 2.5
+# Design outdoor temperature at the unshifted climate, °C (EN 12831-1, Belgian annex: −7 to −9), and room, °C.
+DESIGN_OUT_C, DESIGN_ROOM_C = -8.0, 20.0
+# Output of floor heating up to which rooms have it, W/m² (EN 1264-2: 100 at a surface of 29 °C in a room of 20 °C).
+FLOOR_LIMIT_W_M2 = 70.0
 AIR_WH_M3_K = 0.34
 WATER_J_KG_K = 4186.0
 # Air and furniture, J/K per m² of floor (EN ISO 52016-1); surface to air and surface to structure, W/m²K, and room
@@ -47,6 +51,31 @@ SURFACE_J_M2_K = 10e3
 AIR_SHARE = 0.3
 # Share of the air change that is driven by the wind, at the mean wind of the synthetic year, m/s.
 _WIND_SHARE, _MEAN_WIND_M_S = 0.3, 3.9
+
+
+def opaque_U_W_m2K(rng: np.random.Generator, age: float) -> float:
+    """Draw the U-value of walls and roof at an age from 0, a passive house, to 1, not refurbished (TABULA)."""
+    return float(0.15 * 8.0 ** (age * rng.uniform(0.85, 1.0)))
+
+
+def glazing_of(age: float) -> tuple[float, float]:
+    """Return U-value, W/m²K, and g-value of windows of an age: triple to double glazing (EN 673 and EN 410)."""
+    return 0.8 + 2.0 * age, 0.5 + 0.25 * age
+
+
+def air_changes_1_h(rng: np.random.Generator, age: float) -> float:
+    """Draw the mean infiltration at an age, 1/h."""
+    return float(rng.uniform(0.15, 0.35) + 0.45 * age * rng.uniform(0.5, 1.0))
+
+
+def climate(rng: np.random.Generator) -> tuple[float, float]:
+    """Draw how much warmer, K, and how much clearer a year is, see `synthetic_weather`."""
+    return float(rng.uniform(-4.0, 4.0)), float(rng.uniform(-0.3, 0.8))
+
+
+def ground_C(warmer_K: float) -> float:
+    """Ground temperature below a slab, °C: the annual mean outdoor temperature (EN ISO 13370) of the shifted year."""
+    return 10.3 + warmer_K
 
 
 @njit(cache=True)

@@ -334,6 +334,16 @@ def create_app(
     def version() -> Response:
         return _envelope(200, "The version of this service.", {"version": f"{VERSION}+thermoforce-mpc"})
 
+    _serve_tests(app, sessions, testcase)
+    for endpoint in endpoints(points):
+        _serve_endpoint(app, sessions, endpoint)
+    _answer_errors(app)
+    return app
+
+
+def _serve_tests(app: Flask, sessions: Sessions, testcase: str) -> None:
+    """Routes that list the test case, and that start, ask for and stop a test of it."""
+
     @app.get("/testcases")
     @app.get(f"/testcases/{NAMESPACE}")
     def testcases() -> Response:
@@ -358,19 +368,23 @@ def create_app(
         sessions.stop(testid)
         return Response("OK", 200, mimetype="text/plain")
 
-    def add(endpoint: Endpoint) -> None:
-        def answer(testid: str | None = None) -> Response:
-            body = _body(request) if endpoint.body is not None else {}
-            # Up to BOPTEST 0.6 a container ran one test case, and paths had no test id.
-            with sessions.using(sessions.lone(_client()) if testid is None else testid) as session:
-                reply = endpoint.answer(session, body)
-            return _envelope(200, reply.message, reply.payload)
 
-        for path in (f"/{endpoint.verb}", f"/{endpoint.verb}/<testid>"):
-            app.add_url_rule(path, f"{endpoint.method} {path}", answer, methods=[endpoint.method])
+def _serve_endpoint(app: Flask, sessions: Sessions, endpoint: Endpoint) -> None:
+    """Routes of an endpoint of tests, with a test id and without."""
 
-    for endpoint in endpoints(points):
-        add(endpoint)
+    def answer(testid: str | None = None) -> Response:
+        body = _body(request) if endpoint.body is not None else {}
+        # Up to BOPTEST 0.6 a container ran one test case, and paths had no test id.
+        with sessions.using(sessions.lone(_client()) if testid is None else testid) as session:
+            reply = endpoint.answer(session, body)
+        return _envelope(200, reply.message, reply.payload)
+
+    for path in (f"/{endpoint.verb}", f"/{endpoint.verb}/<testid>"):
+        app.add_url_rule(path, f"{endpoint.method} {path}", answer, methods=[endpoint.method])
+
+
+def _answer_errors(app: Flask) -> None:
+    """Answers to requests that are refused, and to those that fail."""
 
     @app.errorhandler(Refusal)
     def refused(error: Refusal) -> Response:
@@ -404,8 +418,6 @@ def create_app(
         app.logger.exception("%s %s failed", request.method, request.path)
         # What happened is in the log: an error's text may show more of this machine than a client should see.
         return _envelope(500, f"Internal error ({type(error).__name__}); the service's log has more.", None)
-
-    return app
 
 
 def _client() -> str:

@@ -139,87 +139,17 @@ def run_engine(model: str, weather: Path, recorder: Driver[R], wiring: Wiring[R]
 
     api = EnergyPlusAPI()
     state = api.state_manager.new_state()
-    failure: list[BaseException] = []
-    handles: dict[str, int] = {}
-    variables = {**wiring.sensors, **wiring.means}
-    system_steps: list[tuple[float, dict[str, float]]] = []
-
-    def guarded(action: Callable[[Any], None]) -> Callable[[Any], None]:
-        def callback(state: Any) -> None:
-            if failure or not api.exchange.api_data_fully_ready(state):
-                return
-            if api.exchange.kind_of_sim(state) != _RUN_PERIOD:  # sizing comes first
-                return
-            try:
-                action(state)
-            except BaseException as error:
-                failure.append(error)
-                api.runtime.stop_simulation(state)
-
-        return callback
-
-    def dropped(unraisable: Any) -> None:
-        """Keep what a signal raises at the edge of a callback, where ctypes would drop it."""
-        if isinstance(unraisable.exc_value, Exception):
-            sys.__unraisablehook__(unraisable)
-            return
-        failure.append(unraisable.exc_value)
-        api.runtime.stop_simulation(state)
-
-    def find(state: Any) -> None:
-        for name, (variable, key) in variables.items():
-            handles[name] = api.exchange.get_variable_handle(state, variable, key)
-        for name, (component, control, key) in wiring.actuators.items():
-            handles[name] = api.exchange.get_actuator_handle(state, component, control, key)
-        missing = [name for name, handle in handles.items() if handle < 0]  # 0 is a valid handle
-        if missing:
-            raise PlantError(f"EnergyPlus has no sensor or actuator for {', '.join(missing)} in this model")
-
-    def begin(state: Any) -> None:
-        if not handles:
-            find(state)
-        for name, value in recorder.begin(bool(api.exchange.warmup_flag(state))).items():
-            if math.isnan(value):
-                api.exchange.reset_actuator(state, handles[name])
-            else:
-                api.exchange.set_actuator_value(state, handles[name], value)
-
-    def values(state: Any, names: Iterable[str]) -> dict[str, float]:
-        return {name: api.exchange.get_variable_value(state, handles[name]) for name in names}
-
-    def end_system_step(state: Any) -> None:
-        if handles:
-            system_steps.append((api.exchange.system_time_step(state), values(state, wiring.means)))
-
-    def end(state: Any) -> None:
-        if not handles:
-            return
-        parts = list(system_steps)
-        system_steps.clear()
-
-        def read() -> R:
-            whole = sum(length for length, _ in parts)
-            means = {name: sum(length * part[name] for length, part in parts) / whole for name in wiring.means}
-            return wiring.read(values(state, wiring.sensors) | means)
-
-        if recorder.end(bool(api.exchange.warmup_flag(state)), read):
-            api.runtime.stop_simulation(state)
-
-    hook_before, sys.unraisablehook = sys.unraisablehook, dropped
+    callbacks = _Callbacks(api, state, recorder, wiring)
+    hook_before, sys.unraisablehook = sys.unraisablehook, callbacks.dropped
     try:
         api.runtime.set_console_output_status(state, False)
-        for variable, key in variables.values():
-            api.exchange.request_variable(state, variable, key)
-        api.runtime.callback_begin_zone_timestep_before_set_current_weather(state, guarded(begin))
-        if wiring.means:
-            api.runtime.callback_end_system_timestep_after_hvac_reporting(state, guarded(end_system_step))
-        api.runtime.callback_end_zone_timestep_after_zone_reporting(state, guarded(end))
+        callbacks.register()
         with tempfile.TemporaryDirectory(prefix="energyplus-") as folder:
             path = Path(folder) / f"in.{wiring.suffix}"
             path.write_text(model)
             status = api.runtime.run_energyplus(state, ["-w", str(weather), "-d", folder, str(path)])
-            if failure:
-                raise failure[0]
+            if callbacks.failure is not None:
+                raise callbacks.failure
             if status != 0 and not recorder.done:
                 said = Path(folder) / "eplusout.err"
                 text = said.read_text(errors="replace") if said.is_file() else "no error file"
@@ -227,6 +157,105 @@ def run_engine(model: str, weather: Path, recorder: Driver[R], wiring: Wiring[R]
     finally:
         sys.unraisablehook = hook_before
         api.state_manager.delete_state(state)
+
+
+class _Callbacks(Generic[R]):
+    """What one run of the engine calls: between its steps and a recorder, by the names of a wiring.
+
+    `failure`: what the first callback that failed raised; the engine is stopped then, since it would drop it.
+    """
+
+    def __init__(self, api: Any, state: Any, recorder: Driver[R], wiring: Wiring[R]) -> None:
+        self.failure: BaseException | None = None
+        self._api, self._state, self._recorder, self._wiring = api, state, recorder, wiring
+        self._variables = {**wiring.sensors, **wiring.means}
+        self._handles: dict[str, int] = {}
+        self._system_steps: list[tuple[float, dict[str, float]]] = []
+
+    def register(self) -> None:
+        """Ask the engine for the variables, and to be called at its steps."""
+        for variable, key in self._variables.values():
+            self._api.exchange.request_variable(self._state, variable, key)
+        runtime = self._api.runtime
+        runtime.callback_begin_zone_timestep_before_set_current_weather(self._state, self._guarded(self._begin))
+        if self._wiring.means:
+            runtime.callback_end_system_timestep_after_hvac_reporting(self._state, self._guarded(self._end_system_step))
+        runtime.callback_end_zone_timestep_after_zone_reporting(self._state, self._guarded(self._end))
+
+    def dropped(self, unraisable: Any) -> None:
+        """Keep what a signal raises at the edge of a callback, where ctypes would drop it."""
+        if isinstance(unraisable.exc_value, Exception):
+            sys.__unraisablehook__(unraisable)
+            return
+        self._fail(unraisable.exc_value)
+
+    def _fail(self, error: BaseException) -> None:
+        self.failure = self.failure or error
+        self._stop()
+
+    def _stop(self) -> None:
+        self._api.runtime.stop_simulation(self._state)
+
+    def _guarded(self, action: Callable[[], None]) -> Callable[[Any], None]:
+        exchange = self._api.exchange
+
+        def callback(state: Any) -> None:
+            if self.failure is not None or not exchange.api_data_fully_ready(state):
+                return
+            if exchange.kind_of_sim(state) != _RUN_PERIOD:  # sizing comes first
+                return
+            try:
+                action()
+            except BaseException as error:
+                self._fail(error)
+
+        return callback
+
+    def _find(self) -> None:
+        exchange = self._api.exchange
+        for name, (variable, key) in self._variables.items():
+            self._handles[name] = exchange.get_variable_handle(self._state, variable, key)
+        for name, (component, control, key) in self._wiring.actuators.items():
+            self._handles[name] = exchange.get_actuator_handle(self._state, component, control, key)
+        missing = [name for name, handle in self._handles.items() if handle < 0]  # 0 is a valid handle
+        if missing:
+            raise PlantError(f"EnergyPlus has no sensor or actuator for {', '.join(missing)} in this model")
+
+    def _begin(self) -> None:
+        if not self._handles:
+            self._find()
+        exchange = self._api.exchange
+        for name, value in self._recorder.begin(self._warming_up).items():
+            if math.isnan(value):
+                exchange.reset_actuator(self._state, self._handles[name])
+            else:
+                exchange.set_actuator_value(self._state, self._handles[name], value)
+
+    def _end_system_step(self) -> None:
+        if self._handles:
+            length_h = self._api.exchange.system_time_step(self._state)
+            self._system_steps.append((length_h, self._values(self._wiring.means)))
+
+    def _end(self) -> None:
+        if not self._handles:
+            return
+        parts, self._system_steps = self._system_steps, []
+
+        def read() -> R:
+            whole = sum(length for length, _ in parts)
+            means = {name: sum(length * part[name] for length, part in parts) / whole for name in self._wiring.means}
+            return self._wiring.read(self._values(self._wiring.sensors) | means)
+
+        if self._recorder.end(self._warming_up, read):
+            self._stop()
+
+    @property
+    def _warming_up(self) -> bool:
+        return bool(self._api.exchange.warmup_flag(self._state))
+
+    def _values(self, names: Iterable[str]) -> dict[str, float]:
+        value = self._api.exchange.get_variable_value
+        return {name: value(self._state, self._handles[name]) for name in names}
 
 
 def _complaints(text: str) -> str:

@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from thermoforce_mpc.data import ZERO_C_K
 from thermoforce_mpc.plants.drawn_houses import (
     AIR_WH_M3_K,
+    DESIGN_OUT_C,
+    DESIGN_ROOM_C,
     FACADES,
+    FLOOR_LIMIT_W_M2,
     HEIGHT_M,
     MASSES,
     WATER_J_KG_K,
     Facade,
     Mass,
+    air_changes_1_h,
+    climate,
+    glazing_of,
+    ground_C,
+    opaque_U_W_m2K,
 )
 from thermoforce_mpc.plants.people import HOUSEHOLDS, Pattern
 
@@ -24,16 +32,15 @@ Emitter = Literal["floor", "radiator", "air"]
 Machine = Literal["heat pump with fixed loss", "heat pump", "boiler", "electric"]
 
 MACHINES: tuple[Machine, ...] = ("heat pump with fixed loss", "heat pump", "boiler", "electric")
+_HEAT_PUMPS: tuple[Machine, ...] = MACHINES[:2]
 # Probabilities of `MACHINES` by emitter: floors and fan coils mostly with heat pumps, radiators mostly with boilers.
 _MACHINE_WEIGHTS: dict[Emitter, tuple[float, ...]] = {
     "floor": (0.35, 0.30, 0.25, 0.10),
     "radiator": (0.20, 0.20, 0.45, 0.15),
     "air": (0.30, 0.25, 0.15, 0.30),
 }
-# Output of floor heating at a surface of 29 °C in a room of 20 °C, with some margin (EN 1264-2: 100 W/m²).
-_FLOOR_LIMIT_W_M2 = 70.0
-# Design outdoor temperature at the unshifted climate, °C (EN 12831-1, Belgian annex: −7 to −9), and room, °C.
-_DESIGN_OUT_C, DESIGN_ROOM_C = -8.0, 20.0
+# Water of a heated floor at design, °C, from which it heats the ground below too.
+_FLOOR_WATER_C = 27.0
 
 
 @dataclass(frozen=True)
@@ -153,12 +160,12 @@ class House:
     @property
     def design_out_C(self) -> float:
         """Design outdoor temperature, °C."""
-        return _DESIGN_OUT_C + self.warmer_K
+        return DESIGN_OUT_C + self.warmer_K
 
     @property
     def design_load_W(self) -> float:
         """Heat load at the design outdoor temperature without gains, W (EN 12831)."""
-        ground_W = self.slab_ground_W_K * (27.0 - ground_C(self.warmer_K))
+        ground_W = self.slab_ground_W_K * (_FLOOR_WATER_C - ground_C(self.warmer_K))
         return self.loss_W_K * (DESIGN_ROOM_C - self.design_out_C) + ground_W
 
     @property
@@ -188,137 +195,190 @@ class House:
         )
 
 
-def ground_C(warmer_K: float) -> float:
-    """Ground temperature below a slab, °C: the annual mean outdoor temperature (EN ISO 13370) of the shifted year."""
-    return 10.3 + warmer_K
-
-
 def draw_house(seed: int, index: int) -> House:
     """Draw house `index` of the population `seed`; sources of distributions: docs/how-it-works/random-buildings.md."""
     rng = np.random.default_rng([seed, index])
-    # Envelope. Areas and U-values span TABULA's single-family and terraced houses, from not refurbished to passive.
+    # Areas and U-values span TABULA's single-family and terraced houses, from not refurbished to passive.
     # By the C library: NumPy's differ in the last bit from processor to processor, and so would a run's content key.
     area = math.exp(rng.uniform(math.log(50.0), math.log(220.0)))
-    mass = list(MASSES)[rng.integers(len(MASSES))]
-    age = rng.uniform()  # 0: passive house, 1: not refurbished
-    U_opaque = 0.15 * 8.0 ** (age * rng.uniform(0.85, 1.0))
-    opaque = area * rng.uniform(1.2, 2.0) * U_opaque
-    share = rng.uniform(0.10, 0.30)  # glazing per floor area
-    facing = rng.dirichlet([2.0, 1.0, 0.6, 1.0])  # south more than north
-    windows = share * area * facing
-    U_window, g_value = 0.8 + 2.0 * age, 0.5 + 0.25 * age  # triple to double glazing, EN 673 and EN 410
-    unshaded = rng.uniform(0.45, 0.70)  # frame 0.7 to 0.8, external shading 0.6 to 0.9 (EN ISO 13790)
-    air_changes = rng.uniform(0.15, 0.35) + 0.45 * age * rng.uniform(0.5, 1.0)
-    warmer, clearer = rng.uniform(-4.0, 4.0), rng.uniform(-0.3, 0.8)
-
-    # Occupants: gains after EN ISO 13790 annex G (80 W a person; appliances 1 to 7 W/m²).
-    pattern = HOUSEHOLDS[rng.choice(4, p=[0.35, 0.25, 0.20, 0.20])]
-    lower = float(rng.choice([20.0, 21.0, 21.5]))
-    always = pattern == "always"
-    upper = lower + float(rng.choice([3.0, 4.0]))
-    people = max(1, round(area / rng.uniform(30.0, 55.0)))
-    gains_home, gains_empty = rng.uniform(2.0, 5.0), rng.uniform(0.7, 1.5)
+    envelope = _envelope(rng, area)
+    warmer, clearer = climate(rng)
+    occupants = _occupants(rng, area)
 
     # Emitter and machine; floor heating only where the load is low enough.
     ground = 0.85 * area * rng.uniform(0.15, 0.30)
-    loss = opaque + share * area * U_window + AIR_WH_M3_K * HEIGHT_M * area * air_changes
-    design_out = _DESIGN_OUT_C + warmer
-    load = loss * (DESIGN_ROOM_C - design_out)
+    design_out = DESIGN_OUT_C + warmer
+    load = envelope.loss_W_K * (DESIGN_ROOM_C - design_out)
     emitter: Emitter = ("floor", "radiator", "air")[rng.integers(3)]
-    if emitter == "floor" and load > _FLOOR_LIMIT_W_M2 * area:
+    if emitter == "floor" and load > FLOOR_LIMIT_W_M2 * area:
         emitter = "radiator"
     if emitter == "floor":
-        load += ground * (27.0 - ground_C(warmer))
+        load += ground * (_FLOOR_WATER_C - ground_C(warmer))
     machine = MACHINES[rng.choice(4, p=_MACHINE_WEIGHTS[emitter])]
     low, high = ((0.8, 0.95), (1.0, 1.3), (1.3, 2.5))[rng.choice(3, p=[0.2, 0.45, 0.35])]
     sizing = rng.uniform(low, high)
     emitter_W = load * rng.uniform(1.0, 1.3)
-    pump = machine in ("heat pump", "heat pump with fixed loss")
-    slab_J_K = slab_room = slab_ground = 0.0
     if emitter == "floor":
-        # Screed of 45 to 75 mm, 1.2 l of water per m²; water to screed 0.1 m²K/W (Koschenz and Lehmann 2000);
-        # surface 10.8 W/m²K (EN 1264-5) below a covering of 0.01 to 0.10 m²K/W.
-        covered = 0.85 * area
-        slab_J_K = covered * rng.uniform(0.045, 0.075) * 2000.0 * 1000.0
-        slab_room = covered / (1.0 / 10.8 + rng.uniform(0.01, 0.10))
-        slab_ground = ground
-        water_kg = 0.2 * covered if machine == "electric" else 1.2 * covered + 20.0
-        capacity_J_K, exponent, convective = water_kg * WATER_J_KG_K, 1.0, 0.0
-        strength = covered / 0.10
-        limit, spread, excess = 45.0, 5.0, 12.0
-    elif emitter == "radiator":
-        # EN 442: exponent 1.3; type 22 panels hold 6 l and 28 kg of steel per kW at 50 K, plus 5 l/kW in pipes.
-        excess = {"boiler": rng.uniform(38.0, 50.0), "electric": 50.0}.get(machine, rng.uniform(24.0, 32.0))
-        per_kW = 6.0 * WATER_J_KG_K + 28.0 * 460.0 + (0.0 if machine == "electric" else 5.0 * WATER_J_KG_K)
-        capacity_J_K = per_kW * emitter_W / 1e3 * (50.0 / excess) ** 1.3
-        exponent, convective = 1.3, 0.7
-        strength = emitter_W / excess**1.3
-        limit, spread = (60.0, 7.0) if pump else (85.0, 15.0)
+        circuit = _floor(rng, machine, area, ground)
     else:
-        # Fan coil, split unit or convector: no exponent, heat capacity of 3 to 6 min.
-        excess = {"boiler": 40.0, "electric": 60.0}.get(machine, rng.uniform(20.0, 28.0))
-        exponent, convective = 1.0, 1.0
-        strength = emitter_W / excess
-        capacity_J_K = strength * rng.uniform(180.0, 360.0)
-        limit = {"boiler": 80.0, "electric": 120.0}.get(machine, 60.0)
-        spread = 0.0 if machine == "electric" else 5.0
-
-    carnot = rng.uniform(0.48, 0.62)  # between the refrigerant's temperatures; EN 14511 data sheets: A2/W35 3.3 to 4.2
-    capacity = sizing * load
-    fixed = 0.0
-    if machine == "heat pump with fixed loss":  # 12 to 30 % of the electric power at full level, 2 °C outdoors
-        water = DESIGN_ROOM_C + excess
-        full_W = capacity * (1.0 + 0.02 * (2.0 - design_out)) / heat_pump_cop(carnot, 2.0, water)
-        fixed = rng.uniform(0.12, 0.30) * full_W
-    lowest = {"boiler": rng.uniform(0.15, 0.40), "electric": 0.0}.get(machine, rng.uniform(0.20, 0.35))
+        circuit = (_radiators if emitter == "radiator" else _coil)(rng, machine, emitter_W)
+    heat = _machine(rng, machine, float(sizing * load), design_out, DESIGN_ROOM_C + circuit.excess_K)
     return House(
         seed=seed,
         index=index,
         floor_area_m2=area,
-        opaque_W_K=float(opaque),
-        windows_W_K=float(share * area * U_window),
-        windows_m2=tuple(float(value) for value in windows),  # type: ignore[arg-type]
-        g_value=float(g_value),
-        unshaded=float(unshaded),
-        air_changes_1_h=float(air_changes),
-        mass=mass,
-        pattern=pattern,
-        lower_C=lower,
-        upper_C=upper,
-        empty_lower_C=lower if always else 15.0,
-        empty_upper_C=upper if always else 30.0,
-        people=int(people),
-        gains_home_W_m2=float(gains_home),
-        gains_empty_W_m2=float(gains_empty),
-        gains_sd=0.5,
+        opaque_W_K=float(envelope.opaque_W_K),
+        windows_W_K=float(envelope.windows_W_K),
+        windows_m2=tuple(float(value) for value in envelope.windows_m2),  # type: ignore[arg-type]
+        g_value=envelope.g_value,
+        unshaded=float(envelope.unshaded),
+        air_changes_1_h=envelope.air_changes_1_h,
+        mass=envelope.mass,
+        **occupants,
         weather_seed=int(rng.integers(1, 2**31)),
-        warmer_K=float(warmer),
-        clearer=float(clearer),
+        warmer_K=warmer,
+        clearer=clearer,
         emitter=emitter,
-        emitter_J_K=float(capacity_J_K),
-        emitter_W_Kn=float(strength),
-        emitter_exponent=exponent,
-        convective=convective,
-        slab_J_K=float(slab_J_K),
-        slab_room_W_K=float(slab_room),
-        slab_ground_W_K=float(slab_ground),
-        water_limit_C=limit,
+        emitter_J_K=float(circuit.water_J_K),
+        emitter_W_Kn=float(circuit.W_Kn),
+        emitter_exponent=circuit.exponent,
+        convective=circuit.convective,
+        slab_J_K=float(circuit.slab_J_K),
+        slab_room_W_K=float(circuit.slab_room_W_K),
+        slab_ground_W_K=float(circuit.slab_ground_W_K),
+        water_limit_C=circuit.limit_C,
+        spread_K=circuit.spread_K,
         machine=machine,
         sizing=float(sizing),
-        capacity_W=float(capacity),
-        capacity_per_K=0.02 if pump else 0.0,  # of the capacity at design, air-source data sheets
-        lowest_level=float(lowest),
-        carnot=float(carnot),
-        fixed_W=float(fixed),
+        **heat,
         efficiency=float(rng.uniform(0.84, 0.90)),
-        spread_K=spread,
-        noise_sd_K=float(rng.choice([0.0, 0.02, 0.05])),
-        resolution_K=float(rng.choice([0.0, 0.1, 0.5], p=[0.3, 0.45, 0.25])),
-        lag_s=float(rng.uniform(0.0, 900.0)),
-        sun_bias_K=float(rng.uniform(1.0, 4.0)) if rng.uniform() < 0.2 else 0.0,
-        sun_facade=FACADES[rng.choice(4, p=[0.5, 0.25, 0.0, 0.25])],
+        **_sensor(rng),
         heat_metered=bool(rng.uniform() < 0.4) and emitter != "air" and machine != "electric",
     )
+
+
+class _Envelope(NamedTuple):
+    """Structure, walls, windows by `FACADES` (4,) and infiltration, as in `House`, and all that they lose, W/K."""
+
+    mass: Mass
+    opaque_W_K: float
+    windows_W_K: float
+    windows_m2: np.ndarray
+    g_value: float
+    unshaded: float
+    air_changes_1_h: float
+    loss_W_K: float
+
+
+def _envelope(rng: np.random.Generator, area: float) -> _Envelope:
+    mass = list(MASSES)[rng.integers(len(MASSES))]
+    age = rng.uniform()  # 0: passive house, 1: not refurbished
+    U_opaque = opaque_U_W_m2K(rng, age)
+    opaque = area * rng.uniform(1.2, 2.0) * U_opaque
+    share = rng.uniform(0.10, 0.30)  # glazing per floor area
+    facing = rng.dirichlet([2.0, 1.0, 0.6, 1.0])  # south more than north
+    U_window, g_value = glazing_of(age)
+    glass = share * area * U_window
+    unshaded = rng.uniform(0.45, 0.70)  # frame 0.7 to 0.8, external shading 0.6 to 0.9 (EN ISO 13790)
+    changes = air_changes_1_h(rng, age)
+    loss = opaque + glass + AIR_WH_M3_K * HEIGHT_M * area * changes
+    return _Envelope(mass, opaque, glass, share * area * facing, g_value, unshaded, changes, loss)
+
+
+def _occupants(rng: np.random.Generator, area: float) -> dict[str, Any]:
+    """Draw the fields of a `House` of its occupants: gains after EN ISO 13790 annex G, 80 W a person."""
+    pattern = HOUSEHOLDS[rng.choice(4, p=[0.35, 0.25, 0.20, 0.20])]
+    lower = float(rng.choice([20.0, 21.0, 21.5]))
+    upper = lower + float(rng.choice([3.0, 4.0]))
+    always = pattern == "always"
+    return {
+        "pattern": pattern,
+        "lower_C": lower,
+        "upper_C": upper,
+        "empty_lower_C": lower if always else 15.0,
+        "empty_upper_C": upper if always else 30.0,
+        "people": max(1, round(area / rng.uniform(30.0, 55.0))),
+        "gains_home_W_m2": float(rng.uniform(2.0, 5.0)),
+        "gains_empty_W_m2": float(rng.uniform(0.7, 1.5)),
+        "gains_sd": 0.5,
+    }
+
+
+class _Circuit(NamedTuple):
+    """Water, emitter and slab, as in `House`; `excess_K`: of the mean water over the room at design."""
+
+    water_J_K: float
+    W_Kn: float
+    exponent: float
+    convective: float
+    limit_C: float
+    spread_K: float
+    excess_K: float
+    slab_J_K: float = 0.0
+    slab_room_W_K: float = 0.0
+    slab_ground_W_K: float = 0.0
+
+
+def _floor(rng: np.random.Generator, machine: Machine, area: float, ground_W_K: float) -> _Circuit:
+    """Draw floor heating."""
+    # Screed of 45 to 75 mm, 1.2 l of water per m²; water to screed 0.1 m²K/W (Koschenz and Lehmann 2000);
+    # surface 10.8 W/m²K (EN 1264-5) below a covering of 0.01 to 0.10 m²K/W.
+    covered = 0.85 * area
+    slab_J_K = covered * rng.uniform(0.045, 0.075) * 2000.0 * 1000.0
+    slab_room_W_K = covered / (1.0 / 10.8 + rng.uniform(0.01, 0.10))
+    water_kg = 0.2 * covered if machine == "electric" else 1.2 * covered + 20.0
+    water_J_K, W_K = water_kg * WATER_J_KG_K, covered / 0.10
+    return _Circuit(water_J_K, W_K, 1.0, 0.0, 45.0, 5.0, 12.0, slab_J_K, slab_room_W_K, ground_W_K)
+
+
+def _radiators(rng: np.random.Generator, machine: Machine, emitter_W: float) -> _Circuit:
+    """Draw radiators that give `emitter_W` at design."""
+    # EN 442: exponent 1.3; type 22 panels hold 6 l and 28 kg of steel per kW at 50 K, plus 5 l/kW in pipes.
+    excess = {"boiler": rng.uniform(38.0, 50.0), "electric": 50.0}.get(machine, rng.uniform(24.0, 32.0))
+    per_kW = 6.0 * WATER_J_KG_K + 28.0 * 460.0 + (0.0 if machine == "electric" else 5.0 * WATER_J_KG_K)
+    water_J_K = per_kW * emitter_W / 1e3 * (50.0 / excess) ** 1.3
+    limit_C, spread_K = (60.0, 7.0) if machine in _HEAT_PUMPS else (85.0, 15.0)
+    return _Circuit(water_J_K, emitter_W / excess**1.3, 1.3, 0.7, limit_C, spread_K, excess)
+
+
+def _coil(rng: np.random.Generator, machine: Machine, emitter_W: float) -> _Circuit:
+    """Draw a fan coil, split unit or convector that gives `emitter_W` at design."""
+    # No exponent, heat capacity of 3 to 6 min.
+    excess = {"boiler": 40.0, "electric": 60.0}.get(machine, rng.uniform(20.0, 28.0))
+    W_K = emitter_W / excess
+    limit_C = {"boiler": 80.0, "electric": 120.0}.get(machine, 60.0)
+    water_J_K, spread_K = W_K * rng.uniform(180.0, 360.0), 0.0 if machine == "electric" else 5.0
+    return _Circuit(water_J_K, W_K, 1.0, 1.0, limit_C, spread_K, excess)
+
+
+def _machine(
+    rng: np.random.Generator, machine: Machine, capacity_W: float, design_out_C: float, water_C: float
+) -> dict[str, Any]:
+    """Draw the fields of a `House` of its machine, of a capacity and water at design."""
+    carnot = rng.uniform(0.48, 0.62)  # between the refrigerant's temperatures; EN 14511 data sheets: A2/W35 3.3 to 4.2
+    fixed = 0.0
+    if machine == "heat pump with fixed loss":  # 12 to 30 % of the electric power at full level, 2 °C outdoors
+        full_W = capacity_W * (1.0 + 0.02 * (2.0 - design_out_C)) / heat_pump_cop(carnot, 2.0, water_C)
+        fixed = rng.uniform(0.12, 0.30) * full_W
+    lowest = {"boiler": rng.uniform(0.15, 0.40), "electric": 0.0}.get(machine, rng.uniform(0.20, 0.35))
+    return {
+        "capacity_W": capacity_W,
+        "capacity_per_K": 0.02 if machine in _HEAT_PUMPS else 0.0,  # of that at design, air-source data sheets
+        "lowest_level": float(lowest),
+        "carnot": float(carnot),
+        "fixed_W": float(fixed),
+    }
+
+
+def _sensor(rng: np.random.Generator) -> dict[str, Any]:
+    """Draw the fields of a `House` of its sensor: one in five stands in the sun."""
+    return {
+        "noise_sd_K": float(rng.choice([0.0, 0.02, 0.05])),
+        "resolution_K": float(rng.choice([0.0, 0.1, 0.5], p=[0.3, 0.45, 0.25])),
+        "lag_s": float(rng.uniform(0.0, 900.0)),
+        "sun_bias_K": float(rng.uniform(1.0, 4.0)) if rng.uniform() < 0.2 else 0.0,
+        "sun_facade": FACADES[rng.choice(4, p=[0.5, 0.25, 0.0, 0.25])],
+    }
 
 
 def with_sunlit_part(house: House) -> House:

@@ -19,7 +19,7 @@ import numpy as np
 from thermoforce_mpc.data import ZERO_C_K
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.plants import drawn_houses
-from thermoforce_mpc.plants.random_houses.draw import House, ground_C, heat_pump_cop
+from thermoforce_mpc.plants.random_houses.draw import House, heat_pump_cop
 
 # States, °C. PI integral in levels, on/off flag of the native thermostat.
 AIR, SURFACE, MASS, SLAB, WATER, SUNLIT, SENSOR, INTEGRAL, ON = range(9)
@@ -69,7 +69,7 @@ def parameters(house: House) -> np.ndarray:
     p[P_MS] = drawn_houses.SURFACE_MASS_W_M2_K * house.mass_area_m2
     p[P_EM] = 1.0 / (1.0 / house.opaque_W_K - 1.0 / p[P_MS])
     p[P_SLAB_ROOM], p[P_SLAB_GROUND] = house.slab_room_W_K, house.slab_ground_W_K
-    p[P_GROUND_C] = ground_C(house.warmer_K)
+    p[P_GROUND_C] = drawn_houses.ground_C(house.warmer_K)
     p[P_STRENGTH], p[P_EXPONENT] = house.emitter_W_Kn, house.emitter_exponent
     p[P_CONVECTIVE], p[P_FLOOR] = house.convective, float(house.emitter == "floor")
     p[P_MASS_SHARE] = house.mass_area_m2 / surface_m2

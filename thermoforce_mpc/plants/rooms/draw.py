@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 import itertools
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from thermoforce_mpc.data import ZERO_C_K
+from thermoforce_mpc.data import ZERO_C_K, Array
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.drawn_houses import AIR_WH_M3_K, FACADES, HEIGHT_M, WATER_J_KG_K, Facade
-from thermoforce_mpc.plants.embedded import heat_pump as emulator
-from thermoforce_mpc.plants.random_houses.draw import ground_C
-from thermoforce_mpc.plants.rooms.house import (
+from thermoforce_mpc.plants.drawn_houses import (
+    AIR_WH_M3_K,
     DESIGN_OUT_C,
     DESIGN_ROOM_C,
+    FACADES,
+    FLOOR_LIMIT_W_M2,
+    HEIGHT_M,
+    WATER_J_KG_K,
+    Facade,
+    Mass,
+    air_changes_1_h,
+    climate,
+    glazing_of,
+    ground_C,
+    opaque_U_W_m2K,
+)
+from thermoforce_mpc.plants.embedded import heat_pump as emulator
+from thermoforce_mpc.plants.rooms.house import (
     HOUSE,
     Contact,
     Curve,
@@ -21,6 +35,7 @@ from thermoforce_mpc.plants.rooms.house import (
     DrawnHouse,
     HeatPump,
     Kind,
+    Place,
     Room,
     RoomEmitter,
     Use,
@@ -32,9 +47,9 @@ from thermoforce_mpc.plants.rooms.house import (
 MOST_ROOMS = 30
 
 
-# Output of floor heating that rooms may need, W/m² (EN 1264-2: 100 at a surface of 29 °C), and share of the floor with
-# pipes; resistance from water to screed, m²K/W (Koschenz and Lehmann 2000); surface film, W/m²K (EN 1264-5).
-_FLOOR_LIMIT_W_M2, _COVERED, _PIPE_M2K_W, _FILM_W_M2K = 70.0, 0.85, 0.10, 10.8
+# Share of a heated floor with pipes; resistance from water to screed, m²K/W (Koschenz and Lehmann 2000); surface film,
+# W/m²K (EN 1264-5).
+_COVERED, _PIPE_M2K_W, _FILM_W_M2K = 0.85, 0.10, 10.8
 # Exponent of the heat over the excess of the water, and share that goes to the air, of radiators and fan coils.
 _WATER_TO_ROOM: dict[RoomEmitter, tuple[float, float]] = {"radiator": (1.3, 0.7), "air": (1.0, 1.0)}
 _SPREAD_K: dict[RoomEmitter, float] = {"floor": 5.0, "radiator": 7.0, "air": 5.0}
@@ -70,136 +85,221 @@ def draw_rooms(n_rooms: int, seed: int, use: Use = HOUSE) -> DrawnHouse:
     areas = [rng.uniform(*use.kinds[kind].area_m2) for kind in kinds]
     kinds, levels = _storeys(kinds, areas, storeys, use)
     places = lay_out(rng, levels, rng.uniform(1.1, 1.8))
-    flat = [place for storey in places for place in storey]
-    touching = contacts(flat, HEIGHT_M)
-
-    age = rng.uniform(*use.age)
-    U_opaque = 0.15 * 8.0 ** (age * rng.uniform(0.85, 1.0))
-    U_window, g_value = 0.8 + 2.0 * age, 0.5 + 0.25 * age  # triple to double glazing, EN 673 and EN 410
-    unshaded = rng.uniform(*use.unshaded)
-    air_changes = rng.uniform(0.15, 0.35) + 0.45 * age * rng.uniform(0.5, 1.0)
-    U_ground = rng.uniform(0.15, 0.30)
-    U_wall, U_floor = rng.uniform(1.2, 2.2), rng.uniform(0.6, 1.2)
-    attached: tuple[Facade, ...] = ((), ("west",), ("east",), ("west", "east"))[rng.choice(4, p=[0.5, 0.15, 0.15, 0.2])]
-    turn = rng.uniform(-45.0, 45.0)
-    mass = use.masses[rng.integers(len(use.masses))]
-    warmer, clearer = rng.uniform(-4.0, 4.0), rng.uniform(-0.3, 0.8)
-    design_out = DESIGN_OUT_C + warmer
-
-    # Outside walls and windows: glazing per floor area on the facades by their length, at most 60 % of a wall.
-    walls, windows = np.zeros((n_rooms, 4)), np.zeros((n_rooms, 4))
-    for i, (kind, place) in enumerate(zip(kinds, flat, strict=True)):
-        walls[i] = HEIGHT_M * np.array(facade_lengths(place, places[place.storey]))
-        walls[i, [FACADES.index(facade) for facade in attached]] = 0.0
-        glazing = rng.uniform(*use.kinds[kind].glazing) * place.area_m2
-        windows[i] = np.minimum(glazing * walls[i] / max(walls[i].sum(), 1e-9), 0.6 * walls[i])
-    area = np.array([place.area_m2 for place in flat])
-    under_roof = np.array([place.storey == storeys - 1 for place in flat])
-    at_ground = np.array([place.storey == 0 for place in flat])
-    opaque = U_opaque * ((walls - windows).sum(axis=1) + 0.8 * area * under_roof)
-    glass = U_window * windows.sum(axis=1)
-    ground = U_ground * area * at_ground
-
-    # Heat load of each room 1 K above its lowest temperature in use, heat to colder neighbours included (EN 12831).
+    touching = contacts([place for storey in places for place in storey], HEIGHT_M)
+    building = _building(rng, use)
+    shell = _shell(rng, building, kinds, places, use)
     lower = [float(rng.choice(use.kinds[kind].lower_C)) for kind in kinds]
     upper = [T + float(rng.choice(use.kinds[kind].band_K)) for T, kind in zip(lower, kinds, strict=True)]
-    warm = np.array(lower) + _DESIGN_ABOVE_K
-    load = (opaque + glass + AIR_WH_M3_K * HEIGHT_M * area * air_changes) * (warm - design_out)
-    load += ground * (warm - ground_C(warmer))
-    for contact in touching:
-        U = U_wall if contact.kind == "wall" else U_floor
-        for i, j in ((contact.first, contact.second), (contact.second, contact.first)):
-            load[i] += U * contact.area_m2 * max(warm[i] - warm[j], 0.0)
     doors = _doors(rng, kinds, touching, use)
-    for door in doors:
-        for i, j in ((door.first, door.second), (door.second, door.first)):
-            warmer_by = max(warm[i] - warm[j], 0.0)
-            load[i] += (door.leak_W_K + door.open_W_K15 * warmer_by**0.5) * warmer_by
-    emitter_W = np.maximum(load * rng.uniform(*use.emitters_over_load, n_rooms), _LEAST_EMITTER_W)
-
-    # Emitters: floors in all rooms, on the ground floor only, or others; never floors where the load is too high.
-    style = rng.choice(list(use.emitters), p=list(use.emitters.values()))
-    other: RoomEmitter = "air" if style == "air" else "radiator"
-    wanted = at_ground if style == "floor below" else np.full(n_rooms, style == "floor")
-    can = emitter_W <= _FLOOR_LIMIT_W_M2 * area
-    emitters: list[RoomEmitter] = ["floor" if floor else other for floor in wanted & can]
-    covering = rng.uniform(0.01, 0.10)  # m²K/W
-    screed = rng.uniform(0.045, 0.075)
-    excess = rng.uniform(18.0, 28.0)  # mean radiator water over 20 °C: sized for a heat pump
-    people_day, people_night = _people(kinds, use)
-    names = _names(kinds)
-    rooms = []
-    for i, kind in enumerate(kinds):
-        rooms.append(
-            Room(
-                name=names[i],
-                kind=kind,
-                place=flat[i],
-                walls_m2=tuple(float(value) for value in walls[i]),  # type: ignore[arg-type]
-                windows_m2=tuple(float(value) for value in windows[i]),  # type: ignore[arg-type]
-                opaque_W_K=float(opaque[i]),
-                windows_W_K=float(glass[i]),
-                ground_W_K=float(ground[i]),
-                lower_C=lower[i],
-                upper_C=upper[i],
-                appliances=use.kinds[kind].appliances,
-                people_day=float(people_day[i]),
-                people_night=float(people_night[i]),
-                emitter=emitters[i],
-                emitter_W=float(emitter_W[i]),
-                flow_W_K=float(2.0 * emitter_W[i] / _SPREAD_K[emitters[i]]),
-                **_circuit(emitters[i], emitter_W[i], area[i], excess + DESIGN_ROOM_C - warm[i], covering, screed),
-            )
-        )
-    shift = rng.uniform(2.0, 4.0)  # as installers set a curve: some reserve, which the valves take back
-    curves: dict[RoomEmitter, Curve] = {}
-    if "floor" in emitters:
-        # The room that needs the warmest water sets the curve of all floors.
-        mean_C = warm + emitter_W * (_PIPE_M2K_W + 1.0 / _FILM_W_M2K + covering) / (_COVERED * area)
-        hottest_C = float(mean_C[wanted & can].max()) + 0.5 * _SPREAD_K["floor"]
-        curves["floor"] = Curve(min(hottest_C, _LIMIT_C["floor"]), 1.0, float(shift), _LIMIT_C["floor"])
-    if other in emitters:
-        hottest_C = float(DESIGN_ROOM_C + excess + 0.5 * _SPREAD_K[other])
-        curves[other] = Curve(hottest_C, _WATER_TO_ROOM[other][0], float(shift), _LIMIT_C[other])
-
-    loss = float((opaque + glass + AIR_WH_M3_K * HEIGHT_M * area * air_changes).sum())
-    house_W = loss * (DESIGN_ROOM_C - design_out) + float(ground.sum()) * (DESIGN_ROOM_C - ground_C(warmer))
+    warm = np.array(lower) + _DESIGN_ABOVE_K
+    load_W = _load_W(building, shell, warm, touching, doors)
+    emitter_W = np.maximum(load_W * rng.uniform(*use.emitters_over_load, n_rooms), _LEAST_EMITTER_W)
+    heating = _heating(rng, emitter_W, warm, shell, use)
+    house_W = shell.loss_W_K * (DESIGN_ROOM_C - building.design_out_C)
+    house_W += float(shell.ground_W_K.sum()) * (DESIGN_ROOM_C - ground_C(building.warmer_K))
     sizes = use.machine_over_load
     sizing = rng.uniform(*list(sizes)[rng.choice(len(sizes), p=list(sizes.values()))])
-    capacity, per_K = sizing * house_W, 0.02  # air-source data sheets
     pattern = list(use.patterns)[rng.choice(len(use.patterns), p=list(use.patterns.values()))]
     return DrawnHouse(
         use=use.name,
         seed=seed,
-        rooms=tuple(rooms),
+        rooms=_rooms(kinds, shell, lower, upper, heating, use),
         contacts=tuple(touching),
         doors=doors,
         storeys=storeys,
-        turn_deg=float(turn),
-        attached=attached,
-        mass=mass,
-        U_wall_inside=float(U_wall),
-        U_floor_inside=float(U_floor),
-        g_value=float(g_value),
-        unshaded=float(unshaded),
-        air_changes_1_h=float(air_changes),
+        turn_deg=building.turn_deg,
+        attached=building.attached,
+        mass=building.mass,
+        U_wall_inside=building.U_wall_inside,
+        U_floor_inside=building.U_floor_inside,
+        g_value=building.g_value,
+        unshaded=building.unshaded,
+        air_changes_1_h=building.air_changes_1_h,
         pattern=pattern,
-        people=max(1, round(float(area.sum()) / rng.uniform(*use.person_m2))),
+        people=max(1, round(float(shell.area_m2.sum()) / rng.uniform(*use.person_m2))),
         gains_home_W_m2=float(rng.uniform(*use.gains_W_m2)),
         gains_empty_W_m2=float(rng.uniform(*use.gains_empty_W_m2)),
         gains_sd=0.5,
         weather_seed=int(rng.integers(1, 2**31)),
-        warmer_K=float(warmer),
-        clearer=float(clearer),
+        warmer_K=building.warmer_K,
+        clearer=building.clearer,
         sizing=float(sizing),
-        curves=curves,
-        heat_pump=HeatPump(
-            capacity_W=float(capacity),
-            capacity_per_K=per_K,
-            lowest_level=float(rng.uniform(0.20, 0.35)),
-            carnot=float(rng.uniform(0.60, 0.72)),  # the emulator's without its fixed part: 0.71 at A2/W35
-            fixed_W=emulator_fixed_share() * float(capacity) * (1.0 + per_K * (2.0 - design_out)),
-        ),
+        curves=heating.curves,
+        heat_pump=_heat_pump(rng, float(sizing * house_W), building.design_out_C),
+    )
+
+
+class _Building(NamedTuple):
+    """What all rooms share: U-values W/m²K, and the rest as in `DrawnHouse`."""
+
+    U_opaque: float
+    U_window: float
+    g_value: float
+    unshaded: float
+    air_changes_1_h: float
+    U_ground: float
+    U_wall_inside: float
+    U_floor_inside: float
+    attached: tuple[Facade, ...]
+    turn_deg: float
+    mass: Mass
+    warmer_K: float
+    clearer: float
+
+    @property
+    def design_out_C(self) -> float:
+        """Design outdoor temperature, °C."""
+        return DESIGN_OUT_C + self.warmer_K
+
+
+def _building(rng: np.random.Generator, use: Use) -> _Building:
+    age = rng.uniform(*use.age)
+    U_opaque, (U_window, g_value) = opaque_U_W_m2K(rng, age), glazing_of(age)
+    unshaded, changes, U_ground = float(rng.uniform(*use.unshaded)), air_changes_1_h(rng, age), rng.uniform(0.15, 0.30)
+    U_wall, U_floor = float(rng.uniform(1.2, 2.2)), float(rng.uniform(0.6, 1.2))
+    attached: tuple[Facade, ...] = ((), ("west",), ("east",), ("west", "east"))[rng.choice(4, p=[0.5, 0.15, 0.15, 0.2])]
+    turn, mass = float(rng.uniform(-45.0, 45.0)), use.masses[rng.integers(len(use.masses))]
+    of_use = U_opaque, U_window, g_value, unshaded, changes, U_ground, U_wall, U_floor
+    return _Building(*of_use, attached, turn, mass, *climate(rng))
+
+
+class _Shell(NamedTuple):
+    """Places and areas of rooms (n,), outside walls and windows of each by `FACADES` (n, 4), and what it loses (n,):
+    through walls and roof, through windows, to the ground, and to outdoors in all, with infiltration.
+    """
+
+    places: list[Place]
+    walls_m2: Array
+    windows_m2: Array
+    area_m2: Array
+    at_ground: NDArray[np.bool_]
+    opaque_W_K: Array
+    windows_W_K: Array
+    ground_W_K: Array
+    outdoors_W_K: Array
+
+    @property
+    def loss_W_K(self) -> float:
+        """Loss of all rooms to outdoors, W/K."""
+        return float(self.outdoors_W_K.sum())
+
+
+def _shell(
+    rng: np.random.Generator, building: _Building, kinds: list[Kind], places: list[list[Place]], use: Use
+) -> _Shell:
+    """Draw the windows: glazing per floor area on the facades by their length, at most 60 % of a wall."""
+    flat = [place for storey in places for place in storey]
+    walls, windows = np.zeros((len(flat), 4)), np.zeros((len(flat), 4))
+    for i, (kind, place) in enumerate(zip(kinds, flat, strict=True)):
+        walls[i] = HEIGHT_M * np.array(facade_lengths(place, places[place.storey]))
+        walls[i, [FACADES.index(facade) for facade in building.attached]] = 0.0
+        glazing = rng.uniform(*use.kinds[kind].glazing) * place.area_m2
+        windows[i] = np.minimum(glazing * walls[i] / max(walls[i].sum(), 1e-9), 0.6 * walls[i])
+    area = np.array([place.area_m2 for place in flat])
+    under_roof = np.array([place.storey == len(places) - 1 for place in flat])
+    at_ground = np.array([place.storey == 0 for place in flat])
+    opaque = building.U_opaque * ((walls - windows).sum(axis=1) + 0.8 * area * under_roof)
+    glass, ground = building.U_window * windows.sum(axis=1), building.U_ground * area * at_ground
+    outdoors = opaque + glass + AIR_WH_M3_K * HEIGHT_M * area * building.air_changes_1_h
+    return _Shell(flat, walls, windows, area, at_ground, opaque, glass, ground, outdoors)
+
+
+def _load_W(
+    building: _Building, shell: _Shell, warm_C: Array, touching: list[Contact], doors: tuple[Door, ...]
+) -> Array:
+    """Heat load of rooms at `warm_C` (n,), W, heat to colder neighbours included (EN 12831)."""
+    load = shell.outdoors_W_K * (warm_C - building.design_out_C)
+    load += shell.ground_W_K * (warm_C - ground_C(building.warmer_K))
+    for contact in touching:
+        U = building.U_wall_inside if contact.kind == "wall" else building.U_floor_inside
+        for i, j in ((contact.first, contact.second), (contact.second, contact.first)):
+            load[i] += U * contact.area_m2 * max(warm_C[i] - warm_C[j], 0.0)
+    for door in doors:
+        for i, j in ((door.first, door.second), (door.second, door.first)):
+            warmer_by = max(warm_C[i] - warm_C[j], 0.0)
+            load[i] += (door.leak_W_K + door.open_W_K15 * warmer_by**0.5) * warmer_by
+    return load
+
+
+class _Heating(NamedTuple):
+    """Emitter of each room, what it gives at design, W (n,), and the fields of a `Room` of its circuit; the curves of
+    the heat pump by emitter.
+    """
+
+    emitters: list[RoomEmitter]
+    emitter_W: Array
+    circuits: list[dict[str, float]]
+    curves: dict[RoomEmitter, Curve]
+
+
+def _heating(rng: np.random.Generator, emitter_W: Array, warm_C: Array, shell: _Shell, use: Use) -> _Heating:
+    """Draw emitters: floors in all rooms, on the ground floor only, or others; never floors where the load is too high.
+
+    `emitter_W`, `warm_C` (n,): heat and temperature of each room at design.
+    """
+    area = shell.area_m2
+    style = rng.choice(list(use.emitters), p=list(use.emitters.values()))
+    other: RoomEmitter = "air" if style == "air" else "radiator"
+    wanted = shell.at_ground if style == "floor below" else np.full(len(area), style == "floor")
+    floors = wanted & (emitter_W <= FLOOR_LIMIT_W_M2 * area)
+    emitters: list[RoomEmitter] = ["floor" if floor else other for floor in floors]
+    covering = rng.uniform(0.01, 0.10)  # m²K/W
+    screed = rng.uniform(0.045, 0.075)
+    excess = rng.uniform(18.0, 28.0)  # mean radiator water over 20 °C: sized for a heat pump
+    over_K = excess + DESIGN_ROOM_C - warm_C
+    each = zip(emitters, emitter_W, area, over_K, strict=True)
+    circuits = [_circuit(*one, covering, screed) for one in each]
+    shift = float(rng.uniform(2.0, 4.0))  # as installers set a curve: some reserve, which the valves take back
+    curves: dict[RoomEmitter, Curve] = {}
+    if "floor" in emitters:
+        # The room that needs the warmest water sets the curve of all floors.
+        mean_C = warm_C + emitter_W * (_PIPE_M2K_W + 1.0 / _FILM_W_M2K + covering) / (_COVERED * area)
+        hottest_C = float(mean_C[floors].max()) + 0.5 * _SPREAD_K["floor"]
+        curves["floor"] = Curve(min(hottest_C, _LIMIT_C["floor"]), 1.0, shift, _LIMIT_C["floor"])
+    if other in emitters:
+        hottest_C = float(DESIGN_ROOM_C + excess + 0.5 * _SPREAD_K[other])
+        curves[other] = Curve(hottest_C, _WATER_TO_ROOM[other][0], shift, _LIMIT_C[other])
+    return _Heating(emitters, emitter_W, circuits, curves)
+
+
+def _heat_pump(rng: np.random.Generator, capacity_W: float, design_out_C: float) -> HeatPump:
+    """Draw a heat pump of a capacity at the design outdoor temperature."""
+    per_K = 0.02  # air-source data sheets
+    return HeatPump(
+        capacity_W=capacity_W,
+        capacity_per_K=per_K,
+        lowest_level=float(rng.uniform(0.20, 0.35)),
+        carnot=float(rng.uniform(0.60, 0.72)),  # the emulator's without its fixed part: 0.71 at A2/W35
+        fixed_W=emulator_fixed_share() * capacity_W * (1.0 + per_K * (2.0 - design_out_C)),
+    )
+
+
+def _rooms(
+    kinds: list[Kind], shell: _Shell, lower: list[float], upper: list[float], heating: _Heating, use: Use
+) -> tuple[Room, ...]:
+    """The rooms, of which all is drawn, with the shares of the people in them."""
+    people_day, people_night = _people(kinds, use)
+    return tuple(
+        Room(
+            name=name,
+            kind=kinds[i],
+            place=shell.places[i],
+            walls_m2=tuple(float(value) for value in shell.walls_m2[i]),  # type: ignore[arg-type]
+            windows_m2=tuple(float(value) for value in shell.windows_m2[i]),  # type: ignore[arg-type]
+            opaque_W_K=float(shell.opaque_W_K[i]),
+            windows_W_K=float(shell.windows_W_K[i]),
+            ground_W_K=float(shell.ground_W_K[i]),
+            lower_C=lower[i],
+            upper_C=upper[i],
+            appliances=use.kinds[kinds[i]].appliances,
+            people_day=float(people_day[i]),
+            people_night=float(people_night[i]),
+            emitter=heating.emitters[i],
+            emitter_W=float(heating.emitter_W[i]),
+            flow_W_K=float(2.0 * heating.emitter_W[i] / _SPREAD_K[heating.emitters[i]]),
+            **heating.circuits[i],
+        )
+        for i, name in enumerate(_names(kinds))
     )
 
 

@@ -10,9 +10,18 @@ from typing import Literal
 
 import numpy as np
 
-from thermoforce_mpc.plants.drawn_houses import AIR_WH_M3_K, FACADES, HEIGHT_M, MASSES, Facade, Mass
+from thermoforce_mpc.plants.drawn_houses import (
+    AIR_WH_M3_K,
+    DESIGN_OUT_C,
+    DESIGN_ROOM_C,
+    FACADES,
+    HEIGHT_M,
+    MASSES,
+    Facade,
+    Mass,
+    ground_C,
+)
 from thermoforce_mpc.plants.people import HOUSEHOLDS, Pattern
-from thermoforce_mpc.plants.random_houses.draw import ground_C
 
 Kind = Literal["living", "kitchen", "bedroom", "bath", "study", "hall", "open", "cell", "meeting", "corridor"]
 RoomEmitter = Literal["floor", "radiator", "air"]
@@ -213,9 +222,6 @@ def contacts(places: list[Place], height_m: float) -> list[Contact]:
     return contacts
 
 
-# Design outdoor temperature at the unshifted climate, °C (EN 12831-1, Belgian annex: −7 to −9), and rooms that size the
-# machine, °C.
-DESIGN_OUT_C, DESIGN_ROOM_C = -8.0, 20.0
 # Film on either side of an inside wall, m²K/W (EN ISO 6946).
 _INSIDE_FILM_M2K_W = 0.13
 

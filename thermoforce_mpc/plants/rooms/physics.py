@@ -17,7 +17,7 @@ import numpy as np
 
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.plants import drawn_houses
-from thermoforce_mpc.plants.random_houses.draw import ground_C, heat_pump_cop
+from thermoforce_mpc.plants.random_houses.draw import heat_pump_cop
 from thermoforce_mpc.plants.rooms.device import (
     BUFFER,
     CHARGES,
@@ -129,7 +129,7 @@ def network(house: DrawnHouse) -> HouseNetwork:
         between_W_K=between,
         outdoors_W_K=outdoors,
         ground_W_K=ground,
-        ground_C=ground_C(house.warmer_K),
+        ground_C=drawn_houses.ground_C(house.warmer_K),
         ventilation_W_K=np.array([house.ventilation_W_K(room) for room in rooms]),
         door_rooms=np.array([(door.first, door.second) for door in house.doors], dtype=np.int64).reshape(-1, 2),
         door_leak_W_K=np.array([door.leak_W_K for door in house.doors]),
