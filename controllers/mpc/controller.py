@@ -4,24 +4,15 @@ from __future__ import annotations
 
 import copy
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
-
-from controllers.actuation.runs import in_runs, limits_not_planned, needs_runs, without_owed
-from controllers.checks import ControllerConfigError, check_names, message_of
+from controllers.actuation.runs import limits_not_planned, without_owed
+from controllers.checks import check_names, message_of
 from controllers.monitoring.watch import Watch
 from controllers.mpc.acting import ActuatedController
-from controllers.mpc.commands.commanding import (
-    MOST_SOLVES,
-    NOT_BETTER,
-    BuildingCommands,
-    with_command_states,
-    with_commands,
-)
+from controllers.mpc.commands.commanding import BuildingCommands, with_command_states, with_commands
 from controllers.mpc.commands.costs import meters_of
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.courses import Courses
@@ -33,6 +24,7 @@ from controllers.mpc.planner import (
     actuations_of,
     at_step,
     build_solver,
+    check_exclusive,
     check_power,
     free_responses_of,
     plan_shape,
@@ -47,15 +39,16 @@ from controllers.mpc.readings import (
     joined,
 )
 from controllers.mpc.realisation import Realisation
-from controllers.mpc.solved import Solved, beyond_rooms, first_demands, power_limit, solved_plan
+from controllers.mpc.solved import Solved, first_demands
+from controllers.mpc.solving import PlanSolver
 from controllers.mpc.state import MPCState
 from controllers.optimisation.hot_water import PRICE_SHARES, HotWater, TankWay, TankWays
-from controllers.optimisation.plan_model import Evaluation, Evaluator
+from controllers.optimisation.plan_model import Evaluator
 from controllers.optimisation.problem import MPCProblem
-from controllers.optimisation.solution import Solution, Solve, Solver
+from controllers.optimisation.solution import Solver
 from controllers.optimisation.statement.terms import Terms, load_terms, of_controller
-from controllers.safety.deadline import BoundedCalls, Overdue
-from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
+from controllers.safety.deadline import BoundedCalls
+from controllers.safety.fallback_policy import FallbackPolicy
 from controllers.safety.overrides import (
     ActsTogether,
     ComfortGuard,
@@ -70,20 +63,15 @@ from controllers.safety.overrides import (
     decide,
 )
 from thermoforce_mpc.commands.loop import LearnedCommand, left_alone
-from thermoforce_mpc.commands.meter import scatter_of_days
 from thermoforce_mpc.commands.tank import LearnedTank
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Plan, Record, steps_in
-from thermoforce_mpc.data.dataframes import clock_s
 from thermoforce_mpc.errors import DataError, check_kind
-from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
+from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, run, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
-# The rule acts where it costs less by this share of what the plan costs, and by more than so many K·h: what solvers and
-# moves leave is well below (bestest_air, mix_day, 2026-11-28: the plan's cost was lower by 7 or more in all 96 hours).
-_CLEARLY, _LEAST_KH = 0.05, 0.1
 # Share of what a plan costs from which what is believed of hours of the day is put to the test: nine days of a light
 # house whose card says wrongly that nothing comes in four hours take 7 % more energy, 2 % with tests; such an hour is
 # worth 0.6 to 4 % of a plan (2026-11-30).
@@ -139,12 +127,7 @@ class ThermoForceMPC(ActuatedController):
         check_names("commands", learned, "actuator", layout.names.actuators)
         check_names("actuations", c.actuations, "actuator", layout.names.actuators)
         check_names("sensors", c.sensors, "zone", zones)
-        for a in {a for group in layout.exclusive for a in group}:
-            if layout.names.actuators[a] in learned:
-                raise ControllerConfigError(
-                    f"{layout.names.actuators[a]} excludes others, and is set by a command, which does not tell "
-                    "whether it runs: leave command out of the map, and set its level"
-                )
+        check_exclusive(layout, learned)
         check_power(model)
         zone_models = [model.actuator(a) for a in range(len(layout.names.actuators))]
         choices = actuations_of(c, model, layout)
@@ -197,6 +180,9 @@ class ThermoForceMPC(ActuatedController):
         untold = UntoldCommand(left_alone(by_number), self._fallbacks)
         self._overrides: tuple[OverrideRule, ...] = (*alarms, self._gate, untold, LostZone(self._fallbacks))
         guard = ComfortGuard(c.guard, layout, [actuation.highest for actuation in self._actuators.each])
+        self._solving = PlanSolver(
+            c, self._planners, self._prediction, self._actuators, self._fallbacks, self._commands, self.step_s
+        )
         self._realisation = Realisation(self._actuators, self._fallbacks, guard, self.step_s)
 
     def terms(self) -> Terms:
@@ -311,25 +297,42 @@ class ThermoForceMPC(ActuatedController):
         if len(overrides) == len(self._fallbacks):
             plan = self._realisation.stand_back(overrides, state)
         else:
-            forecast = yield from self._prediction.predict(readings, state)
-            instance = self._formulate(forecast, readings, state, overrides)
-            solve = partial(self._solve, forecast=forecast, readings=readings, overrides=overrides, joined_in=joined_in)
-            result = yield from solve(instance)
-            if not isinstance(result, Failure):
-                assert not isinstance(instance, Failure)
-                assert not isinstance(forecast, Failure)
-                formulate = partial(self._formulate, forecast, readings, overrides=overrides)
-                result, instance = yield from self._with_trial(
-                    result, instance, state, overrides, formulate, solve, forecast.planner.evaluator
-                )
-            if self._tank is not None and not isinstance(result, Failure):
-                assert not isinstance(instance, Failure)
-                assert not isinstance(forecast, Failure)
-                begin = forecast.context.boundary, readings.history.origin
-                ways = self._tank.begin(*begin, observation.tank_C, observation.tank_charges, state.tank)
-                result = yield from self._with_tank(result, instance, ways, forecast.planner.evaluator, solve)
+            result = yield from self._solved(observation, readings, state, overrides, joined_in)
             plan = self._realise(result, readings, overrides, situation)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news, limits, others))
+
+    def _solved(
+        self,
+        observation: Observation,
+        readings: Readings,
+        state: MPCState,
+        overrides: Mapping[int, Override],
+        joined_in: Mapping[int, ActsTogether],
+    ) -> Computation[Solved | Failure]:
+        """From readings to a plan without blocks: predict, formulate, solve; then an hour to try, and the tank.
+
+        `observation`: what came, with the tank, of which readings say nothing.
+        """
+        forecast = yield from self._prediction.predict(readings, state)
+        if isinstance(forecast, Failure):
+            return forecast
+        formulate = partial(self._formulate, forecast, readings, overrides=overrides)
+        instance = formulate(state)
+        if isinstance(instance, Failure):
+            return instance
+        solve = partial(
+            self._solving.solve, forecast=forecast, readings=readings, overrides=overrides, joined_in=joined_in
+        )
+        result = yield from solve(instance)
+        if isinstance(result, Failure):
+            return result
+        evaluator = forecast.planner.evaluator
+        result, instance = yield from self._with_trial(result, instance, state, overrides, formulate, solve, evaluator)
+        if self._tank is None:
+            return result
+        begin = forecast.context.boundary, readings.history.origin
+        ways = self._tank.begin(*begin, observation.tank_C, observation.tank_charges, state.tank)
+        return (yield from self._with_tank(result, instance, ways, evaluator, solve))
 
     def _clean(self, observation: Observation, state: MPCState) -> Computation[tuple[Readings, MPCState]]:
         """What is believed; a model that may not act says nothing of readings."""
@@ -358,15 +361,13 @@ class ThermoForceMPC(ActuatedController):
         return replace(state, margins=margins, peak_W=peak_W)
 
     def _formulate(
-        self, forecast: Forecast | Failure, readings: Readings, state: MPCState, overrides: Mapping[int, Override]
+        self, forecast: Forecast, readings: Readings, state: MPCState, overrides: Mapping[int, Override]
     ) -> Instance | Failure:
         """The numbers of the problem.
 
         The level of an overridden actuator stays a variable: what acts in its place is a loop that answers to its zone,
         which a plan that keeps the zone in its band describes better than a level that is fixed beforehand.
         """
-        if isinstance(forecast, Failure):
-            return forecast
         operator, context = forecast.planner.operator, forecast.context
         try:
             hours = [(watch.blocked, watch.hours) for watch in state.watch]
@@ -380,85 +381,6 @@ class ThermoForceMPC(ActuatedController):
             return instance
         except Exception as error:  # of a forecast that lacks what the problem needs
             return Failure(f"no prediction ({message_of(error)})", state)
-
-    def _solve(
-        self,
-        instance: Instance | Failure,
-        forecast: Forecast | Failure,
-        readings: Readings,
-        overrides: Mapping[int, Override],
-        joined_in: Mapping[int, ActsTogether],
-    ) -> Computation[Solved | Failure]:
-        if isinstance(forecast, Failure):
-            return forecast
-        if isinstance(instance, Failure):
-            return instance
-        forecast = self._prediction.record(forecast, readings)
-        planner, seconds = forecast.planner, forecast.context.seconds
-        shape = planner.stated.shape
-        guess = self._guess(forecast.state.good, readings.time_s)
-        own = self._commands.begin(
-            planner.operator,
-            planner.evaluator,
-            instance.problem,
-            forecast.context.boundary,
-            overrides,
-            readings.history.origin,
-            forecast.state.actuation,
-            [a for a, one in joined_in.items() if one.held],
-        )
-        try:
-            for again in range(MOST_SOLVES if own else 1):
-                problem = own.within_reach(guess).in_moves(shape) if own else instance.problem
-                solve = Solve(planner.solver, problem, guess)
-                request = Request(planner.solver, solve, seconds=self.config.deadline.solve_s)
-                solution, solve_s = yield from timed(perform(request))
-                refused = solution.problem if not solution.ok else problem.unfit(solution.u)
-                if refused or own is None or again + 1 == MOST_SOLVES or not own.beyond(solution.u, shape):
-                    break
-                guess = solution.u
-            began = time.perf_counter()
-            brought, commanded, saving, broken = None, None, None, ""
-            if not refused:
-                u = solution.u
-                if own is not None:
-                    commanded = own.realise(u)
-                    spread, scatter_W = self._power_spread(readings.history), self._power_scatter(readings.history)
-                    saving = own.saving(commanded, spread, scatter_W)
-                    if not saving.gain > 0.0:
-                        own = own.without
-                        commanded = own.realise(u)
-                    u = commanded.u
-                brought = planner.evaluator.brings(instance.problem, u, solution.own_values)
-                if planner.evaluator.structure.chosen or own is not None:  # levels become blocks, or are answers
-                    brought, broken = replace(brought, broken=""), brought.broken
-            seconds = {**seconds, "solve": solve_s, "check": time.perf_counter() - began}
-        except Exception as error:  # whatever a solver raises, there is another way to act
-            if isinstance(error, Overdue):
-                self._planners.renew_solver(planner)
-            return Failure(f"the solver failed ({message_of(error)})", forecast.state, "raised", seconds)
-        if brought is None or brought.broken:
-            why = refused or f"the solver's levels leave a limit: {brought.broken if brought else ''}"
-            return Failure(why, forecast.state, solution.status, seconds)
-        if beyond := beyond_rooms(instance.problem, brought, readings.observation.names.zones):
-            return Failure(beyond, forecast.state, solution.status, seconds)
-        solution = solution if commanded is None else replace(solution, u=commanded.u)
-        if commanded is None:
-            solution, brought, ruled = self._by_rule(instance.problem, solution, brought, forecast, readings)
-            broken = brought.broken if ruled else broken
-            forecast = replace(forecast, state=replace(forecast.state, ruled=bool(ruled)))
-        if self.config.whole_runs and not overrides.keys() >= set(self._in_runs):
-            solution, brought = self._with_runs(instance, solution, brought, broken, forecast, list(overrides))
-        limit = power_limit(instance, solution, brought, planner.evaluator)
-        free_steps = steps_in(self.config.move_blocking.free_h * HOUR_S, self.step_s)
-        plan = solved_plan(instance, solution, brought, seconds, forecast, readings, free_steps)
-        if own is not None and commanded is not None:
-            plan = replace(plan, settings=own.settings(commanded, plan.time_s), saving=saving)
-            if saving is not None and not saving.gain > 0.0:
-                plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
-            told = self._layout.names.of_actuators({a: one.in_words for a, one in joined_in.items()})
-            plan = replace(plan, why=joined([*told, plan.why]))
-        return Solved(plan, instance.problem, limit, commanded, solution.own_values)
 
     def _with_trial(
         self,
@@ -565,75 +487,10 @@ class ThermoForceMPC(ActuatedController):
         told = replace(way.plan, solves=len(tried), gap=max(total - least, 0.0))
         return found.with_tank(told, "")
 
-    def _by_rule(
-        self,
-        problem: MPCProblem,
-        solution: Solution,
-        brought: Evaluation,
-        forecast: Forecast,
-        readings: Readings,
-    ) -> tuple[Solution, Evaluation, str]:
-        """The solution and what it brings, or the on/off rule's where the same statement prices these clearly lower.
-
-        It is looked at each hour, and while the rule acts. The text says what was found, empty where nothing was.
-        """
-        if not forecast.state.ruled and round(readings.time_s) % round(HOUR_S):
-            return solution, brought, ""
-        planner, T_C = forecast.planner, readings.zones.T_C
-        courses = self.courses(planner.operator, problem, forecast.context.boundary, T_C)
-        u = planner.stated.shape.in_moves(courses.follow(courses.rule))
-        numbers = planner.stated.numbers(problem)
-        planned, by_rule = (planner.stated.evaluate(numbers, levels, solution.own_values) for levels in (solution.u, u))
-        dearer = planned.cost - by_rule.cost
-        clearly = max(_CLEARLY * abs(planned.cost), _LEAST_KH * float(np.max(problem.weights.comfort)))
-        if by_rule.broken or dearer <= clearly:
-            return solution, brought, ""
-        parts = {name: by_rule.parts[name] - cost for name, cost in planned.parts.items()}
-        told = ", ".join(f"{name} {more:+.2f}" for name, more in parts.items() if abs(more) > 0.1 * dearer)
-        why = (
-            f"the on/off rule's levels act: by the same model and prices they cost {dearer:.3g} less than the solver's "
-            f"({planned.cost:.3g} over the horizon; {told})"
-        )
-        evaluated = planner.evaluator.brings(problem, u, solution.own_values)
-        found = replace(solution, u=u, optimal=False, evaluation=by_rule, problem=joined([solution.problem, why]))
-        return found, evaluated, why
-
     @property
     def limits_not_planned(self) -> list[str]:
         """What a plan in whole runs does not keep of minimum times and starts an hour, in words, see `runs`."""
         return limits_not_planned(self._actuators, self.step_s, self._by_command)
-
-    @property
-    def _in_runs(self) -> list[int]:
-        """Numbers of the actuators whose steps do not hold their minimum on and off times."""
-        return [a for a, actuation in enumerate(self._actuators.each) if needs_runs(actuation, self.step_s)]
-
-    def _with_runs(
-        self,
-        instance: Instance,
-        solution: Solution,
-        brought: Evaluation,
-        broken: str,
-        forecast: Forecast,
-        left: Sequence[int],
-    ) -> tuple[Solution, Evaluation]:
-        """The solution in whole runs (`MPCConfig.whole_runs`) and what it brings.
-
-        `broken`: which limit it leaves, '' none; `left`: who does not follow it.
-        """
-        evaluator, problem = forecast.planner.evaluator, instance.problem
-        numbers = evaluator.numbers(problem)
-
-        def cost(u: Array) -> float:
-            found = evaluator.evaluate(numbers, u, solution.own_values)
-            return math.inf if found.broken and not broken else found.cost
-
-        u = in_runs(self._actuators, solution.u, self.step_s, forecast.state.actuation, left, cost)
-        carried = evaluator.evaluate(numbers, u, solution.own_values)
-        if carried.broken and not broken:
-            said = f"the plan does not keep minimum on and off times, since in whole runs {carried.broken}"
-            return replace(solution, problem=joined([solution.problem, said])), brought
-        return replace(solution, u=u), carried
 
     def _realise(
         self, result: Solved | Failure, readings: Readings, overrides: Mapping[int, Override], situation: Situation
@@ -649,22 +506,3 @@ class ThermoForceMPC(ActuatedController):
         by_command = commanded.guard(self.step_s) if commanded is not None else None
         realised = self._realisation.realise(plan, demands, overrides, situation, limit, capacity, by_command)
         return realised if commanded is None else with_command_states(realised, commanded)
-
-    def _power_spread(self, history: Record) -> float:
-        """Largest error, as a share, of what a change of levels does to the power of a machine."""
-        return max(self.model.power_change(m, history).spread for m in range(len(self.model.machines)))
-
-    def _power_scatter(self, history: Record) -> list[Array]:
-        """Scatter of the meter of each machine around its law (M), W, see `scatter_of_days`."""
-        at_s = clock_s(history.time_s[:-1], history.origin)
-        out = []
-        for m, power_W in enumerate(history.power_W):
-            error_W = power_W - self.model.power_by_law_of(m, history)
-            out.append(scatter_of_days(error_W, at_s, history.step_s))
-        return out
-
-    def _guess(self, good: GoodPlan | None, time_s: float) -> Array | None:
-        """Warm start (A, N): the plan of the previous step, shifted by one step; None without one."""
-        if good is None or good.age(time_s, self.step_s) != 1:
-            return None
-        return np.concatenate([good.u[:, 1:], good.u[:, -1:]], axis=1)

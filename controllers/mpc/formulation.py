@@ -51,6 +51,19 @@ class Instance(NamedTuple):
         return self._replace(problem=replace(self.problem, least_u=least, most_u=most))
 
 
+class _Power(NamedTuple):
+    """Power of machines while they run (M, N), and of actuators by their level and its square (A, N), W.
+
+    `bent`: whether plans count with the square; `highest_W` (A,): of the highest levels in the last step.
+    """
+
+    fixed_W: Array
+    per_u_W: Array
+    per_u2_W: Array
+    bent: bool
+    highest_W: Array
+
+
 class Formulation:
     """Formulates the instances of one controller.
 
@@ -106,21 +119,59 @@ class Formulation:
         Raises:
             DataError: a bound or price of the boundary is missing.
         """
-        aims, boundary, layout = self._config.objective, context.boundary, self._layout
+        aims, boundary = self._config.objective, context.boundary
+        price, carbon = self._prices(boundary)
+        power = self._power(context, history)
+        foreign_W, left_W = self._beside(boundary, history)
+        exchange, sold = self._exchange(boundary, price)
+        dearest = price.max(axis=1)[list(self._layout.machine_of)]
+        comfort, heat, news = self._comfort_weights(operator, context.features[:, -1], dearest * power.highest_W)
+        T_C = history.T_zone_C[:, -1]
+        bounds = self.margins.bounds(operator, context.free, boundary, margins.learned, T_C, heat / comfort)
+        bounds = self._left_to_others(bounds, boundary, T_C, overridden)
+        problem = MPCProblem(
+            forced_state_K=context.forced_K,
+            features=context.features,
+            T_free_C=context.free.median_C + margins.moved_K[:, None] + self._dips_K(boundary, hours),
+            lower_C=bounds.lower_C,
+            upper_C=bounds.upper_C,
+            price_per_kWh=sold,
+            power_fixed_W=power.fixed_W,
+            power_per_u_W=power.per_u_W,
+            step_s=self._step_s,
+            machinery=self.machinery,
+            weights=Weights(comfort, aims.curvature, self._peak_per_W(history, boundary)),
+            peak_so_far_W=max(max(peak_W, 1000.0 * aims.peak_least_kW) - float(foreign_W.mean()), 0.0),
+            cooling=self._cooling(boundary, np.maximum(boundary.price_per_kWh[:, :-1] + carbon, 0.0)),
+            power_cap=self._cap(power, left_W),
+            exchange=exchange,
+            power_per_u2_W=power.per_u2_W if power.bent else None,
+            capacity=self.margins.capacity(operator, boundary.T_out_C[:-1], margins.unused),
+            last_u=self._last_u(history),
+            available=self._available(boundary, hours, context.free.median_C),
+            most_u=self.margins.most_u(operator, margins.unused, boundary.n_steps),
+        )
+        return Instance(problem, bounds, float(left_W[0]), news)
+
+    def _prices(self, boundary: Boundary) -> tuple[Array, Array]:
+        """Price of energy of each machine and what carbon adds to it (M, N), per kWh."""
         boundary.check("lower_C", "upper_C", "price_per_kWh")
         boundary.check("heating_price_per_kWh")
-        carbon = np.zeros((len(layout.names.machines), boundary.n_steps))
-        if aims.carbon_price_per_kg:
+        per_kg = self._config.objective.carbon_price_per_kg
+        carbon = np.zeros((len(self._layout.names.machines), boundary.n_steps))
+        if per_kg:
             boundary.check("emission_kg_per_kWh")
-            carbon = aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:, :-1]
+            carbon = per_kg * boundary.emission_kg_per_kWh[:, :-1]
         price = boundary.heating_price_per_kWh[:, :-1] + carbon
         # At a negative price it would pay to heat and cool at once, which a signed level cannot say.
         both = self.machinery.fed_by[:, self.machinery.signed].any(axis=-1, keepdims=True)
-        price = np.where(both, np.maximum(price, 0.0), price)
-        T_out = boundary.T_out_C[:-1]
+        return np.where(both, np.maximum(price, 0.0), price), carbon
+
+    def _power(self, context: PredictionContext, history: Record) -> _Power:
+        """What levels take over the steps."""
+        T_out, layout, every = context.boundary.T_out_C[:-1], self._layout, np.ones(context.boundary.n_steps)
         water_C = [self._return_water_C(m, context, history) for m in range(len(self.power))]
         parts = [power.parts(T_out, back_C) for power, back_C in zip(self.power, water_C, strict=True)]
-        every = np.ones(T_out.size)
         fixed_W = np.array([fixed * every for fixed, _ in parts])
         per_actuator = list(zip(layout.weights, layout.machine_of, strict=True))
         per_u_W = np.array([weight * parts[m][1] * every for weight, m in per_actuator])
@@ -133,42 +184,19 @@ class Formulation:
         highest_W = np.array(layout.weights) * fixed_W[fed_by, -1] + per_u_W[:, -1] * highest
         if bent:
             highest_W = highest_W + per_u2_W[:, -1] * highest**2
-        seen = (self._seen(m, history.u[fed], history, m) for m, fed in enumerate(layout.actuators_of_machines))
+        return _Power(fixed_W, per_u_W, per_u2_W, bent, highest_W)
+
+    def _beside(self, boundary: Boundary, history: Record) -> tuple[Array, Array]:
+        """What other loads on the meters of machines take, and what a cap leaves for machines, W (N,)."""
+        aims, T_out = self._config.objective, boundary.T_out_C[:-1]
+        seen = (self._seen(m, history.u[fed], history, m) for m, fed in enumerate(self._layout.actuators_of_machines))
         foreign = [power.foreign for power in seen if power.foreign is not None]
         foreign_W = sum((other(boundary.time_s[:-1], T_out) for other in foreign), np.zeros(boundary.n_steps))
         cap_kW = math.inf if aims.power_cap_kW is None else aims.power_cap_kW
         left_W = np.maximum(1000.0 * cap_kW - foreign_W, 0.0)
         if aims.at_the_meter and boundary.limit_W.size:
             left_W = np.minimum(left_W, boundary.limit_W[:-1])
-        exchange, sold = self._exchange(boundary, price)
-        dearest = price.max(axis=1)[fed_by]
-        comfort, heat, news = self._comfort_weights(operator, context.features[:, -1], dearest * highest_W)
-        T_C = history.T_zone_C[:, -1]
-        bounds = self.margins.bounds(operator, context.free, boundary, margins.learned, T_C, heat / comfort)
-        bounds = self._left_to_others(bounds, boundary, T_C, overridden)
-        problem = MPCProblem(
-            forced_state_K=context.forced_K,
-            features=context.features,
-            T_free_C=context.free.median_C + margins.moved_K[:, None] + self._dips_K(boundary, hours),
-            lower_C=bounds.lower_C,
-            upper_C=bounds.upper_C,
-            price_per_kWh=sold,
-            power_fixed_W=fixed_W,
-            power_per_u_W=per_u_W,
-            step_s=self._step_s,
-            machinery=self.machinery,
-            weights=Weights(comfort, aims.curvature, self._peak_per_W(history, boundary)),
-            peak_so_far_W=max(max(peak_W, 1000.0 * aims.peak_least_kW) - float(foreign_W.mean()), 0.0),
-            cooling=self._cooling(boundary, np.maximum(boundary.price_per_kWh[:, :-1] + carbon, 0.0)),
-            power_cap=self._cap(fixed_W, per_u_W, per_u2_W, left_W),
-            exchange=exchange,
-            power_per_u2_W=per_u2_W if bent else None,
-            capacity=self.margins.capacity(operator, T_out, margins.unused),
-            last_u=self._last_u(history),
-            available=self._available(boundary, hours, context.free.median_C),
-            most_u=self.margins.most_u(operator, margins.unused, boundary.n_steps),
-        )
-        return Instance(problem, bounds, float(left_W[0]), news)
+        return foreign_W, left_W
 
     def _left_to_others(
         self, bounds: Bounds, boundary: Boundary, T_zone_C: Array, overridden: Collection[int]
@@ -230,8 +258,8 @@ class Formulation:
         sold = np.where(others_W < 0.0, np.minimum(price, earns), price)
         return Exchange(others_W, (price - sold).max(axis=0)), sold
 
-    def _cap(self, fixed_W: Array, per_u_W: Array, per_u2_W: Array, limit_W: Array) -> PowerCap | None:
-        """The power cap over the steps, as far as blocks use it; power of machines (M, N) and actuators (A, N), W.
+    def _cap(self, power: _Power, limit_W: Array) -> PowerCap | None:
+        """The power cap over the steps, as far as blocks use it.
 
         Of `limit_W` (N,) one actuator takes what whole blocks take. Several take turns: half the smallest block is left
         on average.
@@ -243,7 +271,8 @@ class Formulation:
         level = np.array([actuation.block_level for actuation in each])[:, None]
         machine_of = self.machinery.machine_of
         alone = ~self.machinery.shared[machine_of, None]
-        block_W = alone * fixed_W[machine_of] + per_u_W * level + per_u2_W * (0.0 if self._straight else level**2)
+        bends_W = power.per_u2_W * (0.0 if self._straight else level**2)
+        block_W = alone * power.fixed_W[machine_of] + power.per_u_W * level + bends_W
         if len(each) == 1 and each[0].switches:
             on_s = [each[0].longest_on_s(share * step_s, step_s) for share in limit_W / block_W[0]]
             limit_W = np.where(limit_W < block_W[0], np.array(on_s) / step_s * block_W[0], limit_W)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -117,6 +117,16 @@ def at_step(model: ThermalModel, config: MPCConfig) -> tuple[ThermalModel, int]:
                 f"controller.options.step_s {step_s:g} over horizon_h {config.horizon_h:g}: {'; '.join(proof.reasons)}"
             )
     return replace(model, operator=operator), n_steps
+
+
+def check_exclusive(layout: Layout, commands: Collection[str]) -> None:
+    """Raise `ControllerConfigError` where an actuator that excludes others is one of those set by `commands`."""
+    for a in {a for group in layout.exclusive for a in group}:
+        if layout.names.actuators[a] in commands:
+            raise ControllerConfigError(
+                f"{layout.names.actuators[a]} excludes others, and is set by a command, which does not tell "
+                "whether it runs: leave command out of the map, and set its level"
+            )
 
 
 def check_power(model: ThermalModel) -> None:
