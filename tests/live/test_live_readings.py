@@ -10,6 +10,7 @@ from simulated_building import RULES, START, SimulatedBuilding, mpc
 from thermoforce_mpc.cli.live.control import in_words
 from thermoforce_mpc.errors import DataError, NoForecast
 from thermoforce_mpc.live import LiveBuilding, control
+from thermoforce_mpc.measurements.load import read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 
 HOUR = pd.Timedelta("1h")
@@ -237,3 +238,65 @@ def test_prices_that_were_never_read_are_an_error(tmp_path):
     live = LiveBuilding(house, MeasurementMap.model_validate(rules), 3600.0, tmp_path / "prices.csv")
     with pytest.raises(NoForecast, match=r"prices\.csv"):
         control(live, mpc(), clock=house, steps=2)
+
+
+def in_order(table):
+    return table.sort_values("time", kind="stable", ignore_index=True)
+
+
+def a_dozen_of_tomorrow(table):
+    """A logger's clock was a day ahead for twelve minutes."""
+    of_then = table["time"].between(START + HOUR, START + HOUR + pd.Timedelta("11min"))
+    return table.assign(time=table["time"].where(~of_then, table["time"] + pd.Timedelta("1D")))
+
+
+@pytest.mark.parametrize("order", [in_order, lambda table: table], ids=["in order of time", "as they came"])
+def test_rows_of_a_clock_that_was_a_day_ahead_for_minutes_are_put_aside(order):
+    house = changed(SimulatedBuilding(), lambda table: order(a_dozen_of_tomorrow(table)))
+    building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 900.0)
+    told = {}
+    for hours in (2, 12, 24, 24.75, 25, 25.25):  # the last of them: the clock comes to those rows, and beyond
+        house.wait_until(START + hours * HOUR)
+        record = building.record(house.at)
+        assert np.isfinite(record.T_zone_C[0, -1])
+        told[hours] = [note for note in building.left_out if "clock" in note or "far from" in note]
+    assert all(told[hours] for hours in (2, 12, 24))
+    if order is in_order:
+        note = told[12][0]
+        assert note.startswith("column 'T': 12 readings stamped 2025-01-13 01:00:00+00:00 to 2025-01-13 01:11:00+00:00")
+    assert not told[25.25]
+
+
+@pytest.mark.parametrize("by", ["1h", "1D"])
+def test_one_logger_of_three_whose_clock_is_ahead_costs_its_room(tmp_path, by):
+    """Each room has a file of its own; where two of three are ahead, the clock is in doubt."""
+    at = pd.date_range(START - pd.Timedelta("3D"), START, freq="5min")
+    now = START + pd.Timedelta("30s")
+    rules = {
+        **{key: RULES[key] for key in ("time", "machines")},
+        "step": "15min",
+        "outdoor": "out",
+        "zones": {name: {"temperature": name, "lower": 20.0, "upper": 24.0} for name in ("a", "b", "c")},
+        "actuators": {"heater": {"level": "u", "zone": "a"}},
+    }
+    pd.DataFrame({"time": at, "out": np.arange(at.size) % 7.0, "u": 0.5, "P": 900.0}).to_csv(
+        tmp_path / "house.csv", index=False
+    )
+
+    def read(wrong):
+        for name in ("a", "b", "c"):
+            shift = pd.Timedelta(by) * int(name in wrong)
+            table = pd.DataFrame({"time": at + shift, name: 21.0 + np.sin(np.arange(at.size) / 9.0)})
+            table.to_csv(tmp_path / f"room_{name}.csv", index=False)
+        return read_measurements(str(tmp_path / "*.csv"), rules, at=START, now=now)
+
+    def now_C(measured):
+        return measured.record.T_zone_C[:, measured.record.stamps().get_loc(START)]
+
+    good, one, two = read(""), read("c"), read("bc")
+    assert good.left_out == ()
+    (note,) = one.left_out
+    assert note.startswith("column 'c': ")
+    np.testing.assert_array_equal(now_C(one), [*now_C(good)[:2], np.nan])
+    assert one.newest_s() == good.newest_s()
+    assert two.newest_s() > good.newest_s()

@@ -113,6 +113,7 @@ class LiveBuilding:
         self._told: dict[str, LastTold] = {}
         self._rounds = set[str]()  # said already
         self._forecast_before = False
+        self._ahead_before = set[float]()  # instants of readings that a wrong clock stamped
         self._reverted: dict[str, int] = {}
         self._looked: tuple[pd.Timestamp, pd.Timestamp] | None = None
         self._late = 0
@@ -199,7 +200,7 @@ class LiveBuilding:
         """
         self.now = now = instant if now is None else now
         measured = read_measurements(
-            self._call("measurements"), self._rules, step_s=self._step_s, at=instant, now=now
+            self._call("measurements"), self._rules, step_s=self._step_s, at=instant, now=now, ahead=self._ahead_before
         ).served()
         record = measured.record
         of_clocks = (*self._ahead(measured, now), *self._behind(measured, now))

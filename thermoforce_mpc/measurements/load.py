@@ -34,6 +34,7 @@ from thermoforce_mpc.measurements.map.mapping import (
     signal_of,
 )
 from thermoforce_mpc.measurements.signals import SignalReader, SignalSummary, Understood, missing, of_changes, of_clock
+from thermoforce_mpc.measurements.tables.ahead import without_ahead
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_tables
@@ -244,6 +245,7 @@ def read_measurements(
     at: pd.Timestamp | Literal["begin", "end"] = "begin",
     now: pd.Timestamp | None = None,
     most_bytes: int = MOST_BYTES,
+    ahead: set[float] | None = None,
 ) -> Measurements:
     """Measurements of a building from CSV or Parquet files, or a data frame, as the map says.
 
@@ -257,6 +259,8 @@ def read_measurements(
             are left out, rows that come late or twice are put in order, a signal out of range is not measured, and the
             hour that comes twice is told apart; `Measurements.left_out` says it.
         most_bytes: size from which files are refused.
+        ahead: instants whose readings were put aside before, as stamped after `now`, s since 1970; those of this look
+            are added.
 
     Raises:
         ConfigError: the map is wrong, or without a zone for `at`; names the key.
@@ -271,7 +275,7 @@ def read_measurements(
         if now is None or rules.table != TableForm():
             tables = tables_of(files, clock.column, columns, rules.table, "table", units=rules.units())
         else:
-            tables = [frame_appended(files, columns, clock, now + _LATEST, left_out, rules.units())]
+            tables = [frame_appended(files, columns, clock, now + _LATEST, left_out, rules.units(), now)]
         head = files.iloc[:_ROWS]
     else:
         paths = found_files(_patterns(files), most_bytes)
@@ -284,6 +288,9 @@ def read_measurements(
             tables = read_appended(paths, columns, rules.written, now + _LATEST, left_out, units=rules.units(), now=now)
     rows = timed(tables, clock, now)
     rows = replace(rows, notes=(*notes, *rows.notes))
+    if now is not None:
+        rooms = [name for zone in rules.zones.values() for name in zone.temperature.columns]
+        rows = without_ahead(rows, rooms, now, left_out, set() if ahead is None else ahead)
     found = _from_table(tables, rows, rules, step_s, at, refuse=now is None)
     if now is not None:
         left_out += [*rows.notes, *_refused(found, now)]

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.data.clock import CLOCKS_S
 from thermoforce_mpc.errors import DataError, counted
+from thermoforce_mpc.measurements.tables.ahead import before_set_back
 from thermoforce_mpc.measurements.tables.clock import newest_first, parsed_or_nat
 from thermoforce_mpc.measurements.tables.files import (
     cells_of,
@@ -224,12 +225,7 @@ def _joined(
     keep = _with_times(at, offset, latest, lines, left, in_order=not text.table.points)
     if now is not None:
         signal = np.concatenate(codes) if codes else np.zeros(len(at), dtype=np.int32)
-        wall = now.tz_convert(text.clock.zone).tz_localize(None).tz_localize("UTC") if text.clock.zone else now
-        latest_s = np.where(offset, now.timestamp(), wall.timestamp() + _HOUR_TWICE_S) + CLOCKS_S
-        wrong = np.flatnonzero(keep)[_before_set_back(at[keep], signal[keep], latest_s[keep])]
-        for row in wrong:
-            left.add("stamped after the clock, which was set back since", int(lines[row]), _second(at.iloc[row]))
-        keep[wrong] = False
+        _leave_set_back(keep, (at, offset), signal, text.clock.zone, now, lines, left)
     if not keep.any():
         return None
     if text.clock.unit is not None or text.clock.zone is None:
@@ -369,8 +365,12 @@ def frame_appended(
     latest: pd.Timestamp,
     notes: list[str],
     units: Mapping[str, str] | None = None,
+    now: pd.Timestamp | None = None,
 ) -> RawTable:
-    """As `raw_table` of a data frame, without the rows and cells that cannot be read; `notes` collects them."""
+    """As `raw_table` of a data frame, without the rows and cells that cannot be read; `notes` collects them.
+
+    `latest`, `now`: as of `read_appended`.
+    """
     df = in_units(df, units)
     of_stamps = isinstance(df.index, pd.DatetimeIndex) or not pd.api.types.is_numeric_dtype(df.index)
     if of_stamps and clock.column in (None, df.index.name):
@@ -389,6 +389,8 @@ def frame_appended(
         at = at.astype(str) + " " + frame[more].astype(str)
     times, offset, keep = _stamped(at, clock, rows, left)
     keep[keep] = _with_times(times[keep], offset[keep], latest, rows[keep], left, in_order=True)
+    if now is not None:
+        _leave_set_back(keep, (times, offset), np.zeros(len(times), dtype=np.int32), clock.zone, now, rows, left)
     frame = frame[keep].reset_index(drop=True)
     notes += left.notes()
     if frame.empty:
@@ -556,21 +558,24 @@ def _with_times(
     return keep
 
 
-def _before_set_back(at: pd.Series, signal: NDArray[np.int32], latest_s: Array) -> NDArray[np.bool_]:
-    """Which rows (n,), in the order in which they were written, are stamped after `latest_s` (n,) and stand before one
-    that is not, of a `signal` (n,) with both. In a table whose zone is wrong none is: its last rows are stamped after
-    it too.
-    """
-    at_s = np.asarray((at - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=np.float64)
-    ahead = at_s > latest_s
-    if not ahead.any() or newest_first(at_s):
-        return np.zeros(at_s.size, dtype=bool)
-    until = 0
-    for one in np.unique(signal[ahead]):
-        rows = np.flatnonzero(signal == one)
-        later = rows[np.argmax(ahead[rows]) :]
-        until = max(until, int(later[~ahead[later]].max(initial=0)))
-    return np.asarray(ahead & (np.arange(at_s.size) < until))
+def _leave_set_back(
+    keep: NDArray[np.bool_],
+    stamped: tuple[pd.Series, NDArray[np.bool_]],
+    signal: NDArray[np.int32],
+    zone: str | None,
+    now: pd.Timestamp,
+    lines: NDArray[np.intp],
+    left: _Left,
+) -> None:
+    """Keep no row (n,) of those that a clock stamped before it was set back; `stamped`: times and which have an offset,
+    see `_Part`."""
+    at, offset = stamped
+    wall = now.tz_convert(zone).tz_localize(None).tz_localize("UTC") if zone else now
+    latest_s = np.where(offset, now.timestamp(), wall.timestamp() + _HOUR_TWICE_S) + CLOCKS_S
+    wrong = np.flatnonzero(keep)[before_set_back(at[keep], signal[keep], latest_s[keep])]
+    for row in wrong:
+        left.add("stamped after the clock, which was set back since", int(lines[row]), _second(at.iloc[row]))
+    keep[wrong] = False
 
 
 def _second(at: pd.Timestamp) -> str:
