@@ -8,6 +8,7 @@ import pytest
 from simulated_building import RULES, START, SimulatedBuilding, mpc
 
 from thermoforce_mpc.cli.live.control import in_words
+from thermoforce_mpc.data.notes import Told
 from thermoforce_mpc.errors import DataError, NoForecast
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.measurements.load import read_measurements
@@ -300,3 +301,24 @@ def test_one_logger_of_three_whose_clock_is_ahead_costs_its_room(tmp_path, by):
     np.testing.assert_array_equal(now_C(one), [*now_C(good)[:2], np.nan])
     assert one.newest_s() == good.newest_s()
     assert two.newest_s() > good.newest_s()
+
+
+def test_a_matter_is_told_once_and_again_where_there_is_twice_as_much_of_it():
+    """A sensor writes ERR in the first minute of each hour from the second on, and another is late in each batch."""
+
+    def torn(table):
+        table = table.astype({"T": object})
+        since = table["time"] >= START + HOUR
+        table.loc[since & (table["time"].dt.minute == 1), "T"] = "ERR"
+        late = table[since & (table["time"].dt.minute % 10 == 5)]
+        return pd.concat([table.drop(late.index), late.assign(time=late["time"])]).reset_index(drop=True)
+
+    house = changed(SimulatedBuilding(), torn)
+    building, told, said = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0), Told(86400.0), []
+    for hours in range(1, 10):
+        house.wait_until(START + hours * HOUR + pd.Timedelta("2min"))
+        building.record(house.at)
+        said += [(hours, "ERR" in note) for note in building.left_out if told.is_news(note, 3600.0 * hours)]
+    # One row from the first hour on, two in the next, then four and eight.
+    assert [hours for hours, of_sensor in said if of_sensor] == [1, 2, 4, 8]
+    assert 1 <= sum(not of_sensor for _, of_sensor in said) <= 6

@@ -29,6 +29,7 @@ from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.commands.tank import TANK_NAME, LearnedTank, TankRecord
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Names, Record, steps_in
 from thermoforce_mpc.data.clock import CLOCKS_S, ZONES_S, in_celsius
+from thermoforce_mpc.data.notes import Note
 from thermoforce_mpc.errors import DataError, InputError, NoConnection, NoForecast, NotAsTold, PlantError, StorageError
 from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.experiment.run_models import origin
@@ -255,7 +256,7 @@ class LiveBuilding:
         after = f"{_duration(ahead_s)} after the clock ({now:%H:%M %Z})"
         what = f"the newest temperature of a room is stamped {newest}, {after}"
         if ahead_s <= CLOCKS_S:
-            return (f"{what}: set one of the clocks",)
+            return (Note(f"{what}: set one of the clocks", "set one of the clocks"),)
         of_zone = self._another_zone
         cause = f"probably {of_zone}" if ahead_s >= ZONES_S else f"one of the clocks is wrong, or {of_zone}"
         raise DataError(f"{what}: {cause}. Nothing is set on readings of another time")
@@ -600,8 +601,9 @@ def _doubt_of_outdoors(record: Record, ahead: Boundary) -> tuple[str, ...]:
     found = f"outdoors it is {now_C:.1f} °C as measured and {given:.1f} °C by the forecast"
     for what, one, other in (("measured", now_C, given), ("in the forecast", given, now_C)):
         if abs(in_celsius(one) - other) < _NEAR_K:
-            return (f"{found}: °F {what}? set unit",)
-    return (f"{found}: is the sensor in the sun, at a warm wall, or another one, or the forecast of another place?",)
+            return (Note(f"{found}: °F {what}? set unit", f"outdoors: °F {what}"),)
+    doubt = f"{found}: is the sensor in the sun, at a warm wall, or another one, or the forecast of another place?"
+    return (Note(doubt, "outdoors: another place"),)
 
 
 def _duration(seconds: float) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Layout, Record
+from thermoforce_mpc.data.notes import Note
 from thermoforce_mpc.data.prices import price_doubt
 from thermoforce_mpc.errors import NoForecast
 from thermoforce_mpc.model.forecast_gaps import completed, lengthened
@@ -87,7 +88,8 @@ class Forecasts:
             self._missing_since_s = now_s
             if not error.past:
                 _LOG.warning("%s: the last forecast stands in, for up to %g h", error, self._outage_h)
-        return f"the plant gives no forecast, the last one is {age_h:.3g} h old"
+        what = "the plant gives no forecast, the last one is"
+        return Note(f"{what} {age_h:.3g} h old", what, age_h)
 
 
 def empty_forecast(history: Record, n_steps: int, step_s: float) -> Boundary:
@@ -105,7 +107,7 @@ _NEEDED = tuple(name for name in CONDITIONS if name not in ("occupancy", "emissi
 
 def holes(boundary: Boundary) -> tuple[str, ...]:
     """One note per signal of a forecast that has no value at some instants."""
-    notes = []
+    notes = list[str]()
     for name in _NEEDED:
         if np.isfinite(getattr(boundary, name)).all():
             continue
@@ -114,10 +116,9 @@ def holes(boundary: Boundary) -> tuple[str, ...]:
             if missing.size:
                 label = name if np.ndim(getattr(boundary, name)) == 1 else boundary.names.label(name, row)
                 ahead_h = (boundary.time_s[missing[0]] - boundary.time_s[0]) / HOUR_S
-                notes.append(
-                    f"the forecast of {label} has no value at {missing.size} of {values.size} instants, first "
-                    f"{ahead_h:g} h ahead"
-                )
+                what = f"the forecast of {label} has no value at"
+                text = f"{what} {missing.size} of {values.size} instants, first {ahead_h:g} h ahead"
+                notes.append(Note(text, what, missing.size))
     return tuple(notes)
 
 

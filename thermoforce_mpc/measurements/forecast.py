@@ -20,6 +20,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array, Boundary, Record,
 from thermoforce_mpc.data.clock import in_celsius, in_fahrenheit
 from thermoforce_mpc.data.dataframes import clock_s, days_before_s, new_year, seconds_since, stamps
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H
+from thermoforce_mpc.data.notes import Note, matter_of
 from thermoforce_mpc.data.prices import currency_of, price_doubt, price_unit_of
 from thermoforce_mpc.data.series import at_instants
 from thermoforce_mpc.errors import ConfigError, DataError, InputError, check_kind
@@ -130,7 +131,8 @@ def prices_over_steps(
         price = held_means(readings, durations_s(readings, "start"), grid_s, step_s, _SHARE)
     else:
         price = held(readings, grid_s)
-    return price, f"{path}: column {named[0]}, {unit}{taken}"
+    read = f"{path}: column {named[0]}, {unit}"
+    return price, Note(f"{read}{taken}", "; ".join([read, *map(matter_of, rows.notes)]))
 
 
 # Fees of a bill change at quarters of an hour.
@@ -168,7 +170,7 @@ def billed_over_steps(
         raise DataError(f"{path}: with fees and tax {doubt}" + ("" if bill.currency else " Then name its currency"))
     if str(origin.tz) == "UTC" and (bill.grid.windows or bill.dimming):
         words.append("its hours are of UTC (time.zone of the map), not of the building's clock")
-    return billed_at, earns, "; ".join(words)
+    return billed_at, earns, Note("; ".join(words), "; ".join(map(matter_of, words)))
 
 
 def billed(bill: Bill, energy: Array, time_s: Array, origin: pd.Timestamp, step_s: float) -> Array:
@@ -539,7 +541,8 @@ def _others_W(
     for where, how in ((guessed, "as on days before"), (np.isnan(ahead_W), "taken as 0 W")):
         if where.any():
             since = stamps(grid_s[back:][where][:1], record.origin)[0]
-            notes.append(f"{name}: load and generation are not known from {since} on: {how}")
+            text = f"{name}: load and generation are not known from {since} on: {how}"
+            notes.append(Note(text, f"{name}: load and generation: {how}"))
     return ahead_W
 
 

@@ -18,6 +18,7 @@ from thermoforce_mpc.commands.tank import CHARGED, LearnedTank, TankRecord, lear
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.dataframes import clock_s, new_year, seconds_at, seconds_since, stamps
 from thermoforce_mpc.data.limits import SignalRule
+from thermoforce_mpc.data.notes import Note
 from thermoforce_mpc.data.series import step_means
 from thermoforce_mpc.errors import ConfigError, DataError, check_kind, check_path, counted
 from thermoforce_mpc.measurements import readings
@@ -306,8 +307,12 @@ def _refused(found: Measurements, now: pd.Timestamp) -> list[str]:
     """Which readings of the last day rules refused, in words."""
     since_s = seconds_at(found.record.origin, now, "now") - DAY_S
     return [
-        f"{signal.key} (column {signal.source}): {counted(flag.count, 'reading')} refused ({flag.rule}), first "
-        f"{flag.first}: taken as not measured"
+        Note(
+            f"{signal.key} (column {signal.source}): {counted(flag.count, 'reading')} refused ({flag.rule}), first "
+            f"{flag.first}: taken as not measured",
+            f"{signal.key}: refused ({flag.rule})",
+            flag.count,
+        )
         for signal in found.understood.signals
         for flag in signal.flags
         if flag.last_s >= since_s

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array, Measurement, Record, limits
 from thermoforce_mpc.data.names import AXIS
+from thermoforce_mpc.data.notes import Note
 
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -151,10 +152,11 @@ def screened_history(history: Record, allowed: ReadingLimits) -> tuple[Record, t
             ):
                 if of_rule.any():
                     first = int(np.argmax(of_rule))
-                    notes.append(
+                    text = (
                         f"{label} at {of_rule.sum()} of {values.size} places of the record {what} "
                         f"(first {values[first]:.6g}{_unit(name)} at {history.time_s[first]:.10g} s): {_NOT_MEASURED}"
                     )
+                    notes.append(Note(text, f"{label} {what}", int(of_rule.sum())))
             wrong[row] = outside | jumps | frozen
         if wrong.any():
             refused[name] = np.where(wrong, np.nan, rows).reshape(np.shape(getattr(history, name)))

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.records.live_journal import LiveJournal
 
 _LOG = logging.getLogger(__name__)
-# A note that stays the same is said again after so long.
+# A note on the same matter is said again after so long, or where there is twice as much of it.
 _SAID_AGAIN = timedelta(days=1)
 
 
@@ -347,14 +347,15 @@ def _advice(decision: Decision) -> dict[str, Any]:
 
 
 def _told(say: Callable[[str], None], commands: Mapping[str, LearnedCommand]) -> Callable[[Decision], None]:
-    """Says each decision, and what is noted of its readings when that was not said for a day."""
-    said: dict[str, Any] = {}
+    """Says each decision, and what is noted of its readings when that matter was not said for a day, or doubled."""
+    from thermoforce_mpc.data.notes import Told
+
+    said = Told(_SAID_AGAIN.total_seconds())
 
     def told(decision: Decision) -> None:
         say(in_words(decision, commands))
         for note in decision.notes:
-            if note not in said or decision.instant - said[note] >= _SAID_AGAIN:
-                said[note] = decision.instant
+            if said.is_news(note, decision.instant.timestamp()):
                 say(f"  note: {note}")
 
     return told

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.data.clock import CLOCKS_S
+from thermoforce_mpc.data.notes import Note
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.measurements.tables.clock import Timed, newest_first
 
@@ -93,10 +94,11 @@ def without_ahead(rows: Timed, names: Sequence[str], now: pd.Timestamp, notes: l
         newest_s = float(one.time_s[-1])
         left = one.time_s > (-newest_s if one.goes_on else CLOCKS_S)
         first, last = at[name][left][[0, -1]]
-        notes.append(
+        text = (
             f"column '{name}': {counted(int(left.sum()), 'reading')} stamped {first} to {last}, by a clock that was "
-            f"wrong (it is {now.tz_convert(rows.index.tz)}): left out"
+            f"wrong (it is {now.tz_convert(rows.index.tz):%Y-%m-%d %H:%M}): left out"
         )
+        notes.append(Note(text, f"column '{name}': a wrong clock", int(left.sum())))
         known |= {float(round(now_s + s)) for s in one.time_s[one.ahead].tolist()}
         values = columns[name].copy()
         values[np.flatnonzero(np.isfinite(values))[left]] = np.nan

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.data.clock import CLOCKS_S
+from thermoforce_mpc.data.notes import Note
 from thermoforce_mpc.errors import DataError, counted
 from thermoforce_mpc.measurements.tables.ahead import before_set_back
 from thermoforce_mpc.measurements.tables.clock import newest_first, parsed_or_nat
@@ -84,11 +85,12 @@ class _Left:
 
     def notes(self) -> list[str]:
         """A note per reason, which names its last line."""
-        out = []
+        out = list[str]()
         for reason, found in self.lines.items():
             line, what = found[-1]
             more = f" ({counted(len(found), f'such {self.unit}')})" if len(found) > 1 else ""
-            out.append(f"{self.name}, {self.unit} {line}: {reason}{f', {what!r}' if what else ''}{more}: left out")
+            text = f"{self.name}, {self.unit} {line}: {reason}{f', {what!r}' if what else ''}{more}: left out"
+            out.append(Note(text, f"{self.name}: {reason}", len(found)))
         return out
 
 

@@ -14,6 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.notes import Note
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.tables.forms import TimeStampRules
 from thermoforce_mpc.measurements.tables.raw_table import ISO, OFFSET, RawTable, full_offsets, with_offset
@@ -283,7 +284,7 @@ def _localised(
                 f"{what}; a clock without summer time is time.zone: {all_year(zone, times.iloc[0])}, "
                 "time.nonexistent: gap leaves the rows out"
             )
-        notes.append(f"{what}: left out")
+        notes.append(Note(f"{what}: left out", f"{table.name}: where summer time begins", lost.size))
         times = times[existing.notna()]
     rule = {"infer": "infer", "gap": "NaT"}.get(clock.ambiguous)
     try:
@@ -301,7 +302,8 @@ def _localised(
         ) from error
     unclear = int(local.isna().sum())
     if unclear:
-        notes.append(f"{table.name}: {unclear} rows in the hour that the end of summer time repeats were left out")
+        text = f"{table.name}: {unclear} rows in the hour that the end of summer time repeats were left out"
+        notes.append(Note(text, f"{table.name}: where summer time ends", unclear))
     return local[local.notna()]
 
 
@@ -316,6 +318,7 @@ def _by_the_clock(table: RawTable, times: pd.Series, zone: str, notes: list[str]
     first, second = (times.dt.tz_localize(zone, ambiguous=np.full(len(times), summer)) for summer in (True, False))
     rows = np.flatnonzero((first != second).to_numpy())
     back = np.flatnonzero(np.diff(times.to_numpy()[rows].astype(np.int64)) < 0)
+    matter = f"{table.name}: where summer time ends"
     what = f"{table.name}: {rows.size} rows in the hour that the end of summer time repeats"
     later = np.zeros(len(times), dtype=bool)
     if back.size:
@@ -323,16 +326,17 @@ def _by_the_clock(table: RawTable, times: pd.Series, zone: str, notes: list[str]
     elif rows[0] == 0 and rows[-1] < len(times) - 1:
         goes_on = second.iloc[rows[-1] + 1] - second.iloc[rows[-1]]
         later[rows] = goes_on <= _GOES_ON * times.diff().median()
-        notes.append(f"{what}: told apart by what comes after")
+        notes.append(Note(f"{what}: told apart by what comes after", matter, rows.size))
         return times.dt.tz_localize(zone, ambiguous=~later)
     elif rows[-1] < len(times) - 1:
-        notes.append(f"{what}: left out, since their order does not tell which it is")
+        text = f"{what}: left out, since their order does not tell which it is"
+        notes.append(Note(text, f"{matter}, left out", rows.size))
         local = times.dt.tz_localize(zone, ambiguous="NaT")
         return local[local.notna()]
     elif rows[0] > 0 and first.iloc[rows[0]] - first.iloc[rows[0] - 1] > _AN_HOUR:
         later[rows] = True
     later &= (second <= now + _AHEAD).to_numpy()
-    notes.append(f"{what}: told apart by the clock")
+    notes.append(Note(f"{what}: told apart by the clock", matter, rows.size))
     return times.dt.tz_localize(zone, ambiguous=~later)
 
 
@@ -534,7 +538,8 @@ def _once(
             values[kept] = np.where(np.isfinite(values[kept]), values[kept], values[left])
     said = f"the {clock.duplicates} one kept" if n else "which say the same"
     files = " and ".join(dict.fromkeys([str(names[one[0]]), str(names[other[0]])]))
-    notes.append(f"{files} overlap from {index[one[0]]} to {index[one[-1]]}: {one.size} rows in both, {said}")
+    text = f"{files} overlap from {index[one[0]]} to {index[one[-1]]}: {one.size} rows in both, {said}"
+    notes.append(Note(text, f"{files} overlap, {said}", one.size))
     return np.delete(np.arange(len(index)), left)
 
 
@@ -593,7 +598,7 @@ def _in_order(
             raise DataError(f"{what}: sort the table, or set time.order: sort{hint}")
         keep = np.argsort(at, kind="stable")
         at = at[keep]
-        notes.append(f"{what}: sorted")
+        notes.append(Note(f"{what}: sorted", f"{where(row).rsplit(', ', 1)[0]}: sorted", back.size))
     same = np.flatnonzero(np.diff(at) == 0)
     if same.size:
         first, second = (int(keep[same[0] + i]) for i in (0, 1))
@@ -608,5 +613,6 @@ def _in_order(
             raise DataError(f"{what}: remove one of them, or set time.duplicates: first or last")
         drop = same + 1 if clock.duplicates == "first" else same
         keep = np.delete(keep, drop)
-        notes.append(f"{what}: the {clock.duplicates} one kept")
+        text = f"{what}: the {clock.duplicates} one kept"
+        notes.append(Note(text, f"{where(second).rsplit(', ', 1)[0]}: rows twice", same.size))
     return keep if back.size or same.size else None
