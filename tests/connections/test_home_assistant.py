@@ -219,7 +219,10 @@ def test_a_command_between_two_steps_of_a_device_is_said_once_with_what_to_set(c
 
 @pytest.mark.parametrize(
     ("unit", "said"),
-    [("°F", "is in °F, and is set in °C: name a climate"), ("%", "is in %, and 0.5 is a share: set sc")],
+    [
+        ("°F", "is in °F, with a least value of None: a temperature, or a change of one?"),
+        ("%", "is in %, and 0.5 is a share: set sc"),
+    ],
 )
 def test_a_number_of_another_unit_is_set_nothing_and_says_what_to_do(connect, unit, said):
     """20 of °F is no set-point, and 0.5 of % stands still; HA refuses neither where the number has no least value."""
@@ -227,6 +230,26 @@ def test_a_number_of_another_unit_is_set_nothing_and_says_what_to_do(connect, un
     asked = {"asked": "GET /api/states/number.pump", "status": 200, "text": json.dumps(state), "at": time.time()}
     with served([asked], "TOKEN") as url, pytest.raises(PlantError, match=said):
         connect(url, actuators={"pump": {"entity": "number.pump", "release": 60}}).write({"pump": 0.5}, 900.0)
+
+
+def test_a_number_in_fahrenheit_is_set_and_read_as_a_climate_is(connect):
+    """Its least value of 45 tells a temperature from a change of one; what is given back is written as it has it."""
+    path = "/api/services/number/set_value"
+
+    def pump(holds):
+        attributes = {"unit_of_measurement": "°F", "min": 45, "max": 95, "step": 1}
+        state = {"entity_id": "number.pump", "state": f"{holds}", "attributes": attributes}
+        return {"asked": "GET /api/states/number.pump", "status": 200, "text": json.dumps(state), "at": time.time()}
+
+    def told(value):
+        asked = f"POST {path} {json.dumps({'entity_id': 'number.pump', 'value': value})}"
+        return {"asked": asked, "status": 200, "text": "[]", "at": time.time()}
+
+    with served([pump(68.0), told(70.0), pump(70.0), pump(70.0), pump(70.0), told(60.0), pump(60.0)], "TOKEN") as url:
+        home = connect(url, actuators={"pump": {"entity": "number.pump", "release": 60}})
+        home.write({"pump": 21.0}, 900.0)
+        assert home.present(["pump"]) == pytest.approx({"pump": 21.11}, abs=0.01)
+        home.write({"pump": None}, 0.0)
 
 
 def test_a_thermostat_of_two_set_points_is_set_nothing_and_says_what_to_do(connect):

@@ -58,6 +58,9 @@ _TEMPERATURES = (
     "current_temperature", "temperature", "target_temp_low", "target_temp_high", "apparent_temperature", "dew_point",
 )  # fmt: skip
 _IN_PERCENT = ("current_humidity", "humidity", "current_position", "percentage")
+# A number in °F of this least value or more is a temperature: no device takes changes of 22 K at least, and set-points
+# of rooms begin at 45 °F.
+_LEAST_TEMPERATURE_F = 40.0
 _HOLDS_NUMBER = ("number", "input_number")
 _HOLDS_SWITCH = ("switch", "input_boolean")
 _HOLDS_OPTION = ("select", "input_select")
@@ -243,7 +246,8 @@ class HomeAssistantConnection:
         for name in names:
             one = self._actuators[name]
             state = self._state(one.entity)
-            said = state["attributes"].get("temperature") if one.domain in _HOLDS_TEMPERATURE else state["state"]
+            attributes = state["attributes"]
+            said = attributes.get("temperature") if one.domain in _HOLDS_TEMPERATURE else state["state"]
             if state["state"] in _GONE or said is None:
                 continue
             by_option = {text: level for level, text in one.options.items()}
@@ -254,7 +258,9 @@ class HomeAssistantConnection:
                 except (TypeError, ValueError):
                     continue
                 if one.domain in _HOLDS_NUMBER:
-                    value /= one.scale
+                    value = (
+                        in_celsius(value) if one.scale == 1.0 and _is_temperature_F(attributes) else value / one.scale
+                    )
                 elif one.domain in _HOLDS_TEMPERATURE and self._in_fahrenheit():
                     value = in_celsius(value)
             held[name] = value
@@ -308,15 +314,19 @@ class HomeAssistantConnection:
             if level is not None and self._in_fahrenheit():
                 number = in_fahrenheit(number)
         elif level is not None:
-            unit = attributes.get("unit_of_measurement")
-            if actuator.scale == 1.0 and (unit == "°F" or (unit == "%" and 0.0 < level <= 1.0)):
-                said = (
-                    f"is in %, and {level:g} is a share: set scale: 100"
-                    if unit == "%"
-                    else "is in °F, and is set in °C: name a climate entity, or a template number in °C (of a change "
-                    "set scale: 1.8)"
+            unit, plain = attributes.get("unit_of_measurement"), actuator.scale == 1.0
+            if plain and unit == "%" and 0.0 < level <= 1.0:
+                raise PlantError(
+                    f"{entity} is in %, and {level:g} is a share: set scale: 100, in connection.yaml: nothing was set"
                 )
-                raise PlantError(f"{entity} {said}, in connection.yaml: nothing was set")
+            if plain and unit == "°F":
+                if not _is_temperature_F(attributes):
+                    raise PlantError(
+                        f"{entity} is in °F, with a least value of {least}: a temperature, or a change of one? Give "
+                        f"that of a temperature a least value of {_LEAST_TEMPERATURE_F:g} or more in Home Assistant, "
+                        "and that of a change scale: 1.8 in connection.yaml: nothing was set"
+                    )
+                number = in_fahrenheit(number)
             number *= actuator.scale
         if not math.isfinite(number):
             raise PlantError(f"{entity}: {number} is no value")
@@ -553,6 +563,12 @@ def _of_hours(grid_s: Array, middle_s: Array, values: Array) -> Array:
     out = np.interp(grid_s, middle_s, values, left=np.nan, right=np.nan)
     place = np.clip(np.searchsorted(middle_s, grid_s), 1, middle_s.size - 1)
     return np.where(middle_s[place] - middle_s[place - 1] <= 3601.0, out, np.nan)
+
+
+def _is_temperature_F(attributes: Mapping[str, Any]) -> bool:
+    """Whether a number is a temperature in °F, and not a change of one, by its unit and least value."""
+    least = attributes.get("min")
+    return attributes.get("unit_of_measurement") == "°F" and least is not None and float(least) >= _LEAST_TEMPERATURE_F
 
 
 def _is_range(attributes: Mapping[str, Any]) -> bool:
