@@ -322,3 +322,17 @@ def test_a_matter_is_told_once_and_again_where_there_is_twice_as_much_of_it():
     # One row from the first hour on, two in the next, then four and eight.
     assert [hours for hours, of_sensor in said if of_sensor] == [1, 2, 4, 8]
     assert 1 <= sum(not of_sensor for _, of_sensor in said) <= 6
+
+
+def test_a_column_in_the_middle_of_a_log_is_named_where_it_ends_with_it(tmp_path):
+    """A logger that got a sensor goes on with more cells than its header has: it runs, and nothing of it is read."""
+    at = pd.date_range(START - pd.Timedelta("4D"), START, freq="5min")
+    new = at > START - pd.Timedelta("2D")
+    rows = [f"{one:%Y-%m-%dT%H:%M}Z,21.{k % 7},{'55,' * int(new[k])}3.{k % 5},0,1,900" for k, one in enumerate(at)]
+    (tmp_path / "house.csv").write_text("\n".join(["time,T,out,sun,u,P", *rows]) + "\n")
+    house = SimulatedBuilding()
+    house.measurements = lambda: str(tmp_path / "house.csv")
+    zones = {"zones": {"zone": {"temperature": "T", "lower": 20.0, "upper": 24.0}}}
+    building = LiveBuilding(house, MeasurementMap.model_validate(RULES | zones), 3600.0)
+    with pytest.raises(DataError, match=r"(?s)does the logger run\?\n.*7 cells, the header has 6, .*576 such lines"):
+        building.record(START)

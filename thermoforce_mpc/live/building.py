@@ -56,6 +56,8 @@ ANSWER_S, _LEFT_BEHIND = 60.0, 3
 _LATELY_S, _FAR_K, _NEAR_K = 10800.0, 10.0, 4.0
 # Readings stamped so little after the clock are of the same one, s; by more than `CLOCKS_S` they are refused.
 _SAME_CLOCK_S = 60.0
+# Notes on what was left out that an error names, as a mistake is most often the first of them.
+_MOST_SAID = 3
 # Steps on end whose new readings are older than the step, from which on that is said.
 _LATE = 3
 # A device that takes whole degrees makes of a temperature one so far from it, K, and one that takes halves, which may
@@ -211,7 +213,7 @@ class LiveBuilding:
         self._origin = record.origin if self._origin is None else self._origin
         shift_s = (record.origin - self._origin).total_seconds()
         record = replace(record, time_s=record.time_s + shift_s, origin=self._origin)
-        record = _until(record, self.time_s(instant))
+        record = _until(record, self.time_s(instant), measured.left_out)
         record = replace(record, u=_with_applied(record, applied)).last(round(_BACK_DAYS * DAY_S / self._step_s))
         at = np.searchsorted(measured.record.time_s + shift_s, record.time_s + 1.0) - 1  # the last known holds
         contacts = {name: contact[np.maximum(at, 0)] for name, contact in measured.windows.items()}
@@ -610,8 +612,8 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 3600.0:.3g} h" if seconds >= 3600.0 else f"{seconds / 60.0:.3g} min"
 
 
-def _until(record: Record, now_s: float) -> Record:
-    """`record` cut at `now_s`, or lengthened to it by steps that were not measured."""
+def _until(record: Record, now_s: float, left_out: Sequence[str]) -> Record:
+    """`record` cut at `now_s`, or lengthened to it by steps that were not measured; `left_out` may say why it ends."""
     step_s = record.step_s
     missing = round((now_s - float(record.time_s[-1])) / step_s)
     if missing <= 0:
@@ -621,6 +623,7 @@ def _until(record: Record, now_s: float) -> Record:
     if missing * step_s > _OLDEST_DAYS * DAY_S:
         raise DataError(
             f"the measurements end at {record.stamps()[-1]}, {duration(missing * step_s)} ago: does the logger run?"
+            + "".join(f"\n  {note}" for note in left_out[:_MOST_SAID])
         )
 
     def longer(values: Array) -> Array:
