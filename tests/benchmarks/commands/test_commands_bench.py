@@ -19,6 +19,7 @@ from benchmarks.commands.bench import (
     targets,
     with_direct,
 )
+from benchmarks.commands.known import best_day, rules
 from thermoforce_mpc.data import DAY_S, HOUR_S, HeldCommand, Plan, PlanStatus
 from thermoforce_mpc.execution import LocalEngine
 
@@ -142,3 +143,17 @@ def test_a_run_that_was_cut_off_goes_on(monkeypatch, tmp_path):
     more = run_commands_bench(engine=LocalEngine(1), houses=2, seed=4, days=2, keep=tmp_path)
     assert more["rows"][:3] == first["rows"]
     assert len({row["note"] for row in more["rows"]}) == 6
+
+
+def test_the_best_day_of_offsets_is_no_dearer_than_any_rule_and_stays_within_its_limits():
+    """Heat that is cheap at noon, and a room that must not be cooled in the evening."""
+    price = np.where(np.isin(np.arange(24), [11, 12, 13, 14, 15]), 0.1, 0.3)
+
+    def cost(day):
+        return float(price @ day + 5.0 * max(-day[18:21].sum(), 0.0) + 0.01 * (day**2).sum() - 0.2 * day.sum())
+
+    best = best_day(cost, 3.0)
+    assert cost(best) < min(cost(day) for day in rules(3.0))
+    assert np.abs(best).max() <= 3.0
+    assert (best[12:15] == 3.0).all()
+    assert (best[18:21] == 0.0).all()
