@@ -211,7 +211,10 @@ def test_what_plans_would_have_saved_is_what_they_save_in_the_house() -> None:
     assert again.draws == found.draws
     # Of what costs more the band has the sign of the sentence.
     dearer = replace(found, saved=-0.31, low=-0.33, high=-0.28, cost_was=19.42)
-    assert dearer.sentence == "Plans would have cost 0.31 more (90 % band 0.28 to 0.33 more) than 19.42"
+    assert (
+        replace(dearer, currency="EUR").sentence
+        == "Plans would have cost 0.31 EUR more (90 % band 0.28 to 0.33 more) than 19.42"
+    )
 
 
 _CONDEMNED = Competence(False, reasons=("6 h ahead it errs by 7.00 K, need 1 K",), effect_K=7.0, effect_sd_K=5.0)

@@ -821,6 +821,14 @@ def test_a_day_that_ends_at_24_is_midnight_of_the_next(day, tmp_path):
     assert found.record.n_steps == N - 1
 
 
+@pytest.mark.parametrize(("price", "currency"), [("spot price SEK/kWh", "SEK"), ("spot price", "")])
+def test_a_first_map_has_the_currency_that_a_column_of_prices_names(price, currency, tmp_path):
+    df = HOUSE[["living", "out", "v_living", "power"]].assign(**{price: np.resize([0.8, 1.4], N)})
+    df.rename(columns={"v_living": "living valve", "power": "heat pump power"}).to_csv(tmp_path / "log.csv")
+    (tmp_path / "map.yaml").write_text(starting_map(tmp_path / "log.csv"), encoding="utf-8")
+    assert tf.read_measurements(tmp_path / "log.csv", tmp_path / "map.yaml").map.currency == currency
+
+
 @pytest.mark.parametrize(
     ("unit", "watts"),
     [("kBTU/h", 293.071), ("ton", 3516.85), ("kcal/h", 1.163), ("MJ/h", 277.778), ("MMBTU/h", 293071.0)],

@@ -159,6 +159,14 @@ def billed_objective(prices: Path | None, rules: MeasurementMap) -> dict[str, An
     return keys | {"at_the_meter": True} if others else keys
 
 
+def currency_of_prices(prices: Path | None, rules: MeasurementMap) -> str:
+    """The currency of what plans cost: that of a bill in `--prices`, else of the map; '' where neither says it."""
+    from thermoforce_mpc.scenario.bill import SUFFIXES, read_bill
+
+    billed = read_bill(prices).currency if prices is not None and prices.suffix in SUFFIXES else ""
+    return billed or rules.currency
+
+
 def _forecaster(name: str) -> dict[str, Any]:
     """Keys of a free response, or of a backbone by name, directory or hub name; refuses what can be none of these."""
     from thermoforce_mpc.errors import ConfigError, suggestion

@@ -730,21 +730,23 @@ USUAL_COMMANDS = "under the commands of the record's weeks"
 """What a plan in commands is compared with."""
 
 
-def saving_in_words(saving: PlannedSaving, alone: str = "") -> str:
-    """What a plan saves, in two sentences; `alone`: what a plan in levels is compared with, '' of one in commands."""
+def saving_in_words(saving: PlannedSaving, alone: str = "", currency: str = "") -> str:
+    """What a plan saves, in two sentences; `alone`: what a plan in levels is compared with, '' of one in commands;
+    `currency`: of its prices, '' where it is not known.
+    """
     s, band = saving, f"(90 % band {saving.low:.2f} to {saving.high:.2f})"
+    of = f" {currency}" if currency else ""
     if not alone and not s.gain > 0.0:
-        what = f"Not set: the commands that were found would save {s.saved:.2f} against leaving it alone {band}"
+        what = f"Not set: the commands that were found would save {s.saved:.2f}{of} against leaving it alone {band}"
     elif s.low > 0.0:
-        what = f"Saves {s.saved:.2f} against leaving it alone {band}"
+        what = f"Saves {s.saved:.2f}{of} against leaving it alone {band}"
     elif s.high < 0.0:
-        what = f"Costs {-s.saved:.2f} more than leaving it alone (90 % band {-s.high:.2f} to {-s.low:.2f} more)"
+        what = f"Costs {-s.saved:.2f}{of} more than leaving it alone (90 % band {-s.high:.2f} to {-s.low:.2f} more)"
     else:
-        what = f"Whether it saves against leaving it alone is not certain: {s.saved:.2f} {band}"
+        what = f"Whether it saves against leaving it alone is not certain: {s.saved:.2f}{of} {band}"
     peak = f" (of which a higher peak {s.peak:.2f}, {s.peak_alone:.2f})" if max(s.peak, s.peak_alone) >= 0.005 else ""
-    stored = s.saved - (s.cost_alone - s.cost)
     return (
         f"{what}: cost {s.cost:.2f} instead of {s.cost_alone:.2f}{peak}, energy {s.energy_kWh:.1f} instead of "
         f"{s.energy_alone_kWh:.1f} kWh, outside the bounds {s.outside_Kh:.1f} instead of {s.outside_alone_Kh:.1f} K·h, "
-        f"and what is stored at the end ({stored:.2f}). By the same model {alone or USUAL_COMMANDS}."
+        f"and what is stored at the end ({s.stored:.2f}). By the same model {alone or USUAL_COMMANDS}."
     )

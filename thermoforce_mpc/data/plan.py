@@ -68,6 +68,11 @@ class PlannedSaving:
     peak: float = 0.0
     peak_alone: float = 0.0
 
+    @property
+    def stored(self) -> float:
+        """What is stored at the end more than left alone is worth, currency; it is in `saved`."""
+        return self.saved - (self.cost_alone - self.cost)
+
 
 @dataclass(frozen=True, eq=False)
 class HotWaterPlan:

@@ -148,7 +148,7 @@ class Worth:
     the house that the model takes for the likeliest. `raised_K`, `tank_raised_K`: how much lowest temperatures of plans
     were raised, or lowered, until these were as comfortable. `tank`: None where none is lived through. `power`: how
     much of what its law says of other levels the record shows, by machine. `acted`: see `who_acted`. `rests_on`: one
-    sentence. `lower_C` (Z, n): lower bound at the end of each step.
+    sentence. `lower_C` (Z, n): lower bound at the end of each step. `currency`: of the prices, '' where not known.
     """
 
     saved: float
@@ -172,18 +172,20 @@ class Worth:
     acted: Acted
     power: tuple[Share, ...]
     rests_on: str
+    currency: str = ""
 
     @property
     def sentence(self) -> str:
         """What is said of it in one sentence."""
+        of = f" {self.currency}" if self.currency else ""
         band = f"(90 % band {self.low:.2f} to {self.high:.2f})"
         share = f"{100 * self.saved / max(self.cost_was, 1e-9):.0f} %"
         if self.low > 0.0:
-            return f"Plans would have saved {self.saved:.2f} {band} of {self.cost_was:.2f}, {share}"
+            return f"Plans would have saved {self.saved:.2f}{of} {band} of {self.cost_was:.2f}, {share}"
         if self.high < 0.0:
             band = f"(90 % band {-self.high:.2f} to {-self.low:.2f} more)"
-            return f"Plans would have cost {-self.saved:.2f} more {band} than {self.cost_was:.2f}"
-        return f"Whether plans would have saved is not certain: {self.saved:.2f} {band} of {self.cost_was:.2f}"
+            return f"Plans would have cost {-self.saved:.2f}{of} more {band} than {self.cost_was:.2f}"
+        return f"Whether plans would have saved is not certain: {self.saved:.2f}{of} {band} of {self.cost_was:.2f}"
 
     @property
     def stored(self) -> float:

@@ -43,7 +43,7 @@ from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.model.saved import JSON_NAME
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.protocols import Connection
-from thermoforce_mpc.records.live_journal import RealRun
+from thermoforce_mpc.records.live_journal import UNNAMED_CURRENCY, RealRun
 from thermoforce_mpc.records.people import People
 from thermoforce_mpc.scenario.scenario import ControllerSpec, Scenario
 from thermoforce_mpc.state_file import StateFormat
@@ -760,7 +760,7 @@ def real_run(
     return RealRun(
         name=map_file.stem,
         zone=rules.time.zone or "UTC",
-        currency="currency",  # a map has prices, and does not say in what
+        currency=rules.currency or UNNAMED_CURRENCY,
         scenario=Scenario(testcase=map_file.stem, controller=spec, baselines=()),
         command=("tf-mpc", *sys.argv[1:]),
         connection=connection,

@@ -49,6 +49,9 @@ _WHOLE_S = DAY_S
 # Readings that differ by less are the same, as a share and in their unit.
 _SAME = 1e-9
 
+UNNAMED_CURRENCY = "currency"
+"""That of a building whose map does not name it."""
+
 
 @dataclass(frozen=True)
 class RealRun:

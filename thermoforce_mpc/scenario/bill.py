@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, model_validator
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, month_of
 from thermoforce_mpc.data.series import means_of
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario.settings import StrictModel, read_yaml, validate
+from thermoforce_mpc.scenario.settings import Currency, StrictModel, read_yaml, validate
 
 if TYPE_CHECKING:  # loaded only where a calendar is
     import pandas as pd
@@ -146,9 +146,7 @@ class Bill(StrictModel):
     """
 
     source: str = Field(min_length=3, description="where the numbers are from")
-    currency: str = Field(
-        "", pattern=r"^([A-Z]{3})?$", description="code of three letters; sizes of prices in EUR and USD are checked"
-    )
+    currency: Currency = Field("", description="code of three letters; sizes of prices in EUR and USD are checked")
     energy: float | str | None = Field(None, description="price per kWh without fees and tax, or a file of them")
     supplier_per_kWh: float = Field(0.0, description="what the supplier adds")
     levies_per_kWh: float = Field(0.0, description="levies and electricity tax")

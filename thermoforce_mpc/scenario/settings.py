@@ -73,6 +73,16 @@ Factor = Annotated[float, BeforeValidator(_no_truth_value), Field(ge=-1e6, le=1e
 """Factor of a point in a sum."""
 
 
+def _is_currency(code: str) -> str:
+    if not re.fullmatch(r"([A-Z]{3})?", code):
+        raise ValueError("expected a code of three capitals, such as EUR")
+    return code
+
+
+Currency = Annotated[str, AfterValidator(_is_currency), Field(json_schema_extra={"pattern": "^([A-Z]{3})?$"})]
+"""A currency's code of three letters, or nothing."""
+
+
 def one_of(*usual: str) -> WithJsonSchema:
     """The JSON Schema of a name that is one of the `usual` ones, or a plugin's."""
     return WithJsonSchema({"anyOf": [{"enum": list(usual)}, {"type": "string"}]})

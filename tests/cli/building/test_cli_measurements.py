@@ -367,7 +367,20 @@ def test_a_saving_of_levels_is_said_with_what_it_is_compared_with(folder, model,
     saves = r"Saves 0\.50 against leaving it alone \(90 % band 0\.20 to 0\.80\): cost 3\.00 instead of 3\.50"
     assert re.search(rf"{beside}On average over what it may err: {saves}", said)
     assert "By the same model with rooms kept as warm as they were at these hours" in said
-    assert json.loads((folder / "levels.json").read_text())["saving"]["low"] == 0.2
+    saving = json.loads((folder / "levels.json").read_text())["saving"]
+    assert (saving["low"], saving["stored"], saving["currency"]) == (0.2, 0.0, "")
+    # In the currency of the map, or of the bill that takes the place of its prices.
+    (folder / "in_sek.yaml").write_text((folder / "map.yaml").read_text() + "\ncurrency: SEK\n")
+    (folder / "bill.yaml").write_text("{source: a contract, currency: NOK, energy: 0.9}\n")
+    for more, currency in ((), "SEK"), (("--prices", "bill.yaml"), "NOK"):
+        asked = [one.replace("map.yaml", "in_sek.yaml") for one in words]
+        said = " ".join(tf_mpc(folder, "plan", *asked, *more).output.split())
+        assert f"Saves 0.50 {currency} against leaving it alone" in said
+        assert json.loads((folder / "levels.json").read_text())["saving"]["currency"] == currency
+    (folder / "in_euro.yaml").write_text((folder / "map.yaml").read_text() + "\ncurrency: euro\n")
+    refused = tf_mpc(folder, "plan", *[one.replace("map.yaml", "in_euro.yaml") for one in words])
+    assert isinstance(refused.exception, ConfigError)
+    assert "currency: expected a code of three capitals, such as EUR (got 'euro')" in str(refused.exception)
 
 
 @pytest.mark.parametrize("mode", ["duty", "modulating"])

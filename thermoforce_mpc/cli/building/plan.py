@@ -19,6 +19,7 @@ from thermoforce_mpc.cli.options import (
     PATH,
     FiniteRange,
     billed_objective,
+    currency_of_prices,
     map_option,
     model_option,
     out_option,
@@ -161,7 +162,8 @@ def plan(
     def of_levels() -> PlannedSaving:
         return saving_of_levels(thermal, history, ahead, plan, by_commands, "" if tank is None else tank.machine)
 
-    saving, said = _saving_of(plan, of_levels, config, by_commands)
+    currency = currency_of_prices(prices, measured.map)
+    saving, said = _saving_of(plan, of_levels, config, by_commands, currency)
     found = [*command_rows(plan, commands), *tank_rows(plan, None if tank is None else tank.command)]
     if found:
         _show_commands(found, display)
@@ -171,12 +173,12 @@ def plan(
     if plan.hot_water is not None:
         display.say(tank_in_words(plan.hot_water))
     if commands_file is not None:
-        _write_commands(commands_file, plan, found, saving, display)
+        _write_commands(commands_file, plan, found, _saving_json(saving, currency), display)
     if out is not None:
         acting = dict(zip(plan.names.actuators, map(str, plan.acting), strict=True))
         beside: dict[str, Any] = {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status}
         beside["acting"] = acting
-        beside["saving"] = _saving_json(saving)
+        beside["saving"] = _saving_json(saving, currency)
         if saving is None:
             beside["no_saving"] = said
         if found:
@@ -243,14 +245,14 @@ def plan_table(plan: Plan, ahead: Boundary, layout: Layout | None = None) -> pd.
 
 
 def _saving_of(
-    plan: Plan, of_levels: Callable[[], PlannedSaving], config: MPCConfig, by_commands: Sequence[int]
+    plan: Plan, of_levels: Callable[[], PlannedSaving], config: MPCConfig, by_commands: Sequence[int], currency: str
 ) -> tuple[PlannedSaving | None, str]:
     """What a plan saves, None where it is not told, and that or why in words; `by_commands`: its actuators that are."""
     from thermoforce_mpc.experiment.left_alone import LEFT_ALONE, of_both
 
     commands, usual, of = plan.saving, "", "" if plan.hot_water is None else "In the rooms: "
     if commands is not None and len(by_commands) == len(plan.names.actuators):
-        return commands, f"{of}{saving_in_words(commands)}"
+        return commands, f"{of}{saving_in_words(commands, currency=currency)}"
     try:
         if len(by_commands) == len(plan.names.actuators):
             raise DataError("none of its commands is set")
@@ -259,16 +261,20 @@ def _saving_of(
         saving = of_levels()
         if commands is not None and commands.gain > 0.0:  # else none of them is set
             saving, usual = of_both(commands, saving), f"{USUAL_COMMANDS}, and "
-        words = saving_in_words(saving, f"{usual}with {LEFT_ALONE}")
+        words = saving_in_words(saving, f"{usual}with {LEFT_ALONE}", currency)
         return saving, f"{of}{words}"
     except DataError as error:
         told = "tf-mpc worth tells what plans would have saved in the days of a record"
-        of_commands = "" if commands is None else f"Of its commands alone: {saving_in_words(commands)} "
+        alone = "" if commands is None else saving_in_words(commands, currency=currency)
+        of_commands = alone and f"Of its commands alone: {alone} "
         return None, f"{of_commands}What the plan saves is not told: {error}. {told}"
 
 
-def _saving_json(saving: PlannedSaving | None) -> dict[str, float] | None:
-    return None if saving is None else {name: round(value, 4) for name, value in asdict(saving).items()}
+def _saving_json(saving: PlannedSaving | None, currency: str) -> dict[str, float | str] | None:
+    if saving is None:
+        return None
+    numbers = asdict(saving) | {"stored": saving.stored}
+    return {name: round(value, 4) for name, value in numbers.items()} | {"currency": currency}
 
 
 def _show_commands(rows: list[dict[str, Any]], display: RunDisplay) -> None:
@@ -280,10 +286,10 @@ def _show_commands(rows: list[dict[str, Any]], display: RunDisplay) -> None:
 
 
 def _write_commands(
-    path: Path, plan: Plan, rows: list[dict[str, Any]], saving: PlannedSaving | None, display: RunDisplay
+    path: Path, plan: Plan, rows: list[dict[str, Any]], saving: dict[str, float | str] | None, display: RunDisplay
 ) -> None:
     if path.suffix == ".json":
-        content = {"status": str(plan.status), "why": plan.why, "saving": _saving_json(saving), "commands": rows}
+        content = {"status": str(plan.status), "why": plan.why, "saving": saving, "commands": rows}
         write_json_file(path, content, display.console, "Commands")
         return
     from thermoforce_mpc.files import write_whole

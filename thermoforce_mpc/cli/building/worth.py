@@ -5,6 +5,7 @@ The first is by the building's model and its record, the second, with an interva
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from thermoforce_mpc.cli.building.courses import finish_axes, on_clock, write_js
 from thermoforce_mpc.cli.building.data import show_doubts
 from thermoforce_mpc.cli.options import (
     FiniteRange,
+    currency_of_prices,
     measured_options,
     model_option,
     out_option,
@@ -140,6 +142,7 @@ def worth(
             seed=seed,
             progress=begins,
         )
+    found = replace(found, currency=currency_of_prices(prices, measured.map))
     _show(found, console)
     if out is not None:
         write_table(out, found.to_dataframe(), console, "Course", worth=_as_json(found))
@@ -211,6 +214,7 @@ def _as_json(found: Worth) -> dict[str, Any]:
         "houses": [round(one, 4) for one in found.draws],
         "raised_K": found.raised_K,
         "acted": {name: {what: round(one, 4) for what, one in of.items()} for name, of in found.acted.items()},
+        "currency": found.currency,
         "sentence": found.sentence,
         "rests_on": found.rests_on,
     }
@@ -249,7 +253,7 @@ def _drawn(found: Worth) -> Figure:
     for row in np.unique(found.price_per_kWh, axis=0):
         price.step(at, row, where="post", color="0.3", linewidth=0.9)
     price.set_ylabel("price of\na kWh")
-    lower.set_ylabel("cost so far")
+    lower.set_ylabel(f"cost so far, {found.currency}" if found.currency else "cost so far")
     lower.set_title(f"By the law of power. {_stored(found)}", loc="left", fontsize=9)
     finish_axes(figure)
     return figure

@@ -27,6 +27,7 @@ from thermoforce_mpc.experiment.explaining import (
     hour_ends,
 )
 from thermoforce_mpc.files import plain_json, write_json
+from thermoforce_mpc.records.live_journal import UNNAMED_CURRENCY
 from thermoforce_mpc.records.run_folder import in_use
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 
@@ -144,7 +145,8 @@ def _lines(decision: ExplainedStep, claims: Sequence[str], *, under_way: bool) -
     lines += [f"learned: {news}" for news in decision.learned()]
     plan = decision.step.plan
     if plan.saving is not None:
-        lines.append(f"saving of its commands: {saving_in_words(plan.saving)}")
+        currency = decision.building.currency.replace(UNNAMED_CURRENCY, "")
+        lines.append(f"saving of its commands: {saving_in_words(plan.saving, currency=currency)}")
     if plan.hot_water is not None:
         value = plan.hot_water.command[0]
         set_to = "left to its device" if value is None else f"set to {value:g}"

@@ -28,7 +28,7 @@ from thermoforce_mpc.measurements.tables.forms import (
 )
 from thermoforce_mpc.measurements.units import converted
 from thermoforce_mpc.scenario.comfort import OfComfort, OfTankComfort
-from thermoforce_mpc.scenario.settings import StrictModel, check_no_folder, read_yaml, validate
+from thermoforce_mpc.scenario.settings import Currency, StrictModel, check_no_folder, read_yaml, validate
 
 TemperatureUnit = Literal["°C", "C", "degC", "K", "°F", "F", "degF", "°R"]
 PowerUnit = Literal[
@@ -417,6 +417,9 @@ class MeasurementMap(StrictModel):
     actuators: dict[str, MappedActuator] = Field(default_factory=dict)
     machines: dict[str, MappedMachine] = Field(default_factory=dict)
     hot_water: MappedTank | None = Field(None, description="a tank that one of the machines heats too")
+    currency: Currency = Field(
+        "", description="of its prices, a code of three letters: told with what plans cost and save"
+    )
     meter: OfPower | None = Field(
         None,
         description="power from the grid, below 0 what is fed in: peaks so far, where forecast.load says what else is "

@@ -13,6 +13,7 @@ import pandas as pd
 import yaml
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.prices import currency_of
 from thermoforce_mpc.errors import DataError, suggestion
 from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses, place_in_order, tags, unit_of, words_of
 from thermoforce_mpc.measurements.map.habits import COMFORT_C, SETBACK_K, Habit, bounds_around, habit_of
@@ -555,6 +556,8 @@ class _Text:
             if len(machines) == 1 and self.mode is not None:
                 lines.append(f"    hot_water: {self._signal(self.mode)}  # while it heats water for taps (csv.words)")
             lines.append(f"    price: {cost}  # per kWh, a number or a column")
+        if price and (currency := currency_of(price[0].name)):
+            lines.append(f"currency: {currency}")
         return lines
 
     def _only_one(self, role: str, zone: str) -> Guess | None:
