@@ -32,6 +32,18 @@ def test_three_days_of_one_run_tell_what_an_action_does():
 
 
 @pytest.mark.slow
+def test_steps_in_which_a_window_was_open_are_on_the_card():
+    seen = record(HOUSE, 3.0, noise_K=0.01)
+    T, days = np.array(seen.T_zone_C), 3
+    for k in np.flatnonzero(np.isclose(seen.time_s % 86_400.0, 7.5 * 3600.0)):
+        T[:, k:] -= 1.5 * np.exp(-(seen.time_s[k:] - seen.time_s[k]) / 3600.0)
+    for one, aired in ((replace(seen, T_zone_C=T), days), (seen, 0)):
+        notes = " ".join(identify([one], config=LINEAR, floor_area_m2=190.0).only.card.notes)
+        told = re.search(rf"in (\d+) of {seen.n_steps} steps air came in, as through a window", notes)
+        assert (int(told[1]) if told else 0) == pytest.approx(aired, abs=2 * (aired > 0))
+
+
+@pytest.mark.slow
 def test_blas_computes_on_one_thread_and_then_as_before():
     def threads(_=""):
         counts.append({one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"})

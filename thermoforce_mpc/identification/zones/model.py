@@ -63,6 +63,7 @@ def identify_zone(
     scores, said = {**data.card.scores, **estimate.scores}, [*data.card.notes, *notes, *unknown.notes]
     if data.grid_K:
         said.append(f"the zone sensor reads in steps of {data.grid_K:.2g} K")
+    said += _of_air(everything)
     if heat_input.law is not None and last.heat_input.law is None:
         said.append(_LEVEL_FOR_HEAT)
     if config.modulation != "linear":
@@ -144,6 +145,15 @@ def _without_effect(log_odds: float, data: ZoneData) -> str:
         "the actuator reached the zone, and that the zone sensor is in the room that it serves, or probe "
         f"harder{'; the record has no irradiance: name a signal for the sun' if dark else ''}"
     )
+
+
+def _of_air(fold: Fold) -> list[str]:
+    """A note on steps in which air came in (`network.airing`); none where none did."""
+    aired = [np.count_nonzero(e.air_K) for e in fold.regressions if e.air_K is not None]
+    if not any(aired):
+        return []
+    n = sum(e.histories[0].n_steps for e in fold.regressions if e.air_K is not None)
+    return [f"in {sum(aired)} of {n} steps air came in, as through a window: a fall then is no effect of anything else"]
 
 
 def _ranges(histories: Sequence[Record]) -> dict[str, tuple[float, float]]:
