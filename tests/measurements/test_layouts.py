@@ -1052,6 +1052,7 @@ def test_actual_and_target_of_evohome_are_not_exchanged(tmp_path):
     rules = ours_of(tmp_path, columns | {"Bath [T]": np.full(N, 22.5), "Outside": HOUSE["out"]})
     assert [one["temperature"]["column"] for one in rules["zones"].values()] == ["Living [A]", "Bath [A]"]
     assert rules["comfort"]["schedule"]["living"] == "7-24 20.5-24, else 17.5-24"
+    assert tf.read_measurements(tmp_path / "house.csv", rules).understood.beside == ()
 
 
 def test_a_t_behind_a_word_is_a_temperature(tmp_path):

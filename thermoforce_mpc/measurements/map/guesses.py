@@ -1044,12 +1044,13 @@ def rooms_beside(columns: Mapping[str, Array], rules: MeasurementMap) -> tuple[s
         (columns[column], zone.temperature.unit)
         for zone in rules.zones.values() for column in zone.temperature.columns if column in columns
     ]  # fmt: skip
+    called = _called([Column(name, np.empty(0), values) for name, values in columns.items()])
     rooms = [
         name
         for name, values in columns.items()
         if name not in named
-        and {"room", "temperature"} & tags(name)
-        and _temperature_alone(name)
+        and {"room", "temperature"} & tags(called[name])
+        and _temperature_alone(called[name])
         and _of_a_room(values, units)
         and not any(_again(values, known, unit) for known, unit in of_zones)
     ]
