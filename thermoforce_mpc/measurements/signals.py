@@ -19,13 +19,13 @@ from thermoforce_mpc.data.limits import EXCURSION_S, SignalRule
 from thermoforce_mpc.data.prices import currency_of, price_doubt
 from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import counted
-from thermoforce_mpc.measurements.map.guesses import tags
 from thermoforce_mpc.measurements.map.mapping import (
     Irradiance,
     MeasurementMap,
     Power,
     Signal,
 )
+from thermoforce_mpc.measurements.map.names import tags
 from thermoforce_mpc.measurements.readings import (
     PRICE,
     SOLAR,

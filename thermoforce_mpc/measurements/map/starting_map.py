@@ -15,8 +15,9 @@ import yaml
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.data.prices import currency_of
 from thermoforce_mpc.errors import DataError, suggestion
-from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses, place_in_order, tags, unit_of, words_of
+from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses
 from thermoforce_mpc.measurements.map.habits import COMFORT_C, SETBACK_K, Habit, bounds_around, habit_of
+from thermoforce_mpc.measurements.map.names import place_in_order, tags, unit_of, words_of
 from thermoforce_mpc.measurements.tables.clock import all_year, instants, plain
 from thermoforce_mpc.measurements.tables.files import (
     all_readings,
