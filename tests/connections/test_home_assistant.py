@@ -161,6 +161,32 @@ def test_what_was_not_stored_while_the_core_was_down_is_not_measured(connect):
     assert not missing[(ago_h < 5.4)].any()
 
 
+def test_an_entity_that_is_away_costs_what_it_measures_and_is_said_once(connect, caplog):
+    """As after a restart of Home Assistant, until its integration has started, or where it was renamed."""
+    now_s, names = time.time(), ["sensor.room", "sensor.hall"]
+    stamp = datetime.fromtimestamp(now_s - 60.0, UTC).isoformat()
+    unit = {"unit_of_measurement": "°C"}
+    both = [{"entity_id": n, "state": "20.5", "attributes": unit, "last_updated": stamp} for n in names]
+    asked = {
+        "type": "history/history_during_period", "entity_ids": names, "significant_changes_only": False,
+        "minimal_response": False, "no_attributes": False,
+    }  # fmt: skip
+    rows = [{"s": "20.5", "a": {}, "lu": now_s - 3600.0 + 60.0 * k} for k in range(60)]
+    answer = {"type": "result", "success": True, "result": dict.fromkeys(names, rows)}
+    exchanges = [{"at": now_s, "asked": json.dumps(asked, sort_keys=True), "answer": answer}]
+    for states in (both, both[:1], both[:1], both):
+        exchanges.append({"at": now_s, "asked": "GET /api/states", "status": 200, "text": json.dumps(states)})
+    with served(exchanges, "TOKEN") as url:
+        home = connect(url, columns=names, days=0.04)
+        tables = [home.measurements() for _ in range(4)]
+    assert [table["sensor.room"].iloc[-1] for table in tables] == [20.5] * 4
+    assert [bool(np.isnan(table["sensor.hall"].iloc[-1])) for table in tables] == [False, True, True, False]
+    assert tables[2]["sensor.hall"].iloc[:-3].notna().all()
+    assert tables[2].attrs["units"] == dict.fromkeys(names, "°C")
+    (said,) = [text for text in caplog.messages if "no entity" in text]
+    assert said.startswith("Home Assistant has no entity 'sensor.hall' any more")
+
+
 def test_times_of_recorded_answers_are_moved():
     assert shifted({"lu": 1.0, "a": ["2026-01-01T00:00:00.500000+00:00"]}, 1.0) == {
         "lu": 2.0, "a": ["2026-01-01T00:00:01.500000+00:00"]

@@ -141,6 +141,8 @@ class HomeAssistantConnection:
         self._outlook = Outlook(forecast)
         self._columns: tuple[str, ...] = ()
         self._seen: dict[str, _States] = {}
+        self._entities: dict[str, Mapping[str, Any]] = {}  # as they were when they were last there
+        self._away: dict[str, list[tuple[float, float]]] = {}  # when they were not, s; infinite: yet
         self._rounded: set[str] = set()
         self._session = requests.Session()
         self._session.trust_env = False  # no proxy, no .netrc: the token goes to this address alone
@@ -164,7 +166,8 @@ class HomeAssistantConnection:
         return self.history(self._days)
 
     def history(self, days: float) -> pd.DataFrame:
-        """A row a minute of the last `days`, NaN while an entity was unavailable; raises `PlantError`.
+        """A row a minute of the last `days`, NaN while an entity was unavailable, or is away that was there; raises
+        `PlantError`.
 
         `attrs["units"]`: by column, in which unit Home Assistant tells it.
         """
@@ -175,8 +178,7 @@ class HomeAssistantConnection:
             raise ConfigError("connection home-assistant: no columns to read: give a map")
         known = {state["entity_id"]: state for state in self._get("/api/states")}
         for entity in entities:
-            if entity not in known:
-                raise PlantError(f"Home Assistant has no entity '{entity}'{suggestion(entity, list(known))}")
+            self._look_for(entity, known, now.timestamp())
         with self._socket() as ask:
             self._read_states(ask, entities, begin, now)
             self._add_present(known)
@@ -195,10 +197,12 @@ class HomeAssistantConnection:
             if column in older:
                 first = self._seen[column].at_s[0] if self._seen[column].at_s.size else np.inf
                 row = np.where(grid_s < first, _of_hours(grid_s, *older[column]), row)
+            for first_s, last_s in self._away.get(_entity(column), ()):
+                row[(grid_s >= first_s) & (grid_s < last_s)] = np.nan
             table[column] = row
         index = pd.DatetimeIndex(pd.to_datetime(grid_s, unit="s", utc=True).round("us"), name="time")
         out = pd.DataFrame(table, index=index)
-        told = {one: self._unit_of(one, known[_entity(one)].get("attributes", {})) for one in self._columns}
+        told = {one: self._unit_of(one, self._entities[_entity(one)].get("attributes", {})) for one in self._columns}
         out.attrs["units"] = {one: unit for one, unit in told.items() if isinstance(unit, str)}
         return out
 
@@ -387,9 +391,35 @@ class HomeAssistantConnection:
             before = self._seen.get(column, _States())
             self._seen[column] = before.with_later(asked_s, rows, now.timestamp(), begin.timestamp())
 
+    def _look_for(self, entity: str, known: Mapping[str, Mapping[str, Any]], now_s: float) -> None:
+        """Note whether an entity is among those `known`; raises `PlantError` where it never was.
+
+        It may come later than others when Home Assistant starts, or have been renamed, which costs what it measures.
+        """
+        times = self._away.get(entity, [])
+        away = bool(times) and math.isinf(times[-1][1])
+        if entity in known:
+            self._entities[entity] = known[entity]
+            if away:
+                times[-1] = (times[-1][0], now_s)
+                _LOG.info("Home Assistant has entity '%s' again", entity)
+            return
+        hint = suggestion(entity, list(known))
+        if entity not in self._entities:
+            raise PlantError(f"Home Assistant has no entity '{entity}'{hint}")
+        if not away:
+            self._away.setdefault(entity, []).append((now_s, math.inf))
+            _LOG.warning(
+                "Home Assistant has no entity '%s' any more%s: what it measures is unknown until it is back; "
+                "if it was renamed, name it in the map and start again",
+                entity, hint,
+            )  # fmt: skip
+
     def _add_present(self, known: Mapping[str, Mapping[str, Any]]) -> None:
         """Add what the entities say now: the recorder may be some seconds behind."""
         for column, states in self._seen.items():
+            if _entity(column) not in known:
+                continue
             state, attribute = known[_entity(column)], _attribute(column)
             at_s = datetime.fromisoformat(state["last_updated"]).timestamp()
             if not states.at_s.size and at_s < time.time() - _RECORDED_S:
@@ -401,7 +431,8 @@ class HomeAssistantConnection:
 
     def _statistics(self, ask: _Ask, begin: datetime) -> dict[str, tuple[Array, Array]]:
         """Hourly means from `begin` to the first state, of those that have them: middles of hours, s, and values."""
-        firsts = {column: self._seen[column].at_s[0] for column in self._columns if _attribute(column) is None}
+        own = [one for one in self._columns if _attribute(one) is None and self._seen[one].at_s.size]
+        firsts = {column: self._seen[column].at_s[0] for column in own}
         wanted = [column for column, first in firsts.items() if first > begin.timestamp() + 3600.0]
         if not wanted:
             return {}
