@@ -43,6 +43,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from controllers.mpc.config import MPCConfig
+    from controllers.mpc.controller import ThermoForceMPC
+    from thermoforce_mpc.commands.loop import LearnedCommand
+    from thermoforce_mpc.commands.tank import LearnedTank
+    from thermoforce_mpc.measurements.load import Measurements
+    from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
 # Least and usual length of a plan, h, and how much of the measurements it looks back at, days: a month with its peaks.
@@ -101,9 +106,7 @@ def plan(
     Example:
       tf-mpc plan --model my_house --data recent.csv --map map.yaml --forecast tomorrow.csv --out plan.csv
     """
-    from controllers.checks import ControllerConfigError
     from controllers.mpc.config import MPCConfig
-    from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.experiment.left_alone import saving_of_levels
     from thermoforce_mpc.measurements.forecast import read_forecast
     from thermoforce_mpc.measurements.load import learned_commands, learned_tank, read_measurements
@@ -128,30 +131,13 @@ def plan(
     chosen["objective"] = billed_objective(prices, measured.map)
     config = validate(MPCConfig, merge(chosen, parse_overrides(assignments)), "--set")
     if commands_file is not None:
-        if not measured.commands and (measured.map.hot_water is None or measured.map.hot_water.command is None):
-            raise ConfigError(f"--commands {commands_file}: --map {map_file} names no command of an actuator")
-        if commands_file.suffix not in (".csv", ".json"):
-            raise ConfigError(f"--commands {commands_file}: a .csv or .json file")
+        _check_commands_file(commands_file, measured, map_file)
     commands = learned_commands(measured)
     tank = said_tank(lambda: learned_tank(measured), display.say)
-    try:
-        controller = ThermoForceMPC(thermal, config, commands=commands, hot_water=tank)
-    except ControllerConfigError as error:
-        if "block_s" not in str(error):
-            raise
-        least = 2.0 * max(config.actuation_of(name).block_s for name in record.names.actuators) / 60.0
-        raise ControllerConfigError(
-            f"--step {step}: a plan of on/off blocks has {least:g}min to 1h; {error}"
-        ) from error
+    controller = _controller(thermal, config, commands, tank, step)
     ahead = ahead.head(round(controller.horizon_s / step_s))
     plan = controller.plan(Observation(history, ahead, *(measured.tank.now() if measured.tank else ())))
-    display.say(_listed(f"Plan from {record.stamps()[-1]} for {horizon_h:.4g} h", plan.why))
-    display.say(_listed("Actuation", controller.actuation_in_words))
-    thermal.say_claims(display.say, plan.why)
-    for limits in controller.limits_not_planned:
-        display.say(limits)
-    for note in notes:
-        display.say(f"Prices: {note}")
+    _say_why(display, plan, f"Plan from {record.stamps()[-1]} for {horizon_h:.4g} h", controller, thermal, notes)
     if not plan.u.size:
         display.say("There is no plan: leave the building to its own control.")
         click.get_current_context().exit(NOT_COMPETENT if plan.status == "gate" else 1)
@@ -172,25 +158,78 @@ def plan(
     display.say(said)
     if plan.hot_water is not None:
         display.say(tank_in_words(plan.hot_water))
+    of_saving = _saving_json(saving, currency)
     if commands_file is not None:
-        _write_commands(commands_file, plan, found, _saving_json(saving, currency), display)
+        _write_commands(commands_file, plan, found, of_saving, display)
     if out is not None:
-        acting = dict(zip(plan.names.actuators, map(str, plan.acting), strict=True))
-        beside: dict[str, Any] = {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status}
-        beside["acting"] = acting
-        beside["saving"] = _saving_json(saving, currency)
-        if saving is None:
-            beside["no_saving"] = said
-        if found:
-            beside["commands"] = found
-        if (of_tank := plan.hot_water) is not None:
-            beside["hot_water"] = {
-                name: round(getattr(of_tank, name), 4)
-                for name in ("cost", "cost_alone", "below_Kh", "below_alone_Kh", "gap")
-            }
-        write_table(out, table, display.console, "Plan", **beside)
+        write_table(out, table, display.console, "Plan", **_beside_table(plan, of_saving, said, found))
     if plot is not None:
         write_picture(plot, drawn_plan(plan, table, ahead.head(plan.u.shape[1]), found), display.console)
+
+
+def _check_commands_file(path: Path, measured: Measurements, map_file: Path) -> None:
+    """Raise `ConfigError` where a file of commands has none to hold, or is of no form that is written."""
+    if not measured.commands and (measured.map.hot_water is None or measured.map.hot_water.command is None):
+        raise ConfigError(f"--commands {path}: --map {map_file} names no command of an actuator")
+    if path.suffix not in (".csv", ".json"):
+        raise ConfigError(f"--commands {path}: a .csv or .json file")
+
+
+def _controller(
+    thermal: ThermalModel,
+    config: MPCConfig,
+    commands: Mapping[str, LearnedCommand],
+    tank: LearnedTank | None,
+    step: str,
+) -> ThermoForceMPC:
+    """The controller that plans; raises `ControllerConfigError`, of `step` where that is too short for blocks."""
+    from controllers.checks import ControllerConfigError
+    from controllers.mpc.controller import ThermoForceMPC
+
+    try:
+        return ThermoForceMPC(thermal, config, commands=commands, hot_water=tank)
+    except ControllerConfigError as error:
+        if "block_s" not in str(error):
+            raise
+        least = 2.0 * max(config.actuation_of(name).block_s for name in thermal.names.actuators) / 60.0
+        raise ControllerConfigError(
+            f"--step {step}: a plan of on/off blocks has {least:g}min to 1h; {error}"
+        ) from error
+
+
+def _say_why(
+    display: RunDisplay,
+    plan: Plan,
+    of_what: str,
+    controller: ThermoForceMPC,
+    thermal: ThermalModel,
+    notes: Sequence[str],
+) -> None:
+    """Say why the plan is as it is, how it acts, and what it does not count with; `notes`: of prices."""
+    display.say(_listed(of_what, plan.why))
+    display.say(_listed("Actuation", controller.actuation_in_words))
+    thermal.say_claims(display.say, plan.why)
+    for limits in controller.limits_not_planned:
+        display.say(limits)
+    for note in notes:
+        display.say(f"Prices: {note}")
+
+
+def _beside_table(
+    plan: Plan, saving: dict[str, float | str] | None, said: str, commands: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """What a JSON file has beside the table; `said`: why there is no saving."""
+    beside: dict[str, Any] = {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status}
+    beside["acting"] = dict(zip(plan.names.actuators, map(str, plan.acting), strict=True))
+    beside["saving"] = saving
+    if saving is None:
+        beside["no_saving"] = said
+    if commands:
+        beside["commands"] = commands
+    if (tank := plan.hot_water) is not None:
+        told = ("cost", "cost_alone", "below_Kh", "below_alone_Kh", "gap")
+        beside["hot_water"] = {name: round(getattr(tank, name), 4) for name in told}
+    return beside
 
 
 def _seconds(step: str) -> float:
