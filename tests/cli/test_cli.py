@@ -151,7 +151,10 @@ def test_a_closed_terminal_ends_a_command_as_a_signal_to_end_does():
         "cli.cli.main = main\nos.close(2)\ncli.main()"
     )
     ours = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # inherited, and ignored where the tests run under nohup
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False, env=buffered
+    )
     signal.signal(signal.SIGHUP, ours)
     assert (done.returncode, done.stdout) == (129, "given back\n")
 

@@ -7,8 +7,7 @@ import io
 import os
 import sys
 import warnings
-from contextlib import suppress
-from typing import Any
+from typing import Any, TextIO
 
 import click
 
@@ -78,8 +77,15 @@ def _say_end(words: str, error: BaseException) -> None:
     from boptest_client import safe_text  # it may quote a file, a service or a journal
 
     notes = [*getattr(error.__cause__, "__notes__", ()), *getattr(error, "__notes__", ())]
-    with suppress(OSError):  # a terminal that was closed
+    try:
         click.echo(safe_text("\n".join((words, *notes)), _MOST_SHOWN), err=True)
+    except OSError:  # a terminal that was closed
+        _to_nowhere(sys.stderr)
+
+
+def _to_nowhere(stream: TextIO) -> None:
+    """What could not be written to `stream` is not tried again at the end, where Python would exit with 120 for it."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _run() -> Any:
@@ -134,8 +140,7 @@ def main() -> None:
     except OSError as error:  # what is printed goes to a file on a full disk: `tf-mpc data map ... > map.yaml`
         if error.errno not in _FULL:
             raise
-        # What could not be written is not tried again at the end, which Python would tell of in lines of its own.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _to_nowhere(sys.stdout)
         where = f"{error.filename}: " if isinstance(error.filename, str) else ""
         click.echo(f"Cannot be written: {where}{error.strerror}; make room or write elsewhere", err=True)
         sys.exit(6)

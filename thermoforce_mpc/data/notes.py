@@ -26,7 +26,7 @@ def matter_of(note: str) -> str:
     return note.matter if isinstance(note, Note) else note
 
 
-class Told:
+class NotesTold:
     """What was told, so that a note is told once: again after `again_s` s, or where there is twice as much of it."""
 
     def __init__(self, again_s: float) -> None:

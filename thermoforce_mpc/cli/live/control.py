@@ -348,9 +348,9 @@ def _advice(decision: Decision) -> dict[str, Any]:
 
 def _told(say: Callable[[str], None], commands: Mapping[str, LearnedCommand]) -> Callable[[Decision], None]:
     """Says each decision, and what is noted of its readings when that matter was not said for a day, or doubled."""
-    from thermoforce_mpc.data.notes import Told
+    from thermoforce_mpc.data.notes import NotesTold
 
-    said = Told(_SAID_AGAIN.total_seconds())
+    said = NotesTold(_SAID_AGAIN.total_seconds())
 
     def told(decision: Decision) -> None:
         say(in_words(decision, commands))
