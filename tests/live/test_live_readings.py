@@ -8,7 +8,7 @@ import pytest
 from simulated_building import RULES, START, SimulatedBuilding, mpc
 
 from thermoforce_mpc.cli.live.control import in_words
-from thermoforce_mpc.data.notes import Told
+from thermoforce_mpc.data.notes import NotesTold
 from thermoforce_mpc.errors import DataError, NoForecast
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.measurements.load import read_measurements
@@ -314,7 +314,7 @@ def test_a_matter_is_told_once_and_again_where_there_is_twice_as_much_of_it():
         return pd.concat([table.drop(late.index), late.assign(time=late["time"])]).reset_index(drop=True)
 
     house = changed(SimulatedBuilding(), torn)
-    building, told, said = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0), Told(86400.0), []
+    building, told, said = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0), NotesTold(86400.0), []
     for hours in range(1, 10):
         house.wait_until(START + hours * HOUR + pd.Timedelta("2min"))
         building.record(house.at)
