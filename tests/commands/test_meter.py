@@ -118,22 +118,6 @@ def test_warmer_water_takes_a_share_of_the_power():
     assert more_W.mean() == pytest.approx(72.0, rel=0.2)
 
 
-@pytest.mark.parametrize("per_K", [0.025, -0.02])
-def test_three_days_of_trials_tell_whether_warmer_water_takes_more_or_less(per_K):
-    """By Carnot it takes more; where a machine's fixed part is large, less, since it runs for fewer hours."""
-    said, usual = [], np.zeros(24 * 27)
-    for seed in range(8):
-        rng = np.random.default_rng(seed)
-        offset = np.concatenate([usual, np.repeat(rng.choice([-3.0, 0.0, 3.0], 18), 4)])
-        law_W = 500.0 + 50.0 * rng.standard_normal(offset.size)
-        power_W = law_W * (1.0 + per_K * offset) + 50.0 * rng.standard_normal(offset.size)
-        at_s = 3600.0 * np.arange(offset.size)
-        seen = MeterRecord(offset, np.zeros(at_s.size), law_W, power_W, np.zeros(at_s.size), at_s, 3600.0)
-        meter = learn_meter(CurveOffset(kind="curve_offset", column="offset"), seen)
-        said.append(meter.mean[1] / 3.0)
-    assert np.mean(said) == pytest.approx(per_K, rel=0.5)
-
-
 @pytest.mark.parametrize("what", ["never tried", "no meter"])
 def test_what_the_record_does_not_tell_is_not_said(what):
     states = np.full(24 * 30, 2.0) if what == "never tried" else month()

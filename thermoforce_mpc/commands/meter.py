@@ -30,11 +30,10 @@ _EACH = 2 + len(_LAGS_S)
 # Prior standard deviations, as shares of the mean power: of an effect, and of a number's; of what stays of it for
 # good; of the share of the power itself, of a state with less heat than usual (a machine may be off) and with more.
 _PRIOR, _OF_WATER, _STAYS, _LESS, _MORE = 1.0, 0.1, 0.02, 1.0, 0.03
-# Share of the power that a kelvin of water takes, mean and standard deviation. By Carnot 1 / lift, 2 to 3 % more, but a
-# machine gives the same heat in fewer hours with warmer water, and takes its fixed part in fewer: at the same heat
-# eight houses of `bench commands` (9741 to 9748, 2026-11-30) take 2.5 % less to 1 % more. Which of both is larger the
-# record must tell: with a mean of .01 three days of trials said .3 % less where it was 1.5 to 2 (9962).
-_PER_K = (0.0, 0.015)
+# Share of the power that a kelvin of water takes, mean and standard deviation. By Carnot 1 / lift, 2 to 3 %, but a
+# machine that gives less heat runs longer, and takes its fixed part for longer: house 9501 of `bench commands` takes no
+# less at 3 K less (2026-11-28).
+_PER_K = (0.01, 0.015)
 # Standard deviation of what a kelvin outdoors does to the share of the power that levels do not take. Where all days
 # are alike, hours and weather cannot be told apart, and what goes by the weather is no habit of hours.
 _OUTDOORS = 0.03
