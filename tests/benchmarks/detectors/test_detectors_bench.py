@@ -231,8 +231,8 @@ def test_weeks_that_got_worse_than_in_an_earlier_result_are_told(tmp_path, monke
     assert "revision" in result["environment"]
 
 
-def test_a_fault_that_is_new_in_the_panel_is_run_beside_the_weeks_of_an_earlier_result(tmp_path, monkeypatch):
-    kept = [PanelCase("embedded", 3, 7), *faulty(2, seed=7)[:-4]]
+def run_against(kept: list[PanelCase], tmp_path, monkeypatch) -> list[PanelCase]:
+    """The cases that the bench runs against an earlier result of the `kept` ones."""
     rows = [{"week": case.in_words, "cost": 1.0, "K_h": 0.0} for case in kept]
     (tmp_path / "earlier.json").write_text(json.dumps({"rows": rows}))
     ran = []
@@ -243,6 +243,12 @@ def test_a_fault_that_is_new_in_the_panel_is_run_beside_the_weeks_of_an_earlier_
 
     monkeypatch.setattr(bench, "run_all", ran_all)
     run_detectors_bench(engine=LocalEngine(1), against=tmp_path / "earlier.json")
+    return ran
+
+
+def test_a_fault_that_is_new_in_the_panel_is_run_beside_the_weeks_of_an_earlier_result(tmp_path, monkeypatch):
+    kept = [PanelCase("embedded", 3, 7), *faulty(2, seed=7)[:-4]]
+    ran = run_against(kept, tmp_path, monkeypatch)
     assert ran[: len(kept)] == kept
     assert ran[len(kept) :] == faulty(1, seed=7)[-2:]
 
@@ -250,17 +256,7 @@ def test_a_fault_that_is_new_in_the_panel_is_run_beside_the_weeks_of_an_earlier_
 def test_plants_that_an_earlier_result_lacks_of_a_fault_are_run_too(tmp_path, monkeypatch):
     lacking = [PanelCase("generated house", number, 7, "late sensor") for number in (1, 2)]
     kept = [case for case in faulty(1, seed=7) if case not in lacking]
-    rows = [{"week": case.in_words, "cost": 1.0, "K_h": 0.0} for case in kept]
-    (tmp_path / "earlier.json").write_text(json.dumps({"rows": rows}))
-    ran = []
-
-    def ran_all(function, cases, *given):
-        ran.extend(cases)
-        return [asdict(replace(week(0, 1.0), case=case)) for case in cases]
-
-    monkeypatch.setattr(bench, "run_all", ran_all)
-    run_detectors_bench(engine=LocalEngine(1), against=tmp_path / "earlier.json")
-    assert ran == [*kept, *lacking]
+    assert run_against(kept, tmp_path, monkeypatch) == [*kept, *lacking]
 
 
 def test_weeks_of_another_seed_are_no_weeks_to_compare(tmp_path):
