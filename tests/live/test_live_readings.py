@@ -336,3 +336,58 @@ def test_a_column_in_the_middle_of_a_log_is_named_where_it_ends_with_it(tmp_path
     building = LiveBuilding(house, MeasurementMap.model_validate(RULES | zones), 3600.0)
     with pytest.raises(DataError, match=r"(?s)does the logger run\?\n.*7 cells, the header has 6, .*576 such lines"):
         building.record(START)
+
+
+def logged(table, folder, at):
+    (folder / "house.csv").write_text(table.to_csv(index=False))
+
+
+def without_outdoors(table, folder, at):
+    logged(table.rename(columns={"out": "outdoor"} if at >= START + 2 * HOUR else {}), folder, at)
+
+
+def begun_anew(table, folder, at):
+    """As by logrotate: the old log has another name, the new one has no row in its first hour."""
+    of_now = table[table["time"] >= START + 2 * HOUR] if at >= START + 2 * HOUR else table
+    logged(of_now[:0] if START + 2 * HOUR <= at < START + 3 * HOUR else of_now, folder, at)
+
+
+def a_file_a_day(table, folder, at):
+    for day, rows in table.groupby(table["time"].dt.date):
+        rows.to_csv(folder / f"house-{day}.csv", index=False)
+    if at >= START + 2 * HOUR:
+        (folder / "house-2025-01-13.csv").write_text("")
+
+
+@pytest.mark.parametrize(
+    ("log", "statuses", "said"),
+    [
+        (without_outdoors, ["solved"] * 5, "column 'out' is not there any more, did you mean 'outdoor'?"),
+        (begun_anew, ["solved", "solved", "bridged", "solved", "solved"], "what was read before it until"),
+        (a_file_a_day, ["solved"] * 5, "house-2025-01-13.csv: the file is empty: left out"),
+    ],
+)
+def test_a_log_that_loses_what_it_had_costs_no_more_than_that(tmp_path, log, statuses, said):
+    house = SimulatedBuilding()
+    live = house.measurements
+
+    def measurements():
+        log(live(), tmp_path, house.at)
+        return str(tmp_path / ("house-*.csv" if log is a_file_a_day else "house.csv"))
+
+    house.measurements = measurements
+    building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0)
+    told = []
+    control(building, mpc(), clock=house, steps=5, told=told.append)
+    assert [decision.plan.status for decision in told] == statuses
+    assert any(said in note for note in told[-1].notes)
+    record = building.record(house.at, (), house.at)
+    assert record.n_steps == 77, "its history is as long as if nothing had happened"
+    assert np.isfinite(record.T_zone_C).all()
+    assert np.isfinite(record.T_out_C).all() == (log is not without_outdoors)
+
+
+def test_a_column_that_was_never_there_is_an_error(tmp_path):
+    house = changed(SimulatedBuilding(), lambda table: table.rename(columns={"out": "outdoor"}))
+    with pytest.raises(DataError, match="no column 'out', did you mean 'outdoor'"):
+        controlled(house, 2)

@@ -40,6 +40,7 @@ from thermoforce_mpc.live.windows import OpenWindow, as_if_empty, open_windows, 
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import Measurements, learned_commands, learned_tank, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.measurements.tables.earlier import Earlier
 from thermoforce_mpc.model.saved import JSON_NAME
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.protocols import Connection
@@ -116,7 +117,7 @@ class LiveBuilding:
         self._told: dict[str, LastTold] = {}
         self._rounds = set[str]()  # said already
         self._forecast_before = False
-        self._ahead_before = set[float]()  # instants of readings that a wrong clock stamped
+        self._read_before = Earlier(_BACK_DAYS)
         self._reverted: dict[str, int] = {}
         self._looked: tuple[pd.Timestamp, pd.Timestamp] | None = None
         self._late = 0
@@ -203,7 +204,7 @@ class LiveBuilding:
         """
         self.now = now = instant if now is None else now
         measured = read_measurements(
-            self._call("measurements"), self._rules, step_s=self._step_s, at=instant, now=now, ahead=self._ahead_before
+            self._call("measurements"), self._rules, step_s=self._step_s, at=instant, now=now, before=self._read_before
         ).served()
         record = measured.record
         of_clocks = (*self._ahead(measured, now), *self._behind(measured, now))

@@ -36,8 +36,9 @@ from thermoforce_mpc.measurements.map.mapping import (
 )
 from thermoforce_mpc.measurements.signals import SignalReader, SignalSummary, Understood, missing, of_changes, of_clock
 from thermoforce_mpc.measurements.tables.ahead import without_ahead
-from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
+from thermoforce_mpc.measurements.tables.appended import away, frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
+from thermoforce_mpc.measurements.tables.earlier import Earlier
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_tables
 from thermoforce_mpc.measurements.tables.forms import TableForm
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, tables_of
@@ -246,7 +247,7 @@ def read_measurements(
     at: pd.Timestamp | Literal["begin", "end"] = "begin",
     now: pd.Timestamp | None = None,
     most_bytes: int = MOST_BYTES,
-    ahead: set[float] | None = None,
+    before: Earlier | None = None,
 ) -> Measurements:
     """Measurements of a building from CSV or Parquet files, or a data frame, as the map says.
 
@@ -260,8 +261,8 @@ def read_measurements(
             are left out, rows that come late or twice are put in order, a signal out of range is not measured, and the
             hour that comes twice is told apart; `Measurements.left_out` says it.
         most_bytes: size from which files are refused.
-        ahead: instants whose readings were put aside before, as stamped after `now`, s since 1970; those of this look
-            are added.
+        before: what earlier looks found, at the time `now`: what the tables have no more, or cannot be read of them, is
+            as it was then; what this one finds is added.
 
     Raises:
         ConfigError: the map is wrong, or without a zone for `at`; names the key.
@@ -270,28 +271,22 @@ def read_measurements(
     rules, left_out, notes = _rules(map), list[str](), list[str]()
     check_kind(now, (pd.Timestamp, NoneType), "now", "give pd.Timestamp(..., tz=...)")
     columns = [column for _, signal in rules.signals() for column in signal.columns]
-    clock = rules.time if now is None else rules.time.lenient()
     head, decimal = None, rules.csv.decimal
     if isinstance(files, pd.DataFrame):
-        if now is None or rules.table != TableForm():
-            tables = tables_of(files, clock.column, columns, rules.table, "table", units=rules.units())
-        else:
-            tables = [frame_appended(files, columns, clock, now + _LATEST, left_out, rules.units(), now)]
         head = files.iloc[:_ROWS]
-    else:
-        paths = found_files(_patterns(files), most_bytes)
         if now is None:
-            tables = read_tables(paths, columns, rules.written, notes, rules.units())
-            first = rules.written(paths[0])
-            head = head_of(paths[0], _ROWS, first.csv) if first.table == TableForm() else None
-            decimal = first.csv.decimal
-        else:
-            tables = read_appended(paths, columns, rules.written, now + _LATEST, left_out, units=rules.units(), now=now)
-    rows = timed(tables, clock, now)
-    rows = replace(rows, notes=(*notes, *rows.notes))
-    if now is not None:
-        rooms = [name for zone in rules.zones.values() for name in zone.temperature.columns]
-        rows = without_ahead(rows, rooms, now, left_out, set() if ahead is None else ahead)
+            tables = tables_of(files, rules.time.column, columns, rules.table, "table", units=rules.units())
+    elif now is None:
+        paths = found_files(_patterns(files), most_bytes)
+        tables = read_tables(paths, columns, rules.written, notes, rules.units())
+        first = rules.written(paths[0])
+        head = head_of(paths[0], _ROWS, first.csv) if first.table == TableForm() else None
+        decimal = first.csv.decimal
+    if now is None:
+        rows = timed(tables, rules.time)
+        rows = replace(rows, notes=(*notes, *rows.notes))
+    else:
+        tables, rows = _written_until(files, rules, columns, now, most_bytes, before or Earlier(0.0), left_out)
     found = _from_table(tables, rows, rules, step_s, at, refuse=now is None)
     if now is not None:
         left_out += [*rows.notes, *_refused(found, now)]
@@ -301,6 +296,41 @@ def read_measurements(
         beside = {str(name): as_numbers(head[name], decimal).to_numpy() for name in named}
     understood = replace(found.understood, beside=rooms_beside(beside, rules))
     return replace(found, understood=understood, left_out=tuple(left_out))
+
+
+def _written_until(
+    files: str | Path | pd.DataFrame | Sequence[str | Path],
+    rules: MeasurementMap,
+    columns: Sequence[str],
+    now: pd.Timestamp,
+    most_bytes: int,
+    before: Earlier,
+    left_out: list[str],
+) -> tuple[list[RawTable], Timed]:
+    """Tables that a machine appends to, and their rows until `now`; see `read_measurements`."""
+    clock, latest, units = rules.time.lenient(), now + _LATEST, rules.units()
+    try:
+        if not isinstance(files, pd.DataFrame):
+            paths = found_files(_patterns(files), most_bytes)
+            tables = read_appended(paths, columns, rules.written, latest, left_out, before.columns, units, now)
+        elif rules.table == TableForm():
+            names = [str(name) for name in files.columns]
+            gone = [one for one in dict.fromkeys(columns) if one in before.columns and one not in names]
+            left_out += [away(one, names, "table") for one in gone]
+            there = [one for one in columns if one not in gone]
+            tables = [frame_appended(files, there, clock, latest, left_out, units, now)]
+        else:
+            tables = tables_of(files, clock.column, columns, rules.table, "table", units=units)
+        rows = timed(tables, clock, now)
+    except DataError as error:
+        if before.last is None:
+            raise
+        left_out.append(f"{error}: what was read before stands")
+        tables, rows = [RawTable("what was read before", pd.Series(dtype=object), {})], before.last
+    else:
+        rows = before.joined(rows, list(dict.fromkeys(columns)), now, tables[0].name, left_out)
+    rooms = [name for zone in rules.zones.values() for name in zone.temperature.columns]
+    return tables, without_ahead(rows, rooms, now, left_out, before.ahead)
 
 
 def _refused(found: Measurements, now: pd.Timestamp) -> list[str]:

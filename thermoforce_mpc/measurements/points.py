@@ -105,12 +105,11 @@ def read_points(files: str | Path | pd.DataFrame, rules: MeasurementMap, now: pd
     """
     signals = dict(rules.signals())
     columns = list(dict.fromkeys(column for signal in signals.values() for column in signal.columns))
-    absent, notes, clock = list[str](), list[str](), rules.time.lenient()
+    notes, clock = list[str](), rules.time.lenient()
     if isinstance(files, pd.DataFrame):
         of_one = rules.table == TableForm()
         known = {str(column) for column in files.columns}
-        absent = [column for column in columns if of_one and column not in known]
-        there = [column for column in columns if column not in absent]
+        there = [column for column in columns if not of_one or column in known]
         if of_one:
             tables = [frame_appended(files, there, clock, now + _LATEST, notes, rules.units())] if there else []
         else:
@@ -118,7 +117,7 @@ def read_points(files: str | Path | pd.DataFrame, rules: MeasurementMap, now: pd
     else:
         paths = found_files([files], MOST_BYTES)
         latest = now + _LATEST
-        tables = read_appended(paths, columns, rules.written, latest, notes, absent, rules.units(), now)
+        tables = read_appended(paths, columns, rules.written, latest, notes, columns, rules.units(), now)
     rows = timed(tables, clock, now) if tables else None
     if rows is not None and rows.index.tz is None:
         raise ConfigError("time.zone: the time stamps have no zone: name the building's, as Europe/Berlin, in the map")

@@ -12,7 +12,7 @@ import io
 import re
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -54,6 +54,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     told_points,
     with_numbers,
 )
+from thermoforce_mpc.scenario.settings import suggestion
 
 # A stamp so far from its place in the file is none, s; after the clock it is none where few rows have such.
 _FAR_S, _FEW = 86400.0, 0.01
@@ -100,34 +101,51 @@ def read_appended(
     written: Callable[[Path], Written],
     latest: pd.Timestamp,
     notes: list[str],
-    absent: list[str] | None = None,
+    may_lack: Collection[str] = (),
     units: Mapping[str, str] | None = None,
     now: pd.Timestamp | None = None,
 ) -> list[RawTable]:
     """As `read_tables`, without the lines and cells that cannot be read; `notes` collects them.
 
     Of rows stamped after `latest` few are wrong, and many left as they are. Where no row is of a time to come, `now` is
-    the time: rows from before a clock was set back are wrong, however many. Raises `DataError` where no row of a file
-    is left, or a column is missing that `absent` does not collect.
+    the time: rows from before a clock was set back are wrong, however many. Raises `DataError` where no file can be
+    read, or one that cannot may have columns that are missing, or these are not among those it `may_lack`.
     """
     found: list[RawTable] = []
     known: dict[str, None] = {}
+    refused: list[DataError] = []
     for path in paths:
         of = written(path)
         clock = of.time.lenient()
-        if not is_text(path):
-            found += [replace(one, clock=clock) for one in read_tables([path], wanted, written, notes, units)]
-            known |= dict.fromkeys(name for one in found for name in one.names)
+        try:
+            if not is_text(path):
+                found += [replace(one, clock=clock) for one in read_tables([path], wanted, written, notes, units)]
+                known |= dict.fromkeys(name for one in found for name in one.names)
+                continue
+            here = _read(path, wanted, clock, of.csv, of.table, (latest, now), notes, known, units or {})
+        except DataError as error:  # one that was begun a moment ago, and has no row yet
+            refused.append(error)
             continue
-        here = _read(path, wanted, clock, of.csv, of.table, (latest, now), notes, known, units or {})
         if here is not None:
             found.append(replace(here, clock=clock))
-    for key in wanted:
-        if absent is not None and key not in known:
-            absent.append(key)
+    missing = [key for key in wanted if key not in known]
+    if refused and (not found or not set(missing) <= set(may_lack)):
+        raise refused[0]
+    notes += [f"{error}: left out" for error in refused]
+    for key in missing:
+        if key in may_lack:
+            notes.append(away(key, list(known), str(paths[0])))
         else:
             known_column(key, pd.Index(list(known)), str(paths[0]))
     return found
+
+
+def away(key: str, names: Sequence[str], table: str) -> Note:
+    """That a table with columns `names` has the column `key` no more."""
+    text = f"{table}: column '{key}' is not there any more{suggestion(key, names)}: what it measures is unknown"
+    return Note(
+        f"{text} until it is back; if it was renamed, name it in the map and start again", f"{table}: {key} away"
+    )
 
 
 def _read(
