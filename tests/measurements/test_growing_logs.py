@@ -96,3 +96,48 @@ def test_of_a_log_that_grows_only_the_end_is_read(path, monkeypatch):
     assert first == sum(map(len, rows[:-20]))
     assert 0 < again <= 2 * 4000 + sum(map(len, rows[-20:]))
     assert same == 0
+
+
+WIDE = {
+    "time": {"zone": "UTC"},
+    "step": "15min",
+    "outdoor": "out",
+    "zones": {"room": {"temperature": "T", "lower": 20, "upper": 24}},
+    "actuators": {"pump": {"level": "u"}},
+    "machines": {"meter": {"power": "P", "price": 0.25}},
+}
+
+
+@pytest.mark.parametrize("live", [True, False])
+@pytest.mark.parametrize(
+    "headers",
+    [
+        ["time,T,out,u,P", "time,out,T,u,P"],
+        ["time,T,out,u,P", "time,T,co2,out,u,P"],
+        ["time,T,out,u,P", "P,u,out,T,time", "time,T,out,u,P"],
+        ["T,time,out,u,P", "time,out,co2,T,u", "time,out,co2,T,u,P"],
+    ],
+)
+def test_a_header_in_the_middle_of_a_log_says_what_stands_below_it(path, monkeypatch, headers, live):
+    """A logger that was started again with another sensor, or with its columns in another order."""
+    at = pd.date_range("2025-01-10", periods=600, freq="5min", tz="UTC")
+    k = np.arange(at.size)
+    table = pd.DataFrame({"time": at.strftime("%Y-%m-%dT%H:%M:%SZ"), "T": 21 + k % 5 / 10, "out": 2 + k % 7 / 10})
+    table = table.assign(u=k % 2, P=1000 * (k % 2), co2=400 + k % 90)
+    parts = [table.iloc[of][head.split(",")] for of, head in zip(np.array_split(k, len(headers)), headers, strict=True)]
+    path.write_text("".join(part.to_csv(index=False) for part in parts))
+    monkeypatch.setattr(appended, "PART_BYTES", 3000)
+    now = {"now": at[-1] + pd.Timedelta("30s")} if live else {}
+    rules = WIDE if headers[0].startswith("time") else WIDE | {"time": {"zone": "UTC", "column": "time"}}
+    found = [read_measurements(str(path), rules, **now) for _ in range(2)]
+    for one in found:
+        record = one.record
+        every = 3
+        np.testing.assert_allclose(record.T_zone_C[0], table["T"][::every][: record.n_steps + 1])
+        np.testing.assert_allclose(record.T_out_C, table["out"][::every][: record.n_steps + 1])
+        known = np.isfinite(record.power_W[0])
+        assert known.mean() == (1.0 if all("P" in head for head in headers) else pytest.approx(2 / 3, abs=0.02))
+        if live:
+            (note,) = one.left_out
+            line = len(table) // len(headers) * (len(headers) - 1) + len(headers)
+            assert note == f"{path}, line {line}: another header: its columns are read by their names"

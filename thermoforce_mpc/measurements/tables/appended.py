@@ -29,6 +29,7 @@ from thermoforce_mpc.errors import DataError, counted
 from thermoforce_mpc.measurements.tables.ahead import before_set_back
 from thermoforce_mpc.measurements.tables.clock import newest_first, parsed_or_nat
 from thermoforce_mpc.measurements.tables.files import (
+    another_header,
     cells_of,
     columns_of,
     header_of,
@@ -167,21 +168,31 @@ def _read(
         separator, names, header, cells = header_of(path, form)
         with opened(path) as file:
             content = file.read()
-    stamps, values = columns_of(path, names, clock.column, form, table, wanted)
-    known |= dict.fromkeys(columns_of(path, names, clock.column, form, table, None)[1] if table.point is None else ())
-    if not values:
+    stamps, _ = columns_of(path, names, clock.column, form, table, wanted)
+    sections = _sections(content, _Section(tuple(names), tuple(cells), 0, header), separator, form, stamps[0])
+    units_of = tuple(units.get(key, "") for key in wanted)
+    texts, parts, left = list[_Text](), list[_Part](), _Left(str(path))
+    for number, (section, body) in enumerate(sections):
+        of = path, list(section.names), tuple(stamps), form, table
+        known |= dict.fromkeys(columns_of(*of, None)[1] if table.point is None else ())
+        if not (values := columns_of(*of, wanted)[1]):
+            continue
+        text = _Text(
+            str(path), section.names, section.cells, separator, tuple(stamps), values, tuple(wanted), units_of, clock,
+            form, table, number,
+        )  # fmt: skip
+        first = section.header + 1 + form.skip_after
+        read = _parts(text, body, first) or [_part(text, body, first)]
+        texts.append(text)
+        parts += [replace(part, line=section.line + part.line) for part in read]
+    if not texts:
         return None
-    text = _Text(
-        str(path), tuple(names), tuple(cells), separator, tuple(stamps), values, tuple(wanted),
-        tuple(units.get(key, "") for key in wanted), clock, form, table,
-    )  # fmt: skip
-    first = header + 1 + form.skip_after
-    parts = _parts(text, content, first) or [_part(text, content, first)]
-    left = _Left(str(path))
+    if len(sections) > 1:
+        notes.append(_of_headers(path, [section for section, _ in sections], wanted))
     for part in parts:
         left.add_all(part.left, part.line)
         known |= dict.fromkeys(part.known)
-    found = _joined(text, parts, *times, left)
+    found = _joined(texts[0], parts, *times, left)
     notes += left.notes()
     if found is None:
         raise DataError(f"{path}: nothing of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
@@ -189,10 +200,58 @@ def _read(
 
 
 @dataclass(frozen=True)
+class _Section:
+    """Lines of a file under one header: `line` come before them, line `header` of them (from 0) names the columns."""
+
+    names: tuple[str, ...]
+    cells: tuple[str, ...]
+    line: int
+    header: int = 0
+
+
+def _sections(
+    content: bytes, first: _Section, separator: str, form: CsvFormat, stamp: str
+) -> list[tuple[_Section, bytes]]:
+    """A file parted where another header stands that names the column `stamp` too, with the lines of each section.
+
+    A logger that is started with another sensor, or another order of them, goes on in its file below a new one.
+    """
+    if form.encoding.lower().startswith("utf-16"):
+        return [(first, content)]
+    written = first.cells[first.names.index(stamp)]
+    name, ends = written.encode(form.encoding), separator.encode() + b'"\r\n '
+    found, begins, at = [first], [0], len(name)
+    while (at := content.find(name, at) + len(name)) >= len(name):
+        before, behind = content[at - len(name) - 1 : at - len(name)], content[at : at + 1]
+        if before not in ends or behind not in ends or content.count(b"\n", begins[-1], at) <= found[-1].header:
+            continue
+        begin, end = content.rfind(b"\n", 0, at) + 1, content.find(b"\n", at)
+        cells = cells_of(content[begin : end if end >= 0 else None].decode(form.encoding, "replace"), separator)
+        told = found[-1].cells
+        if end < 0 or tuple(cells) == told or not another_header(cells, told) or len({*cells}) < len(cells):
+            continue
+        line = found[-1].line + content.count(b"\n", begins[-1], begin)
+        found.append(_Section(tuple(stamp if cell == written else cell for cell in cells), tuple(cells), line))
+        begins.append(begin)
+    return [
+        (one, content[begin:end]) for one, (begin, end) in zip(found, pairwise([*begins, len(content)]), strict=True)
+    ]
+
+
+def _of_headers(path: Path, sections: Sequence[_Section], wanted: Sequence[str]) -> Note:
+    """That the columns of a file are called otherwise from a line on."""
+    last, before = sections[-1], {name for section in sections[:-1] for name in section.names}
+    lost = [f"'{key}'{suggestion(key, last.names)}" for key in wanted if key in before and key not in last.names]
+    text = f"{path}, line {last.line + 1}: another header: its columns are read by their names"
+    text += f"; from there on there is no {', '.join(lost)}" if lost else ""
+    return Note(text, f"{path}: another header", len(sections) - 1)
+
+
+@dataclass(frozen=True)
 class _Text:
     """How the text of a file is read: its columns (`cells`: as they stand there), and what is wanted of it.
 
-    `units`: of those wanted, see `raw_table`.
+    `units`: of those wanted, see `raw_table`; `section`: how many of other columns stand before it in the file.
     """
 
     name: str
@@ -206,6 +265,7 @@ class _Text:
     clock: TimeStampRules
     form: CsvFormat
     table: TableForm
+    section: int = 0
 
     @property
     def in_parts(self) -> bool:
@@ -252,7 +312,10 @@ def _joined(
         stamps = pd.concat([one.stamps for one in tables], ignore_index=True)
     else:
         stamps = at if offset[keep][0] else at.dt.tz_localize(None)
-    columns = {key: np.concatenate([one.columns[key] for one in tables])[keep] for key in tables[0].columns}
+    columns = {}
+    for key in dict.fromkeys(key for one in tables for key in one.columns):
+        of = [one.columns[key] if key in one.columns else np.full(len(one.stamps), np.nan) for one in tables]
+        columns[key] = np.concatenate(of)[keep]
     beside: dict[str, Array] = {}
     for one in tables:
         for name, values in one.beside.items():
@@ -309,6 +372,7 @@ def _parts(text: _Text, content: bytes, first: int) -> list[_Part] | None:
         cuts.append(end)
     key = (
         text.name,
+        text.section,
         text.names,
         text.wanted,
         text.units,

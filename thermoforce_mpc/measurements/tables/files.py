@@ -167,8 +167,12 @@ def read_tables(
     known: dict[str, None] = {}
     for path in paths:
         found: list[RawTable] = []
-        form, table, stamps = (of := written(path)).csv, of.table, of.time.column
-        for part in _parts(path, form):
+        form, table = (of := written(path)).csv, of.table
+        parts = _parts(path, form)
+        for part in parts:
+            stamps: Stamps = of.time.column
+            if stamps is None and part is not parts[0] and parts[0].names[0] in part.names:
+                stamps = parts[0].names[0]  # the first column, wherever another header has it
             if table.point is not None:
                 found += _of_readings(part, stamps, wanted, form, table, units)
                 known |= dict.fromkeys(name for one in found for name in (*_present(one), *one.beside))
@@ -600,11 +604,11 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
     """Names, places of lines and most cells of each part of a CSV file, whose rows begin at line `first` (from 0).
 
     Left out are empty lines, those of comment, and the header where it comes again, as in exports joined end to end.
-    Another header behind what is left out begins another part. Refuses rows with more or fewer cells than their header,
+    Another header begins another part. Refuses rows with more or fewer cells than their header,
     whose values would land in wrong columns.
     """
     parts: list[tuple[list[str], list[Any]]] = [(names, [])]
-    most = len(names)
+    most = [len(names)]
     begun, may_begin = 0, False
     with opened(path, "rt", form.encoding) as lines:
         while block := lines.readlines(_BLOCK):
@@ -613,7 +617,14 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
             n = np.array([line.count(separator) for line in block])
             special = np.array([line[:1] in "\r\n" or line.startswith(form.comment or "\n") for line in block])
             again = _starts(parts[-1][0], separator)
-            begins = np.array([line.startswith(again) or _SUMMARY.match(line) is not None for line in block])
+            cell = parts[-1][0][0] or "\n"  # of the lines below a header only another one has it
+            named = cell + separator, separator + cell, f'"{cell}"'
+            begins = np.array(
+                [
+                    any(one in line for one in named) or line.startswith(again) or _SUMMARY.match(line) is not None
+                    for line in block
+                ]
+            )
             after = np.append(may_begin, special[:-1])
             may_begin = bool(special[-1])
             kept &= ~special
@@ -622,16 +633,14 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
                 cells = told = cells_of(block[k], separator)
                 current = parts[-1][0]
                 n[k] = max(len(cells), 1) - 1  # separators in quotes part no cells
-                if told in (current, names):
+                if told == current:
                     kept[k] = False
                     continue
-                if (
-                    after[k]
-                    and len(set(told) & set(current)) > 1
-                    and len(set(told) & set(current)) * 2 >= len(set(told))
-                ):
+                if told == names or another_header(told, current):
                     parts[-1][1].append(np.flatnonzero(kept[start:k]) + start + begun)
+                    most[-1] = max(most[-1], int(n[start:k][kept[start:k]].max(initial=0)) + 1)
                     parts.append((told, []))
+                    most.append(len(told))
                     kept[k], start = False, int(k)
                     continue
                 if not any(told) or _is_footer(told) or _SUMMARY.match(block[k]):
@@ -646,11 +655,11 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
                         "or remove it (a decimal comma? a file that is still being written?)"
                     )
             parts[-1][1].append(np.flatnonzero(kept[start:]) + start + begun)
-            most = max(most, int(n[kept].max(initial=0)) + 1)
+            most[-1] = max(most[-1], int(n[start:][kept[start:]].max(initial=0)) + 1)
             begun += len(block)
     return [
-        (told, np.concatenate([np.empty(0, dtype=np.int64), *rows]), min(most, max(len(told), len(names)) + 1))
-        for told, rows in parts
+        (told, np.concatenate([np.empty(0, dtype=np.int64), *rows]), min(cells, len(told) + 1))
+        for (told, rows), cells in zip(parts, most, strict=True)
     ]
 
 
@@ -660,6 +669,12 @@ def cells_of(line: str, separator: str) -> list[str]:
     if '"' not in line and len(line) <= csv.field_size_limit():
         return [cell.strip() for cell in line.split(separator)] if line else []
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+
+
+def another_header(cells: Sequence[str], names: Sequence[str]) -> bool:
+    """Whether the cells of a line name columns as the header above it does, of which half and more are its `names`."""
+    shared = len(set(cells) & set(names) - {""})
+    return shared > 1 and 2 * shared >= len(set(cells))
 
 
 def _is_footer(cells: Sequence[str]) -> bool:
