@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from simulated_building import RULES, START, SimulatedBuilding, mpc
 
 from thermoforce_mpc.cli.live.control import in_words
@@ -391,3 +392,26 @@ def test_a_column_that_was_never_there_is_an_error(tmp_path):
     house = changed(SimulatedBuilding(), lambda table: table.rename(columns={"out": "outdoor"}))
     with pytest.raises(DataError, match="no column 'out', did you mean 'outdoor'"):
         controlled(house, 2)
+
+
+@pytest.mark.parametrize("broken", ["bill.yaml", "prices.csv"])
+def test_a_bill_that_cannot_be_read_in_a_step_is_that_of_before(tmp_path, broken):
+    """As while it is being edited: the limit of a dimmed machine holds, and what a kWh costs and earns."""
+    house, rules = of_files(tmp_path)
+    bill = {"source": "a test", "energy": "prices.csv", "export_per_kWh": 0.08, "levies_per_kWh": 0.1}
+    (tmp_path / "bill.yaml").write_text(yaml.safe_dump(bill | {"dimming": {"kW": 0.7}}))
+    live = LiveBuilding(house, MeasurementMap.model_validate(rules), 3600.0, tmp_path / "bill.yaml")
+    found = []
+    for step in range(3):
+        house.wait_until(START + step * HOUR)
+        live.record(house.at)
+        if step == 1:
+            (tmp_path / broken).write_text("dimming: {kW: 0.7, hou\n")
+        found.append(live.forecast(12 * 3600.0, 3600.0))
+    for one in found:
+        assert (one.limit_W[:12] == 700.0).all()
+        assert (one.export_per_kWh == 0.08).all()
+    held = broken == "bill.yaml"
+    np.testing.assert_allclose(found[2].price_per_kWh[0, 0], 0.22 if held else np.nan)
+    said = "the bill is that which was read before" if held else "prices are those that were read before"
+    assert any(said in note for note in live.left_out)

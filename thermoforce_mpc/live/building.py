@@ -37,7 +37,7 @@ from thermoforce_mpc.files import file_sha256, plain_json
 from thermoforce_mpc.identification.probing.excitation import RoomsState
 from thermoforce_mpc.identification.probing.probe import LevelsState, ProbingState
 from thermoforce_mpc.live.windows import OpenWindow, as_if_empty, open_windows, without
-from thermoforce_mpc.measurements.forecast import read_forecast
+from thermoforce_mpc.measurements.forecast import ReadBefore, read_forecast
 from thermoforce_mpc.measurements.load import Measurements, learned_commands, learned_tank, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.tables.earlier import Earlier
@@ -116,7 +116,7 @@ class LiveBuilding:
         self._prices, self._people = prices, people
         self._told: dict[str, LastTold] = {}
         self._rounds = set[str]()  # said already
-        self._forecast_before = False
+        self._forecast_before = ReadBefore()
         self._read_before = Earlier(_BACK_DAYS)
         self._reverted: dict[str, int] = {}
         self._looked: tuple[pd.Timestamp, pd.Timestamp] | None = None
@@ -297,11 +297,10 @@ class LiveBuilding:
         try:
             ahead = self._ahead_of(self._call("forecast"), n)
             self.left_out = (*self.left_out, *_doubt_of_outdoors(self._measured.record, ahead))
-            self._forecast_before = True
             return ahead
         except (InputError, PlantError) as error:
             known = None
-            if self._forecast_before:
+            if self._forecast_before.any:
                 with suppress(InputError):
                     known = self._ahead_of(None, n)
             raise NoForecast(str(error), known=known) from error
@@ -317,7 +316,7 @@ class LiveBuilding:
             prices=self._prices,
             now=self.now,
             left_out=left_out,
-            prices_may_lack=self._forecast_before,
+            before=self._forecast_before,
         )
         if self._people is not None and self.now is not None:
             ahead, asked = self._people.applied(ahead, self.origin, self.now)

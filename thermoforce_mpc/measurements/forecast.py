@@ -204,7 +204,6 @@ def _of_year(tariff: Tariff, name: str, origin: pd.Timestamp, grid_s: Array, by_
         return out
 
 
-_AS_BEFORE = "prices are those that were read before"
 # Days before now whose hours tell what a price or bound is likely to be.
 _DAYS = 7
 # A single row of a forecast so far ahead has a wrong stamp.
@@ -219,7 +218,7 @@ def read_forecast(
     prices: Path | None = None,
     now: pd.Timestamp | None = None,
     left_out: list[str] | None = None,
-    prices_may_lack: bool = False,
+    before: ReadBefore | None = None,
 ) -> Boundary:
     """The conditions from the end of `measured` to that of the forecast, at the step of the record.
 
@@ -234,8 +233,9 @@ def read_forecast(
     those of the map; `left_out` says how it was read.
 
     With the time `now` a file that a machine writes is read: what cannot be read is left out and said in `left_out`,
-    as by `read_measurements`. Without a `file` nothing is known (NaN) but what the map and `prices` say. Where
-    `prices_may_lack`, a file of them that cannot be read is said in `left_out`, and prices are NaN.
+    as by `read_measurements`. Without a `file` nothing is known (NaN) but what the map and `prices` say. Once
+    there was a forecast `before`, a file of prices that cannot be read is said in `left_out`, and prices are NaN; a
+    bill is the one that was read last.
 
     Raises `DataError`, naming file, column and time, for several files, a forecast that begins more than 6 h after the
     end of the record or ends before it, outdoor temperatures that go on from the record in another unit only, and a
@@ -243,7 +243,9 @@ def read_forecast(
     """
     check_kind(measured, Measurements, "measured", "read_measurements(...).served() gives them")
     notes = [] if left_out is None else left_out
-    sources = _Sources.of(measured, prices, notes if prices_may_lack else None)
+    before = ReadBefore() if before is None else before
+    prices_may_lack = before.any
+    sources = _Sources.of(measured, prices, before, notes)
     rows, name = _no_rows(sources, measured.record, least_steps) if file is None else _rows(file, sources, now, notes)
     time_s = seconds_since(measured.record.origin, rows.index, name)
     grid_s, back = _grid(rows, time_s, name, measured, least_steps)
@@ -279,7 +281,16 @@ def read_forecast(
     )  # fmt: skip
     if file is not None:
         _check_known(boundary, measured, name, ("price_per_kWh",) if prices_may_lack else ())
+        before.any = True
     return boundary
+
+
+@dataclass
+class ReadBefore:
+    """What earlier forecasts of a loop found: whether there was `any`, and the last `bill` that could be read."""
+
+    any: bool = False
+    bill: Bill | None = None
 
 
 @dataclass(frozen=True)
@@ -288,7 +299,6 @@ class _Sources:
 
     `ours`: the map with the forecast's own columns of time and weather; `bounds`: of each zone, `tariffs`: of each
     machine, `at_meter`: of other loads and generation, a column, a number or None; `bill`: of a file of prices.
-    `broken`: that file cannot be read.
     """
 
     ours: MeasurementMap
@@ -297,11 +307,10 @@ class _Sources:
     at_meter: Sequence[Power | None]
     bill: Bill | None
     given: frozenset[str]
-    broken: bool = False
 
     @classmethod
-    def of(cls, measured: Measurements, prices: Path | None, unread: list[str] | None) -> _Sources:
-        """`unread`: collects why a file of `prices` cannot be read; None where that is an error."""
+    def of(cls, measured: Measurements, prices: Path | None, before: ReadBefore, notes: list[str]) -> _Sources:
+        """`notes` say why a bill is that of `before`, which keeps it; where there was no forecast that is an error."""
         rules, names = measured.map, measured.record.names
         own = {key: value for key, value in rules.forecast if value is not None}
         weather = {"outdoor": rules.outdoor.model_copy(update={"stuck_h": None}), "sun": rules.sun} | own
@@ -311,18 +320,18 @@ class _Sources:
         zones = [rules.zones[name] for name in names.zones]
         bounds = {key: [own.get(key, getattr(zone, key)) for zone in zones] for key in ("lower", "upper")}
         machines = [rules.machines.get(name, MappedMachine()) for name in names.machines]
-        bill, broken = None, False
         try:
             bill = read_bill(prices) if prices is not None and prices.suffix in SUFFIXES else None
         except InputError as error:
-            if unread is None:
+            if not before.any:
                 raise
-            unread.append(f"{error}: {_AS_BEFORE}")
-            broken = True
+            bill = before.bill
+            notes.append(f"{error}: the bill is that which was read before")
+        before.bill = bill
         by_file = prices is not None and (bill is None or bill.energy is not None)
         tariffs = [0.0 if by_file else own.get("price", machine.price) for machine in machines]
         at_meter = [rules.forecast.load, rules.forecast.generation]
-        return cls(ours, bounds, tariffs, at_meter, bill, frozenset(own), broken)
+        return cls(ours, bounds, tariffs, at_meter, bill, frozenset(own))
 
     @property
     def signals(self) -> list[Signal]:
@@ -470,16 +479,16 @@ def _prices_if_any(
     """As `_prices`; NaN with a note where the file `prices` cannot be read."""
     past_price = measured.conditions.price_per_kWh
     unknown, at_meter = np.full((len(past_price), grid_s.size), np.nan), dict[str, Array]()
-    if not sources.broken:
-        try:
-            return _prices(sources, reader, grid_s, measured, prices, notes, now)
-        except InputError as error:
-            if prices is None:
-                raise
-            notes.append(f"{error}: {_AS_BEFORE}")
-        if sources.bill is not None:
-            limit_W = 1000.0 * sources.bill.limit_kW(pd.DatetimeIndex(stamps(grid_s, measured.record.origin)))
-            at_meter = {"limit_W": limit_W} if limit_W.size else {}
+    try:
+        return _prices(sources, reader, grid_s, measured, prices, notes, now)
+    except InputError as error:
+        if prices is None:
+            raise
+        notes.append(f"{error}: prices are those that were read before")
+    if (bill := sources.bill) is not None:
+        at_meter["limit_W"] = 1000.0 * bill.limit_kW(pd.DatetimeIndex(stamps(grid_s, measured.record.origin)))
+        if isinstance(bill.export_per_kWh, float):
+            at_meter["export_per_kWh"] = np.full(grid_s.size, bill.export_per_kWh)
     return unknown, np.full(past_price.shape, np.nan), at_meter
 
 
