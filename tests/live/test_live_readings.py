@@ -415,3 +415,25 @@ def test_a_bill_that_cannot_be_read_in_a_step_is_that_of_before(tmp_path, broken
     np.testing.assert_allclose(found[2].price_per_kWh[0, 0], 0.22 if held else np.nan)
     said = "the bill is that which was read before" if held else "prices are those that were read before"
     assert any(said in note for note in live.left_out)
+
+
+def test_prices_of_today_from_now_on_are_neither_those_of_the_night_nor_forgotten():
+    """Tomorrow's come at 13:00 or later; what was paid today tells them, and not the last price of the evening."""
+    house = SimulatedBuilding()
+    live = house.forecast
+
+    def of_today():
+        table = live()
+        return table.assign(spot=np.where(table.index < START + 24 * HOUR, 0.1 + table.index.hour / 100, np.nan))
+
+    house.forecast = of_today
+    rules = RULES | {"machines": {"machine": {"power": "P"}}, "forecast": {"price": {"column": "spot"}}}
+    building = LiveBuilding(house, MeasurementMap.model_validate(rules), 3600.0)
+    for hour in range(24):
+        house.wait_until(START + hour * HOUR)
+        building.record(house.at)
+        ahead = building.forecast(12 * 3600.0, 3600.0)
+        hours = (hour + np.arange(13)) % 24
+        np.testing.assert_allclose(ahead.price_per_kWh[0, :12], 0.1 + hours[:12] / 100)
+        guessed = ahead.guessed.get("price_per_kWh", np.zeros((1, 13), dtype=bool))[0]
+        assert (guessed[:12] == (hour + np.arange(12) >= 24)).all()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +127,7 @@ def prices_over_steps(
     time_s = seconds_since(origin, rows.index[known], str(path))
     ends = ends_s(time_s, longest_s(time_s, step_s, None), np.empty(0))
     readings = SignalReadings(time_s, values[known], ends)
-    if time_s.size > 1:
+    if time_s.size:
         price = held_means(readings, durations_s(readings, "start"), grid_s, step_s, _SHARE)
     else:
         price = held(readings, grid_s)
@@ -259,6 +259,7 @@ def read_forecast(
     lower, upper = _bounds(sources, reader, grid_s, measured)
     of_prices = (sources, reader, grid_s, measured, prices, notes, now)
     price, past_price, at_meter = _prices_if_any(*of_prices) if prices_may_lack else _prices(*of_prices)
+    price = before.with_prices(price, grid_s, back, measured.record.origin)
     others_W = _others_W(sources, reader, grid_s, measured, back, name, notes)
     values, guessed = {"lower_C": lower, "upper_C": upper, "price_per_kWh": price}, {}
     # What the map says of prices that were is of another tariff where it is one number, or a file has those ahead.
@@ -287,10 +288,26 @@ def read_forecast(
 
 @dataclass
 class ReadBefore:
-    """What earlier forecasts of a loop found: whether there was `any`, and the last `bill` that could be read."""
+    """What earlier forecasts of a loop found: whether there was `any`, and the last `bill` that could be read.
+
+    `prices` (M,) by the time of what was paid, s since 1970: a table that begins with now has those of today no more.
+    """
 
     any: bool = False
     bill: Bill | None = None
+    prices: dict[int, Array] = field(default_factory=dict)
+
+    def with_prices(self, price: Array, grid_s: Array, back: int, origin: pd.Timestamp) -> Array:
+        """Prices (M, n) at `grid_s` (n,), those before place `back` as they were read then where they are not now."""
+        since_s = round(origin.timestamp())
+        times = [since_s + round(one_s) for one_s in grid_s.tolist()]
+        price = price.copy()
+        for k in range(back):
+            if (read := self.prices.get(times[k])) is not None:
+                price[:, k] = np.where(np.isfinite(price[:, k]), price[:, k], read)
+        here = {times[k]: price[:, k] for k in range(back + 1) if np.isfinite(price[:, k]).all()}
+        self.prices = {at: one for at, one in self.prices.items() if at >= times[0]} | here
+        return price
 
 
 @dataclass(frozen=True)

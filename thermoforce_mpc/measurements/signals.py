@@ -223,7 +223,7 @@ class SignalReader:
         if not isinstance(source, Signal):
             return self.scheduled(key, source, PRICE)
         readings, unit, flags = self._readings(key, source, PRICE)
-        if readings.values.size > 1 and self.grid_s.size > 1:
+        if readings.values.size and self.grid_s.size > 1:
             lasts = self._lasts_s(readings, "start")
             values = held_means(readings, lasts, self.grid_s, self._step_s, self._coverage)
         else:
@@ -343,8 +343,8 @@ class SignalReader:
         if found is not None or not values.size:
             return found
         few = values.size <= _FEW and (np.diff(values) != 0.0).all()
-        beside = self._table.index.size >= _ROWS_BESIDE * values.size
-        if few and (own or (values.size > 1 and beside)):
+        within = int(((self._time_s >= time_s[0]) & (self._time_s <= time_s[-1])).sum())
+        if few and (own or (values.size > 1 and within >= _ROWS_BESIDE * (values.size - 1))):
             return ends_s(time_s, most_s, breaks_s)
         return None
 
