@@ -6,6 +6,7 @@ import gc
 import os
 import signal
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache, partial
@@ -60,12 +61,25 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
         return None
     from xdist.scheduler import LoadFileScheduling
 
+    config.option.loadscopereorder = False  # the order is that of `pytest_collection_modifyitems`
+
     class ByWhatIsLoaded(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = super()._split_scope(nodeid)
             return "torch" if needs_torch(config.rootpath / file) else file
 
     return ByWhatIsLoaded(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Where processes share the tests, files with most slow ones begin, and small ones are left to end with.
+
+    A long file that begins last keeps one process busy while the others have nothing left.
+    """
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+        all_of = Counter(item.path for item in items)
+        items.sort(key=lambda item: (not needs_torch(item.path), -slow[item.path], -all_of[item.path]))
 
 
 @cache

@@ -78,3 +78,11 @@ def test_what_readme_ci_and_image_install_is_pinned():
     assert all("-c constraints.txt" in line for line in installs)
     assert "--require-hashes -r /src/requirements.txt" in image
     assert "tools.lock --verify" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+
+
+def test_ci_finds_what_it_runs_with_the_newest_versions():
+    ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    (paths,) = re.findall(r"^met=\((.*?)\)$", ci, re.M | re.S)
+    assert '"${met[@]}"' in ci
+    assert [path for path in paths.split() if not (ROOT / path).exists()] == []
+    assert len(paths.split()) > 10
