@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import itertools
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, emulator, heat_pump
+from thermoforce_mpc.plants.embedded.exposure import build_exposure
 from thermoforce_mpc.plants.embedded.houses import HEAT_PUMP_HOUSE
 from thermoforce_mpc.plants.embedded.kernel import integrals
 from thermoforce_mpc.protocols import Plant
@@ -35,6 +37,18 @@ def test_it_is_a_plant_that_says_what_it_is(plant):
     assert isinstance(plant, Plant)
     assert plant.info.kind == "embedded"
     assert "synthetic" in plant.info.weather
+
+
+def test_plants_of_one_year_and_house_share_what_the_weather_does_to_it(weather):
+    facade = HEAT_PUMP_HOUSE.facade
+    first = build_exposure(weather, facade)
+    assert build_exposure(synthetic_weather(), facade) is first
+    assert not first.flags.writeable
+    warm = weather.T_dry_C.copy()
+    warm[100] += 1e-9
+    others = [replace(weather, T_dry_C=warm), replace(weather, longitude_deg=weather.longitude_deg + 1e-6)]
+    assert all((build_exposure(other, facade) != first).any() for other in others)
+    assert (build_exposure(weather, replace(facade, roof_is_south=not facade.roof_is_south)) != first).any()
 
 
 def test_the_heat_pump_meets_the_published_operating_point():
