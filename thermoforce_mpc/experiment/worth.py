@@ -517,7 +517,7 @@ class Houses:
         if meter is None or moved == 0.0:
             return 0.0
         at_s = clock_s(record.time_s[:-1], record.origin)
-        return beyond_sd(moved, 0.0, chance_sd(meter.scatter_W, price, at_s, record.step_s))
+        return beyond_sd(moved, 0.0, 0.0, chance_sd(meter.scatter_W, price, at_s, record.step_s))
 
     def _of_levels_kWh(self, m: int, was: Record) -> float:
         """What levels took of the energy of machine `m`, kWh, by the law; where there is none, all of it."""

@@ -443,7 +443,7 @@ class CommandedPlan:
         moved = (beside.cost + beside.after - beside_alone.cost - beside_alone.after)[0]
         by_chance = self._meters.chance_sd({a for a in planned if not np.array_equal(own[a], usual[a])}, scatter_W)
         if by_chance is not None:
-            sd = beyond_sd(float(moved), float(of_levels[0]), by_chance)
+            sd = beyond_sd(float(moved), more + less, float(of_levels[0]), by_chance)
             saved = saved + sd * standard((len(z), 1), rng)[:, 0]
         spread = spread_of_savings(float(of_levels[0]), float(moved), float(off_peak[0]))
         expected, low, high = expected_saving(saved, spread)

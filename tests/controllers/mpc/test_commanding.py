@@ -365,6 +365,20 @@ def test_the_less_is_known_the_less_is_promised(parts):
     assert wild.high - wild.low > 1.2 * (calm.high - calm.low)
 
 
+def test_a_plan_that_moves_little_is_known_better_than_one_that_moves_much(parts):
+    """Errors that it shares with the building left alone are none of what it saves."""
+    plan = begun(parts)
+    usual = [plan.loops[a].usual_row.reshape(plan.problem.n_steps, -1) for a in range(2)]
+
+    def width(hours):
+        values = tuple(row - np.where(np.arange(len(row)) < hours, 1.0, 0.0)[:, None] for row in usual)
+        saving = plan.saving(replace(plan.without.realise(np.zeros((2, plan.problem.n_steps))), values=values), 0.0)
+        return saving.high - saving.low
+
+    assert width(0) < 1e-9
+    assert 0.0 < width(2) < 0.6 * width(12)
+
+
 def test_in_a_room_that_is_not_known_discomfort_counts_as_it_is_on_average_over_errors(parts):
     """Where a plan makes it worse than left alone does; by summing over the errors instead of in closed form."""
     problem, plan = parts[2], begun(parts)
