@@ -37,10 +37,12 @@ def test_steps_in_which_a_window_was_open_are_on_the_card():
     T, days = np.array(seen.T_zone_C), 3
     for k in np.flatnonzero(np.isclose(seen.time_s % 86_400.0, 7.5 * 3600.0)):
         T[:, k:] -= 1.5 * np.exp(-(seen.time_s[k:] - seen.time_s[k]) / 3600.0)
-    for one, aired in ((replace(seen, T_zone_C=T), days), (seen, 0)):
-        notes = " ".join(identify([one], config=LINEAR, floor_area_m2=190.0).only.card.notes)
-        told = re.search(rf"in (\d+) of {seen.n_steps} steps air came in, as through a window", notes)
+    opened, off = replace(seen, T_zone_C=T), LINEAR.model_copy(update={"air_through_windows": False})
+    for one, config, aired in ((opened, LINEAR, days), (opened, off, 0), (seen, LINEAR, 0)):
+        model = identify([one], config=config, floor_area_m2=190.0)
+        told = re.search(r"in (\d+) steps air came in, as through a window", " ".join(model.only.card.notes))
         assert (int(told[1]) if told else 0) == pytest.approx(aired, abs=2 * (aired > 0))
+        assert sum("air came in" in claim for claim in model.claims) == bool(aired)
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ SUN = SunOnSensor(2.0, 0.3, 0.99, 180.0, 120.0, 50.0, 43_200.0)
 
 
 def believing() -> ThermalModel:
-    """Two houses: blocked hours, sun and foreign heat in the one, another load on its boiler, and an unsure effect."""
+    """Two houses: blocked hours, sun, foreign heat, another load on its boiler; air in the other, an unsure effect."""
     plain = two_model()
     (own, _), (_, other) = plain.operator.pairs
     across = replace(own, gains=0.3 * own.gains)
@@ -32,15 +32,16 @@ def believing() -> ThermalModel:
     bath, hall = plain.cards
     cards = (
         replace(bath, sun_on_sensor=SUN, foreign_heat=OTHER, blocked_hours=(2, 3)),
-        replace(hall, uncertainty=unsure),
+        replace(hall, uncertainty=unsure, scores={"aired_steps": 6.0, "aired_K": 0.84}),
     )
     boiler, pump = plain.power
     return replace(plain, operator=operator, cards=cards, power=(replace(boiler, foreign=OTHER), pump))
 
 
 def test_each_claim_is_said_with_what_it_changes():
-    sun, power, heat, hours, neighbour = believing().claims
+    sun, air, power, heat, hours, neighbour = believing().claims
     assert sun == f"bath: {SUN.in_words()}"
+    assert air.startswith("hall: in 6 steps air came in, as through a window, and moved the room by 0.8 K in the mean")
     assert power.startswith("power of boiler: the meter holds another load: 500 W on average")
     assert heat.startswith("heat of radiator: the meter holds another load")
     assert hours.startswith("radiator: nothing comes from 2:00 to 4:00, whatever is asked for")
@@ -60,9 +61,9 @@ def test_a_run_says_them_of_the_model_that_it_begins_with(monkeypatch, capsys):
 
 def test_what_a_plan_said_of_an_actuator_is_not_said_again() -> None:
     model, said = believing(), list[str]()
-    hours = model.claims[3].partition(": ")[2]
+    hours = model.claims[4].partition(": ")[2]
     model.say_claims(said.append, f"radiator: watch: {hours}, found while probing")
-    assert said == [f"Found: {claim}" for k, claim in enumerate(model.claims) if k != 3]
+    assert said == [f"Found: {claim}" for k, claim in enumerate(model.claims) if k != 4]
 
 
 def test_the_report_says_them_of_the_model_of_the_run(tmp_path) -> None:

@@ -47,6 +47,10 @@ class IdentificationConfig(StrictModel):
     late_sensor: bool = Field(
         True, description="look for a sensor of a single zone that reads late, and plan for the temperature of the room"
     )
+    air_through_windows: bool = Field(
+        True,
+        description="look for steps in which air came into a room through a window, and let them explain no effect",
+    )
     foreign_loads: bool = Field(True, description="look for other loads on meters of power and heat, and take them off")
     modulation: Literal["always", "auto", "linear"] = Field(
         "auto",

@@ -34,6 +34,8 @@ MOST_ERROR_K = {JUDGED_H[0]: 0.5 * FAR_K, JUDGED_H[1]: FAR_K}
 MOST_RELATIVE_SD = 0.4
 # Relative standard deviation of the effect of a day on another zone from which a record does not tell it. By judgement.
 UNTOLD_SD = 0.5
+AIRED_STEPS, AIRED_K = "aired_steps", "aired_K"
+"""What a card's `scores` call the number of steps in which air came into the zone, and the mean of what it took, K."""
 TOGETHER_SD = "together_24h_relative_sd"
 """What a card's `uncertainty` calls the relative standard deviation of what a day of all actuators does to its zone."""
 
@@ -156,6 +158,17 @@ class ModelCard:
         if away := [name for name, (low, high) in self.ranges.items() if not low <= high]:
             raise DataError(f"ranges: {away[0]}: {self.ranges[away[0]]}, expected the least and the largest value")
         HourEffects(seen=tuple(HourSeen(*one) for one in self.hour_effects))
+
+    @property
+    def air_in_words(self) -> str:
+        """Steps in which air came into the zone, and what is made of them; '' where none did."""
+        steps = self.scores.get(AIRED_STEPS, 0.0)
+        if not steps:
+            return ""
+        return (
+            f"in {steps:.0f} steps air came in, as through a window, and moved the room by {self.scores[AIRED_K]:.1f} "
+            "K in the mean: that counts as no effect of anything else (identification.options.air_through_windows)"
+        )
 
     @property
     def together_sd(self) -> float:

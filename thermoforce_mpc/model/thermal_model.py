@@ -208,12 +208,15 @@ class ThermalModel:
 
     @property
     def claims(self) -> tuple[str, ...]:
-        """What was found of sensors, meters, hours and neighbours that changes what is planned, in words."""
+        """What was found of sensors, windows, meters, hours and neighbours that changes what is planned, in words."""
         names, told = self.names, list[str]()
         for of_sensors in (self.sun_on_sensors, self.late_sensors):
             for z, found in enumerate(of_sensors):
                 if found is not None:
                     told.append(found.in_words() if len(names.zones) == 1 else f"{names.zones[z]}: {found.in_words()}")
+        for z, air in enumerate(self._of_zones([card.air_in_words or None for card in self.cards])):
+            if air is not None:
+                told.append(air if len(names.zones) == 1 else f"{names.zones[z]}: {air}")
         for machine, power in zip(names.machines, self.power, strict=True):
             if power is not None and power.foreign is not None:
                 told.append(f"power of {machine}: {power.foreign.in_words()}")

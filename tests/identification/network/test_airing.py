@@ -87,6 +87,16 @@ def test_a_building_is_fitted_without_air_and_expects_it():
     assert of_step[0] - of_step[1] == pytest.approx(room.air_K2)
 
 
+@pytest.mark.parametrize(("u_min", "aired"), [(0.0, False), (-1.0, True)], ids=["turned off", "kept by its own loops"])
+def test_air_is_not_looked_for(u_min, aired):
+    run, _ = lived(-1.5)
+    run = replace(run, inputs=np.delete(run.inputs, NEIGHBOUR, axis=1))
+    layout = Layout.single("both" if u_min else "heating", u_min, 50.0)
+    actuators = NetworkInputs(layout, [HeatInput(u_min=u_min)], [[]])
+    (room,) = building_fit(actuators, [[run]], aired=aired).rooms
+    assert room.runs[0].aired_K2 is None
+
+
 def test_a_jump_as_an_actuator_ends_is_its_own():
     fit = RoomFit(METERED, TRUTH, 0.0, [lived(-1.5, until_h=7.5)[0]])
     assert without_air(fit) is fit

@@ -179,6 +179,8 @@ _MEANING = {
     "held_out_neural": "the same with a network as gain",
     "modulation_kept": "network kept (1) or not (0)",
     "sun_on_sensor": "probability that the sun shines on the zone sensor; it is taken off above 0.9",
+    "aired_steps": "steps in which air came in, as through a window",
+    "aired_K": "what it moved the room by in the mean, K",
 }
 _UNITS = {"T_zone_C": "zone, °C", "T_out_C": "outdoors, °C", "solar_W_m2": "sun, W/m²", "u": "action u"}
 

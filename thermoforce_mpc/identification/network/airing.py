@@ -25,8 +25,8 @@ _BEYOND = 4.0
 # How often steps are looked for and the room is fitted again: what is aired hides smaller jumps until it is known.
 _PASSES = 2
 # How much less of its full level an actuator does, and so long after, h, the jump may be its own. By judgement: valves
-# move by less from step to step, and warm air is gone within the hour. Of `bestest_air`, probed, which has no windows,
-# 1 to 5 steps are still taken for air (2026-11-30).
+# move by less from step to step, and warm air is gone within the hour. Tried on `bestest_air`, which has no windows: 1
+# to 5 steps of its set-points, which are left out since, were taken for air (2026-11-30).
 _LESS, _AFTER_H = 0.25, 1.0
 
 

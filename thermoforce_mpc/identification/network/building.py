@@ -233,16 +233,24 @@ class BuildingFit:
 
 
 def building_fit(
-    actuators: NetworkInputs, rooms: Sequence[Sequence[RoomRun]], before: BuildingFit | None = None
+    actuators: NetworkInputs,
+    rooms: Sequence[Sequence[RoomRun]],
+    before: BuildingFit | None = None,
+    *,
+    aired: bool = True,
 ) -> BuildingFit:
     """The network of a building from the runs of each of its zones (Z,), as of `room_run`.
 
-    `before`: a fit to fewer runs, from which to search.
+    `before`: a fit to fewer runs, from which to search; `aired`: air may have come in through windows. That is not
+    looked for in a zone whose levels are signed: its own loops move such a room within a step in ways that the network
+    does not follow, and 4 of 288 steps of `bestest_air`, which has no windows, were taken for air (2026-11-30).
     """
-    fits = []
+    fits, layout = [], actuators.layout
     for z, runs in enumerate(rooms):
         read = [run for run in runs if np.isfinite(run.readings).sum() >= _LEAST_READINGS]
-        fits.append(without_air(estimate_room(actuators.room(z), read, before.rooms[z] if before else None)))
+        fit = estimate_room(actuators.room(z), read, before.rooms[z] if before else None)
+        by_loops = any(actuators.heat_inputs[a].u_min < 0.0 for a in layout.actuators_of(z))
+        fits.append(without_air(fit) if aired and not by_loops else fit)
     return BuildingFit(actuators.layout, tuple(fits))
 
 

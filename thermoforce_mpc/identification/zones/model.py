@@ -19,7 +19,7 @@ from thermoforce_mpc.identification.modulation import modulate, prove
 from thermoforce_mpc.identification.validation.competence import UNJUDGED, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold, hours_seen
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
-from thermoforce_mpc.model.card import Competence
+from thermoforce_mpc.model.card import AIRED_K, AIRED_STEPS, Competence
 from thermoforce_mpc.model.machine.blocked_hours import HourEffects
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -63,7 +63,7 @@ def identify_zone(
     scores, said = {**data.card.scores, **estimate.scores}, [*data.card.notes, *notes, *unknown.notes]
     if data.grid_K:
         said.append(f"the zone sensor reads in steps of {data.grid_K:.2g} K")
-    said += _of_air(everything)
+    scores |= _of_air(everything)
     if heat_input.law is not None and last.heat_input.law is None:
         said.append(_LEVEL_FOR_HEAT)
     if config.modulation != "linear":
@@ -78,6 +78,8 @@ def identify_zone(
     for cost in part_load_costs(estimate.laws, histories, power, heat_input):
         certainty |= cost.numbers()
     heat_W_m2 = heat_input.reference_W / data.area_m2 if heat_input.law is not None else float("nan")
+    if air := replace(data.card, scores=scores).air_in_words:
+        said.append(air)
     judged = judge(last, before, operator, certainty, scores["acts_log_odds"], heat_W_m2)
     card = replace(
         data.card,
@@ -147,13 +149,11 @@ def _without_effect(log_odds: float, data: ZoneData) -> str:
     )
 
 
-def _of_air(fold: Fold) -> list[str]:
-    """A note on steps in which air came in (`network.airing`); none where none did."""
-    aired = [np.count_nonzero(e.air_K) for e in fold.regressions if e.air_K is not None]
-    if not any(aired):
-        return []
-    n = sum(e.histories[0].n_steps for e in fold.regressions if e.air_K is not None)
-    return [f"in {sum(aired)} of {n} steps air came in, as through a window: a fall then is no effect of anything else"]
+def _of_air(fold: Fold) -> dict[str, float]:
+    """The scores of a card on steps in which air came in (`network.airing`); none where none did."""
+    air_K = np.concatenate([np.zeros(0), *(e.air_K for e in fold.regressions if e.air_K is not None)])
+    aired = np.abs(air_K[air_K != 0.0])
+    return {AIRED_STEPS: float(aired.size), AIRED_K: float(aired.mean())} if aired.size else {}
 
 
 def _ranges(histories: Sequence[Record]) -> dict[str, tuple[float, float]]:

@@ -87,7 +87,7 @@ def network_estimates(
             first = layout.actuators_of(zone)[:1]
             weight = _weight(seen, zone, layout, heat_inputs, config)
             rooms.append(_seen(runs, pairs, zone, actuators, data[first[0]] if first else data[0], fold, weight))
-        fit = replace(building_fit(actuators, rooms, fit), sizes=sizes)
+        fit = replace(building_fit(actuators, rooms, fit, aired=config.air_through_windows), sizes=sizes)
         circuits = {}
         for a, (home, heat_input) in enumerate(zip(layout.home, heat_inputs, strict=True)):
             circuit = circuit_of(
