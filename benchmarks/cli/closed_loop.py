@@ -168,9 +168,10 @@ def fallback_command(quick: bool, json_file: Path | None) -> None:
 
 
 @click.command("detectors")
-@click.option("--weeks", type=click.IntRange(1), help="House-weeks of clean plants.  [default: 200]")
+@click.option("--weeks", type=click.IntRange(0), help="House-weeks of clean plants.  [default: 200, with --only 0]")
 @click.option("--faults", type=click.IntRange(0), help="Plants with each fault.  [default: 4]")
 @click.option("--seed", type=click.IntRange(0), help="Seed of the plants that are drawn.  [default: 62]")
+@click.option("--only", multiple=True, metavar="NAME", help="Faults whose names begin so; repeatable.")
 @click.option(
     "--against",
     type=FILE,
@@ -189,6 +190,7 @@ def detectors_command(
     weeks: int | None,
     faults: int | None,
     seed: int | None,
+    only: tuple[str, ...],
     against: Path | None,
     keep: Path | None,
     engine: Opening,
@@ -206,6 +208,7 @@ def detectors_command(
     \b
     Example:
       tf-mpc bench detectors --weeks 24 --faults 1 --jobs 2 --keep runs/detectors --json detectors.json
+      tf-mpc bench detectors --only meters --only guard --faults 6 --seed 7
       tf-mpc bench detectors --against --jobs 2
     """
     from benchmarks.detectors.bench import run_detectors_bench
@@ -215,6 +218,7 @@ def detectors_command(
             weeks=weeks,
             faults=faults,
             seed=seed,
+            only=only,
             engine=where,
             quick=quick,
             against=against,

@@ -80,6 +80,7 @@ def run_detectors_bench(
     weeks: int | None = None,
     faults: int | None = None,
     seed: int | None = None,
+    only: Sequence[str] = (),
     engine: Engine,
     quick: bool = False,
     against: Path | None = None,
@@ -89,10 +90,11 @@ def run_detectors_bench(
     """Run the panel.
 
     Args:
-        weeks: house-weeks of clean plants, the kinds in turn; None: 200.
+        weeks: house-weeks of clean plants, the kinds in turn; None: 200, or with `only` none.
         faults: plants with each fault; None: 4.
         seed: of the plants that are drawn; None: 62. With `against` and none of the three: the weeks of
             that run, and those of one plant of each fault (`faulty`) that it lacks, where it has any.
+        only: faults whose names begin so; none: all of them.
         engine: where they are run; the result does not depend on it.
         quick: one house-week of each of two kinds, and one fault.
         against: JSON of an earlier run, to compare the weeks that both have: same kind, number, seed and fault.
@@ -100,13 +102,14 @@ def run_detectors_bench(
         progress: callback for progress lines.
 
     Raises:
-        InputError: no house-weeks, `against` is no JSON of this bench, or none of its weeks is among those asked for.
+        InputError: no house-weeks, no fault is named as `only` says, `against` is no JSON of this bench, or none of its
+            weeks is among those asked for.
     """
     before = _earlier(against) if against else {}
-    if before and not quick and (weeks, faults, seed) == (None, None, None):
+    if before and not quick and not only and (weeks, faults, seed) == (None, None, None):
         cases = _again(list(before))
     else:
-        cases = _asked_for(weeks, faults, _SEED if seed is None else seed, quick)
+        cases = _asked_for(weeks, faults, _SEED if seed is None else seed, only, quick)
     if against and not before.keys() & set(cases):
         raise InputError(
             f"{against}: has none of the weeks asked for, such as '{cases[0].in_words}' (its first is "
@@ -130,13 +133,14 @@ def _again(kept: list[PanelCase]) -> list[PanelCase]:
     return kept + [case for case in faulty(1, kept[0].seed) if has_faults and case not in kept]
 
 
-def _asked_for(weeks: int | None, faults: int | None, seed: int, quick: bool) -> list[PanelCase]:
+def _asked_for(weeks: int | None, faults: int | None, seed: int, only: Sequence[str], quick: bool) -> list[PanelCase]:
     if quick:
         return clean(2, seed) + faulty(1, seed)[-1:]
-    n = _WEEKS if weeks is None else weeks
-    if n < 1:
-        raise InputError(f"{n} house-weeks: expected at least one")
-    return clean(n, seed) + faulty(_FAULTS if faults is None else faults, seed)
+    n = (0 if only else _WEEKS) if weeks is None else weeks
+    cases = clean(n, seed) + faulty(_FAULTS if faults is None else faults, seed, only)
+    if not cases:
+        raise InputError("neither house-weeks of clean plants nor of faults: expected one at least")
+    return cases
 
 
 def run_case(case: PanelCase) -> dict[str, Any]:
@@ -155,14 +159,16 @@ def house_week(case: PanelCase, place: BuiltCase) -> WeekOutcome:
     """The week of a built case, and again without each rule that claimed something or is for its fault."""
     ran = follow(place, None)
     claims = {rule.name: found for rule in RULES if (found := rule.claims(ran))}
-    if place.fixed:
+    if place.fixed and not case.fault:
         claims.pop("fixed part", None)
     if not case.fault and ran.claimed_lag_s() <= _LATER * place.late_s:
         claims.pop("late sensor", None)
     house = getattr(place.plant, "house", None)
     if not case.fault and isinstance(house, DrawnHouse) and ran.gave_all(house):
         claims.pop("shared machine at its limit", None)
-    again = [rule for rule in RULES if rule.can_be_off and (rule.name in claims or rule.name == rule_of(case.fault))]
+    # What acts in `live` alone acts on the plants of its fault alone.
+    costs = [rule for rule in RULES if rule.can_be_off and rule.name in claims and not rule.live]
+    again = [rule for rule in RULES if rule.can_be_off and (rule in costs or rule.name == rule_of(case.fault))]
     without = {rule.name: _figures(follow(place, rule)) for rule in again}
     cost, K_h = _figures(ran)
     idle = sum(not step.plan.u.size for step in ran.result.steps)
@@ -185,7 +191,7 @@ def follow(place: BuiltCase, without: Detector | None) -> ControlledWeek:
     """The week of a plant, probed and controlled with the defaults, without one rule."""
     testcase = place.testcase
     identification = dict(without.identification) if without else {}
-    options = dict(without.controller) if without else {}
+    options = dict(without.options(testcase.layout)) if without else {}
     scenario = Scenario(testcase=testcase.name)
     spec = scenario.identification
     probing, config = identification_settings(scenario, chosen_of(scenario, testcase, _CONTROLLER))
@@ -204,7 +210,7 @@ def follow(place: BuiltCase, without: Detector | None) -> ControlledWeek:
         )
     except DataError as error:
         model = str(error)
-    controller = build_controller(_CONTROLLER, options, testcase, model)
+    controller = place.acts(build_controller(_CONTROLLER, options, testcase, model), without.name if without else "")
     units = UnitDoubts(testcase.layout, model, testcase.currency)
     allowed = limits_of(controller, sum(testcase.layout.floor_area_m2))
     result = run_closed_loop(place.plant, controller, place.period, allowed=allowed, units=units)
@@ -229,7 +235,7 @@ def rule_rows(outcomes: Sequence[WeekOutcome]) -> list[Row]:
                 "with a false claim": len(claimed),
                 "in 100 house-weeks": 100.0 * len(claimed) / len(weeks) if weeks else float("nan"),
                 **_certainty(len(claimed), len(weeks)),
-                "they cost per m²": cost if rule.can_be_off else None,
+                "they cost per m²": cost if rule.can_be_off and not rule.live else None,
                 "faults": len(faults),
                 "found": sum(rule.name in one.claims for one in faults),
                 "saved there per m²": saved if rule.can_be_off and faults else None,
@@ -294,7 +300,7 @@ def targets(outcomes: Sequence[WeekOutcome]) -> list[Target]:
     for row in rule_rows(outcomes):
         found.append(Target(f"{row['rule']}: false claims in 100 house-weeks", row["in 100 house-weeks"], _MOST_CLAIMS))
         if row["saved there per m²"] is not None:
-            a_week = row["they cost per m²"] / max(row["house-weeks"], 1)
+            a_week = (row["they cost per m²"] or 0.0) / max(row["house-weeks"], 1)
             balance, name = (
                 row["saved there per m²"] / row["faults"] - a_week,
                 f"{row['rule']}: saved less cost, a week",

@@ -6,7 +6,7 @@ import atexit
 import math
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import count
@@ -18,10 +18,30 @@ import numpy as np
 from benchmarks.chaos.fmu.building import build_house
 from benchmarks.detectors.air_unit import LightOffice
 from benchmarks.faults.faulty_plant import FaultyPlant
+from controllers import ThermoForceMPC
+from controllers.mpc.planner import build_solver
+from controllers.optimisation.problem import MPCProblem, ProblemShape
+from controllers.optimisation.solution import Solution, Solver
 from thermoforce_mpc.boundary.weather import CONTINENTAL, MARITIME, synthetic_weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import (
+    DAY_S,
+    HOUR_S,
+    Array,
+    Boundary,
+    Layout,
+    Levels,
+    Measurement,
+    Observation,
+    Period,
+    Plan,
+    PlantInfo,
+    Record,
+)
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.drawn_houses import GRID_S, WEEKS
+from thermoforce_mpc.live.windows import as_if_empty, open_windows
+from thermoforce_mpc.live.windows import without as without_readings
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.plants.drawn_houses import AIR_WH_M3_K, GRID_S, HEIGHT_M, WEEKS
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, PointEmulator
 from thermoforce_mpc.plants.energyplus.zone import EnergyPlusPlant
 from thermoforce_mpc.plants.fmu import FmuPlant
@@ -45,6 +65,13 @@ _AFTER_S = 2.0 * DAY_S
 _OTHER_W, _SUN_K, _ASLEEP_H, _LATE_S = 400.0, 2.5, 5.0, 900.0
 # Which houses of a draw have that sensor: others than those of the clean weeks.
 _LATE_FROM, _LATE_EVERY = 2000, 100
+# Which houses of a draw have a fixed loss, and rooms of a heat pump without one: others than those of the clean weeks.
+_FIXED_FROM, _EVEN_FROM = 3000, 50
+# Air changes, 1/h, of all windows together, wide open: twice the most of `plants.people`, whose windows are not all
+# open. For so long, s: twice a day, as people air, and once, forgotten.
+_WIDE_1_H, _AIRED_S, _FORGOTTEN_S = 6.0, 900.0, 2.0 * HOUR_S
+# When people air, and when they forget it in the evening of the third day, h.
+_AIRINGS_H, _EVENING_H = (7.0, 20.0), 19.0
 # Fewest plants of a fault: of readings in half degrees three days say nothing of a lag.
 _LEAST = {"late sensor": 3}
 # Hours of the morning in which a schedule acts, and how many times the ventilation that it blows in then.
@@ -87,7 +114,8 @@ class PanelCase:
 @dataclass(frozen=True)
 class BuiltCase:
     """A plant with its test case and scored window; `fixed`: whether its machine has a fixed loss; `late_s`: time
-    constant of its zone sensor, s.
+    constant of its zone sensor, s; `acts`: who controls it, of the controller and the name of the rule that it is to do
+    without, or ''.
     """
 
     plant: Any
@@ -95,6 +123,7 @@ class BuiltCase:
     period: Period
     fixed: bool = False
     late_s: float = 0.0
+    acts: Callable[[Any, str], Any] = lambda controller, without: controller
 
 
 def clean(weeks: int, seed: int) -> list[PanelCase]:
@@ -102,11 +131,18 @@ def clean(weeks: int, seed: int) -> list[PanelCase]:
     return [PanelCase(list(KINDS)[n % len(KINDS)], n // len(KINDS), seed) for n in range(weeks)]
 
 
-def faulty(each: int, seed: int) -> list[PanelCase]:
-    """`each` plants with each fault, and `_LEAST` of those that not every record can show."""
+def faulty(each: int, seed: int, only: Sequence[str] = ()) -> list[PanelCase]:
+    """`each` plants with each fault, and `_LEAST` of those that not every record can show.
+
+    `only`: of faults whose names begin so, if any are given; raises `InputError` for one that none does.
+    """
+    for start in only:
+        if not any(fault.startswith(start) for fault in FAULTS):
+            raise InputError(f"fault '{start}': none begins so; there are: {'; '.join(FAULTS)}")
     return [
         PanelCase(kind, number, seed, fault)
         for fault, (kind, _) in FAULTS.items()
+        if not only or fault.startswith(tuple(only))
         for number in range(max(each, _LEAST.get(fault, each)) if each else 0)
     ]
 
@@ -158,6 +194,14 @@ def _rooms(use: str) -> Callable[[PanelCase], BuiltCase]:
         return BuiltCase(plant, load_testcase(name), plant.period(WEEKS[case.number % 2]), fixed=True)
 
     return of
+
+
+def _even_rooms(case: PanelCase) -> BuiltCase:
+    """A house of rooms whose heat pump has no fixed loss: at part load heat costs what the water makes it cost."""
+    found = _rooms("house")(replace(case, number=_EVEN_FROM + case.number))
+    house = found.plant.house
+    plant = HouseOfRooms(replace(house, heat_pump=replace(house.heat_pump, fixed_W=0.0)))
+    return replace(found, plant=plant, fixed=False)
 
 
 def _by_points(name: str, days: tuple[str, ...]) -> Callable[[PanelCase], BuiltCase]:
@@ -212,6 +256,7 @@ KINDS: dict[str, Callable[[PanelCase], BuiltCase]] = {
     "EnergyPlus zone": _zone,
     "FMU": _fmu,
     "sunlit house": _sunlit,
+    "house of rooms, no fixed part": _even_rooms,
 }
 """Plants by kind; generated houses are drawn twice as often as the rest."""
 
@@ -321,6 +366,111 @@ def _late(found: BuiltCase, case: PanelCase) -> BuiltCase:
     houses = (draw_house(case.seed, number) for number in count(_LATE_FROM + case.number, _LATE_EVERY))
     house = next(house for house in houses if house.emitter != "floor")
     return _house_week(replace(house, lag_s=_LATE_S), WEEKS[case.number % 2])
+
+
+def _with_fixed_loss(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """A house whose heat pump has a fixed loss."""
+    houses = (draw_house(case.seed, number) for number in count(_FIXED_FROM + case.number, _LATE_EVERY))
+    house = next(house for house in houses if house.machine == "heat pump with fixed loss")
+    return _house_week(house, WEEKS[case.number % 2])
+
+
+class _AiredHouse(GeneratedHousePlant):
+    """A generated house whose windows stand wide open at `opened(time_s)` (n,)."""
+
+    def __init__(self, house: House, opened: Callable[[Array], Array]) -> None:
+        super().__init__(house)
+        grid = self._grid.copy()
+        wide_W_K = AIR_WH_M3_K * HEIGHT_M * house.floor_area_m2 * _WIDE_1_H
+        grid[:, physics.VENTILATION] += wide_W_K * opened(GRID_S * np.arange(len(grid), dtype=np.float64))
+        grid.setflags(write=False)
+        self._grid = grid
+        self.reset(0.0, 0.0)
+
+
+def _aired(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """People open all windows for a quarter of an hour twice a day, somewhat later on each: also while probing."""
+    rng = np.random.default_rng([case.seed, case.number, 19])
+    later_s = _QUARTER_S * rng.integers(0, 5, size=(366, len(_AIRINGS_H)))
+
+    def opened(time_s: Array) -> Array:
+        day, of_day_s = (time_s // DAY_S).astype(int), time_s % DAY_S
+        begins_s = HOUR_S * np.array(_AIRINGS_H) + later_s[day]
+        now_s = of_day_s[:, None]
+        return np.any((begins_s <= now_s) & (now_s < begins_s + _AIRED_S), axis=1).astype(np.float64)
+
+    return replace(found, plant=_AiredHouse(found.plant.house, opened))
+
+
+def _forgotten_window(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """All windows stand open from 19:00 on the third day for two hours, in a house as `tf-mpc control` keeps it."""
+    from_s = found.period.start_s + _AFTER_S
+    from_s += (_EVENING_H * HOUR_S - from_s) % DAY_S
+
+    def opened(time_s: Array) -> Array:
+        return np.asarray((from_s <= time_s) & (time_s < from_s + _FORGOTTEN_S), dtype=np.float64)
+
+    def acts(controller: Any, without: str) -> Any:
+        return controller if without == "open window" else AtHome(controller, found.testcase.layout)
+
+    return replace(found, plant=_AiredHouse(found.plant.house, opened), acts=acts)
+
+
+class AtHome:
+    """A controller as `tf-mpc control` runs it: while a window is open, the room's readings and bounds do not count."""
+
+    def __init__(self, controller: Any, layout: Layout) -> None:
+        self._controller, self._layout = controller, layout
+
+    def __getattr__(self, name: str) -> Any:
+        """What else is asked of the controller."""
+        return getattr(self._controller, name)
+
+    def plan(self, observation: Observation, state: object = None) -> Plan:
+        """See `Controller.plan`."""
+        windows = open_windows(observation.history, self._layout)
+        history = without_readings(observation.history, windows)
+        seen = replace(observation, history=history, boundary=as_if_empty(observation.boundary, windows))
+        return self._controller.plan(seen, state)
+
+
+class _Idle:
+    """A solver that says for a day from `from_s` on that all off is best; `now_s()`: the time, s."""
+
+    def __init__(self, inner: Solver, from_s: float, now_s: Callable[[], float]) -> None:
+        self._inner, self._from_s, self._now_s = inner, from_s, now_s
+
+    def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
+        """See `Solver.solve`."""
+        found = self._inner.solve(problem, guess)
+        broken = self._from_s <= self._now_s() < self._from_s + DAY_S
+        return replace(found, u=0.0 * found.u) if broken else found
+
+
+class _WithIdleSolver:
+    """The controller of a model whose solver fails for a day from `from_s` on."""
+
+    def __init__(self, controller: Any, from_s: float) -> None:
+        def solver(operator: BuildingOperator, shape: ProblemShape) -> Solver:
+            return _Idle(build_solver(controller.config, operator, shape), from_s, lambda: self._now_s)
+
+        self._now_s = -math.inf
+        self._controller = ThermoForceMPC(controller.model, controller.config, solver=solver)
+
+    def __getattr__(self, name: str) -> Any:
+        """What else is asked of the controller."""
+        return getattr(self._controller, name)
+
+    def plan(self, observation: Observation, state: object = None) -> Plan:
+        """See `Controller.plan`."""
+        self._now_s = observation.time_s
+        return self._controller.plan(observation, state)
+
+
+def _idle_solver(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    """For a day from the third on the solver says that all off is best."""
+    from_s = found.period.start_s + _AFTER_S
+    return replace(found, acts=lambda controller, without: _WithIdleSolver(controller, from_s))
 
 
 def _asleep(found: BuiltCase, case: PanelCase) -> BuiltCase:
@@ -469,5 +619,10 @@ FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "shared machine at its limit": ("house of rooms", _weaker_than_named),
     "watch, doors": ("house of rooms", _doors),
     "hours of the day, since probed": ("generated house", _new_schedule),
+    "fixed part": ("generated house", _with_fixed_loss),
+    "fixed part, of rooms": ("house of rooms", lambda found, case: found),
+    "air through windows": ("generated house", _aired),
+    "open window": ("generated house", _forgotten_window),
+    "rule's levels": ("generated house", _idle_solver),
 }
 """Faults by the rule they are for (up to a comma or 'of a'): the kind of plant, and what is done to it."""

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, Array, PlanStatus
+from thermoforce_mpc.data import DAY_S, Array, Layout, PlanStatus
 from thermoforce_mpc.live.windows import steep_falls
 from thermoforce_mpc.loop.closed_loop import RunResult
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -137,22 +137,30 @@ class ControlledWeek:
 class Detector:
     """A rule: what it `changes`, its `claims` in a run, and the options without it.
 
-    `controller`: of the controller, `identification`: of the identification. Without either it cannot be turned off, or
-    only says something. `on_readings`: it believes in no fault, only in what is read; on a clean plant it is wrong
-    where the week would have been better without it.
+    `controller`: of the controller, `shared`: instead of these where actuators share a machine, `identification`: of
+    the identification. `live`: it acts in `thermoforce_mpc/live` alone, where the plant says so. Without any it cannot
+    be turned off, or only says something. `on_readings`: it believes in no fault, only in what is read; on a clean
+    plant it is wrong where the week would have been better without it.
     """
 
     name: str
     changes: str
     claims: Callable[[ControlledWeek], list[str]]
     controller: Mapping[str, Any] = field(default_factory=dict)
+    shared: Mapping[str, Any] = field(default_factory=dict)
     identification: Mapping[str, Any] = field(default_factory=dict)
     on_readings: bool = False
+    live: bool = False
 
     @property
     def can_be_off(self) -> bool:
         """Whether there is a run without it."""
-        return bool(self.controller or self.identification)
+        return bool(self.controller or self.identification or self.live)
+
+    def options(self, layout: Layout) -> Mapping[str, Any]:
+        """The controller's options without it, for actuators as `layout` has them."""
+        shares = any(len(fed) > 1 for fed in layout.actuators_of_machines)
+        return self.shared if shares and self.shared else self.controller
 
 
 RULES: tuple[Detector, ...] = (
@@ -167,6 +175,12 @@ RULES: tuple[Detector, ...] = (
         "readings of a room that is heated, in identification and control",
         lambda ran: ran.notes("the zone sensor reads the room"),
         identification={"late_sensor": False},
+    ),
+    Detector(
+        "air through windows",
+        "steps that explain no effect, and what forecasts expect of such steps",
+        lambda ran: ran.notes("air came in"),
+        identification={"air_through_windows": False},
     ),
     Detector(
         "hours of the day",
@@ -189,6 +203,7 @@ RULES: tuple[Detector, ...] = (
         "blocks at one level instead of levels that are held",
         lambda ran: [ran.actuation] if "fixed part" in ran.actuation and "blocks" in ran.actuation else [],
         controller={"actuation": {"mode": "modulating"}},
+        shared={"actuation": {"mode": "modulating", "lowest_level": 0.0}},
     ),
     Detector(
         "shared machine at its limit",
@@ -233,7 +248,12 @@ RULES: tuple[Detector, ...] = (
         controller={"meter": {"enabled": False}},
     ),
     Detector("units", "nothing: it says so", lambda ran: list(ran.doubts)),
-    # It acts in `thermoforce_mpc/live` alone, so that a week here goes on as if it had not claimed anything.
-    Detector("open window", "bounds and readings of a room, for half an hour at a time", ControlledWeek.steep_falls),
+    # A week of a clean plant goes on as if it had not claimed anything.
+    Detector(
+        "open window",
+        "bounds and readings of a room, for half an hour at a time",
+        ControlledWeek.steep_falls,
+        live=True,
+    ),
 )
 """All of them, in the order of a step."""

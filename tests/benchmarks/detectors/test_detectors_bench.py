@@ -25,7 +25,7 @@ from benchmarks.detectors.bench import (
 )
 from benchmarks.detectors.panel import FAULTS, KINDS, BuiltCase, PanelCase, built, clean, faulty
 from benchmarks.detectors.rules import RULES, ControlledWeek
-from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Period, PlantInfo
+from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, Period, PlantInfo, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.loop.probing import Probed, Probing
@@ -62,6 +62,84 @@ def test_the_panel_takes_every_kind_in_turn_and_every_fault_is_for_a_rule():
     assert len(faulty(2, seed=3)) == 2 * len(FAULTS) + 1, "a lag shows in three plants at least"
     assert faulty(0, seed=3) == []
     assert not any(case.fault for case in cases)
+
+
+def test_faults_are_chosen_by_name():
+    faults = {case.fault for case in faulty(2, seed=3, only=["guard", "zone"])}
+    assert faults == {"guard", "zone sensor", "zone sensor, frozen"}
+    with pytest.raises(InputError, match=r"fault 'windows': none begins so; there are: .*open window"):
+        faulty(2, seed=3, only=["windows"])
+    with pytest.raises(InputError, match="neither house-weeks of clean plants nor of faults"):
+        run_detectors_bench(weeks=0, faults=0, engine=LocalEngine(1))
+
+
+def test_chosen_faults_are_run_without_clean_weeks_where_none_are_asked_for(monkeypatch):
+    ran = []
+    monkeypatch.setattr(bench, "run_all", lambda function, cases, *given: ran.extend(cases) or [])
+    run_detectors_bench(only=["guard"], faults=3, seed=5, engine=LocalEngine(1))
+    assert ran == faulty(3, seed=5, only=["guard"])
+
+
+def test_every_rule_has_a_fault():
+    assert {rule_of(fault) for fault in FAULTS} == set(NAMES)
+
+
+@pytest.mark.slow
+def test_levels_of_actuators_that_share_a_machine_are_held_as_they_can_be_without_the_fixed_part():
+    (rule,) = [rule for rule in RULES if rule.name == "fixed part"]
+    rooms = built(PanelCase("house of rooms, no fixed part", 0, 3))
+    assert rooms.plant.house.heat_pump.fixed_W == 0.0
+    assert not rooms.fixed
+    for layout, lowest in ((rooms.testcase.layout, 0.0), (Layout.single(), None)):
+        assert rule.options(layout)["actuation"].get("lowest_level") == lowest
+    lossy = built(PanelCase("generated house", 0, 3, "fixed part"))
+    assert lossy.fixed
+    assert lossy.plant.house.fixed_W > 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "between_h"), [("air through windows", (6.75, 8.25)), ("open window", (66.75, 67.0))]
+)
+def test_windows_stand_open_as_the_fault_says(fault, between_h):
+    """A house that is not heated cools, once they open, beside the same with closed ones."""
+    aired, closed = (built(PanelCase("generated house", 0, 3, name)) for name in (fault, ""))
+    begin_h = between_h[0] - 1.0
+
+    def readings_C(place) -> np.ndarray:
+        place.plant.reset(place.period.start_s + begin_h * HOUR_S, 0.0)
+        return np.array([float(place.plant.advance((0.0,), 900.0).T_zone_C[0]) for _ in range(16)])
+
+    away_K = readings_C(aired) - readings_C(closed)
+    opens_h = begin_h + 0.25 * np.argmax(away_K < -0.05)
+    assert between_h[0] <= opens_h <= between_h[1]
+    assert away_K.min() < -0.5
+
+
+def test_a_forgotten_window_counts_only_for_who_looks_for_it():
+    place = built(PanelCase("generated house", 0, 3, "open window"))
+    asked = []
+    controller = SimpleNamespace(plan=lambda observation, state=None: asked.append(observation), step_s=900.0)
+    n = 300
+    record = Record(
+        names=place.testcase.layout.names,
+        time_s=900.0 * np.arange(n + 1),
+        T_zone_C=(21.0 + 0.05 * np.sin(np.arange(n + 1)) - 1.5 * (np.arange(n + 1) == n))[None],
+        T_out_C=np.full(n + 1, 2.0),
+        solar_W_m2=np.zeros(n + 1),
+        u=np.full((1, n), 0.4),
+        heat_W=np.full((1, n), np.nan),
+        power_W=np.full((1, n), np.nan),
+    )
+    ahead = place.plant.forecast(DAY_S, 900.0)
+    for rule in ("", "open window"):
+        acting = place.acts(controller, rule)
+        assert acting.step_s == 900.0
+        acting.plan(Observation(record, replace(ahead, time_s=ahead.time_s - ahead.time_s[0] + record.time_s[-1])))
+    looks, does_not = asked
+    assert np.isnan(looks.T_zone_C).all()
+    assert looks.boundary.lower_C.max() < does_not.boundary.lower_C.max()
+    assert np.isfinite(does_not.T_zone_C).all()
 
 
 def test_a_rule_is_charged_for_its_false_claims_and_credited_for_its_faults():
@@ -317,7 +395,6 @@ def test_a_week_in_which_a_window_was_opened_claims_it_once():
     ]
     result = SimpleNamespace(steps=[SimpleNamespace(time_s=0.0, T_zone_C=T_C[[0]], samples=samples)])
     (rule,) = [rule for rule in RULES if rule.name == "open window"]
-    assert not rule.can_be_off
     (claim,) = rule.claims(ControlledWeek(SimpleNamespace(layout=Layout.single()), result))
     assert claim.startswith("day 3.12: zone fell 1.")
     assert rule.claims(ControlledWeek("no model", result)) == []
