@@ -28,7 +28,11 @@ class IdentificationConfig(StrictModel):
         "held",
     )
     lowest_level: float | None = Field(
-        None, gt=0, le=1, description="level below which the probed machine cycled; default: estimated from the data"
+        None,
+        gt=0,
+        le=1,
+        description="level below which the probed machine cycled; default: estimated from the data, as always of one "
+        "that feeds several actuators",
     )
     part_load: bool = Field(
         False,
