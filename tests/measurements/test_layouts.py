@@ -1348,3 +1348,58 @@ def test_signals_that_influx_writes_one_after_the_other_are_told_apart_by_their_
     assert rules["table"]["point"] == ["entity_id", "_field"]
     assert [one["temperature"]["column"] for one in rules["zones"].values()] == ["hall current_temperature"]
     assert rules["outdoor"]["column"] == "outdoor value"
+
+
+def test_of_rows_with_the_newest_first_a_counter_is_one_and_hours_are_those_of_the_day(tmp_path):
+    """A hub's log of events (Hubitat): times were turned round and readings not, so a counter was 48 MW of energy per
+    step, and people were at home when they were not."""
+    counted = 9000 + np.concatenate([[0.0], np.cumsum(HOUSE["power"].to_numpy() / 4000)[:-1]])
+    of = {"temperature Room": HOUSE["living"], "temperature Outdoor": HOUSE["out"], "heatingSetpoint Room": set_by(18)}
+    of |= {"energy Heat Pump": counted, "power Heat Pump": HOUSE["power"]}
+    rows = [
+        f"{device},{name},{values.iloc[k] if hasattr(values, 'iloc') else values[k]},{t}"
+        for k, t in enumerate(local("%Y-%m-%d %H:%M:%S"))
+        for (name, _, device), values in ((key.partition(" "), one) for key, one in of.items())
+    ]
+    texts = []
+    for ordered in (rows, rows[::-1]):
+        (tmp_path / "events.csv").write_text("\n".join(["Device,Name,Value,Date", *ordered]) + "\n")
+        texts.append(starting_map(tmp_path / "events.csv"))
+    assert texts[0] == texts[1]
+    assert yaml.safe_load(texts[1])["machines"]["machine"]["power"]["column"] == "power Heat Pump"
+
+
+@pytest.mark.parametrize("name", ["Heat pump L{} (W)", "3EM {} total (kWh)"])
+def test_three_phases_are_one_meter(tmp_path, name):
+    """One phase of three was taken for all: a third of the power."""
+    counter = np.concatenate([[0.0], np.cumsum(HOUSE["power"].to_numpy() / 4000)[:-1]]) / 3
+    phase = HOUSE["power"] / 3 if "(W)" in name else 900 + counter
+    columns = [name.format(which) for which in ("123" if "(W)" in name else "abc")]
+    rules = ours_of(tmp_path, {"Living": HOUSE["living"], "Outside": HOUSE["out"]} | dict.fromkeys(columns, phase))
+    assert rules["machines"]["machine"]["power"]["column"] == columns
+    record = tf.read_measurements(tmp_path / "house.csv", rules).record
+    np.testing.assert_allclose(record.power_W[0, 2:-2], HOUSE["power"].to_numpy()[2:-3], atol=1.0)
+
+
+def test_a_code_for_no_reading_of_power_is_none(tmp_path):
+    """65535 W were read as such, 8 times the mean power, since a machine may take so much."""
+    power = HOUSE["power"].to_numpy().copy()
+    power[::45] = 65535.0
+    rules = ours_of(tmp_path, {"Living": HOUSE["living"], "Outside": HOUSE["out"], "Heat pump (W)": power})
+    found = tf.read_measurements(tmp_path / "house.csv", rules)
+    assert np.nanmax(found.record.power_W) <= HOUSE["power"].max()
+    (flag,) = [flag for one in found.understood.signals for flag in one.flags]
+    assert (flag.rule, flag.count) == ("code for no reading", len(power[::45]))
+
+
+def test_names_say_an_end_a_frequency_and_what_is_no_unit(tmp_path):
+    frame = pd.DataFrame({"Intervallende": local("%Y-%m-%d %H:%M"), "Living": HOUSE["living"].array})
+    frame = frame.assign(Outside=HOUSE["out"].array, Frequency=(HOUSE["v_living"] * 0.6).round().array)
+    frame["Heat pump energy (Wmin)"] = np.cumsum(HOUSE["power"].to_numpy() * 15)
+    frame.to_csv(tmp_path / "house.csv", index=False)
+    text = starting_map(tmp_path / "house.csv")
+    assert yaml.safe_load(text)["time"]["marks"] == "end"
+    assert "CHECK: 'Wmin' is no unit that is known" in text
+    assert "a frequency over its largest is a level" in text
+    ours = ours_of(tmp_path, {"Living": HOUSE["living"], "Outside": HOUSE["out"], "Heat pump state": np.arange(N) % 4})
+    assert next(iter(ours["actuators"].values()))["level"]["factor"] == pytest.approx(33.33)

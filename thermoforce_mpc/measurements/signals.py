@@ -32,6 +32,7 @@ from thermoforce_mpc.measurements.readings import (
     Flag,
     SignalReadings,
     around,
+    codes_of_none,
     durations_s,
     ends_s,
     held,
@@ -174,6 +175,8 @@ _OFTEN, _LEAST_STEPS, _ROUND, _MOSTLY, _ONE_STEP, _RESTED = 0.7, 8, 1e-3, 0.5, 1
 # codes for no reading, such as 65535 kWh, are alike and lie beyond both.
 _UNUSUAL, _A_MACHINE_W = 10.0, 1000.0
 _FEW_LOADS, _RUNS, _UNUSUAL_OF_RARE = 100, 3, 1000.0
+# Codes of a power: from the least limit of 16 bits, in tenths, on; 85 and 999 W are what machines take.
+_LEAST_CODE = 3276.7
 # A signal of so few readings, of a table with so many rows for each of them, is stored when it changes.
 _FEW, _ROWS_BESIDE = 8, 5
 
@@ -276,6 +279,13 @@ class SignalReader:
         breaks_s = time_s[np.isnan(values)] if own else np.empty(0)
         values, time_s, raw = values[finite], time_s[finite], raw[finite]
         is_counter = declared.endswith(COUNTER)
+        if rules.kind == "power" and not declared.endswith((PER_STEP, COUNTER)):
+            written = raw / signal.factor
+            coded = codes_of_none(written) & (np.abs(written) >= _LEAST_CODE)
+            if coded.any():  # what a machine may take has room for them
+                words = f"{written[coded][0]:g} at {self._when(float(time_s[coded][0]))}"
+                flags.append(Flag("code for no reading", int(coded.sum()), words, (), float(time_s[coded][-1])))
+                values, time_s, raw = values[~coded], time_s[~coded], raw[~coded]
         stored_s = time_s
         if declared.endswith(PER_STEP) and (wrong := _unusual(values)).any():
             first = self._when(float(time_s[int(np.argmax(wrong))]))

@@ -13,19 +13,13 @@ from dataclasses import dataclass, field, replace
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, Array
 from thermoforce_mpc.measurements.map.mapping import IrradianceUnit, MeasurementMap
 from thermoforce_mpc.measurements.map.names import LOADS, OTHER_UNITS, place_of, tags, unit_of, words_of
+from thermoforce_mpc.measurements.readings import codes_of_none
 from thermoforce_mpc.measurements.units import UNITS, converted
 
-# What stands for "no reading": 85 and -127 of a DS18B20, nines, the limits of 16 bits, also in tenths and hundredths.
-_CODES = np.array(
-    [85.0, -127.0, -99.0, -99.9, -999.0, -999.9, -9999.0, 999.0, 9999.0, 99999.0]
-    + [limit * part for limit in (-32768.0, 32767.0, 65535.0) for part in (1.0, 0.1, 0.01)]
-)
-_LARGEST = 1e30
 # Temperatures, °C: of rooms that are lived in (medians), of weather, of water in pipes.
 _ROOM_C, _WEATHER_C = (12.0, 31.0), (-40.0, 48.0)
 _SETPOINTS_C = (4.0, 32.0)
@@ -43,6 +37,13 @@ _NO_ROOM = frozenset(
 _ENERGIES = tuple(unit for unit in LOADS if UNITS[unit].quantity == "energy")
 _OF_LOADS = frozenset(("energy", "power", "heat", "heating machine", "electric", "gas"))
 _TURNS = ("Hz", "rps", "rpm")
+_FREQUENCY, _ONES = (
+    re.compile(r"(?i)fr[eé]qu?[ev]n"),
+    1.5,
+)  # that of a machine, and more than a level of 1 and its noise
+_MOST_STAGES = 9.0  # whole numbers up to it are no per cent
+# What may be a unit of power or energy, in brackets, that is none here, such as Shelly's Wmin.
+_OTHER_LOAD = re.compile(r"[\[(]([kM]?[WJ][A-Za-z·*]{0,5})[\])]")
 # Heat rather than what a machine takes for it.
 _HEAT = re.compile(
     r"(?i)^q[_ .-]|qdot|therm|w[aä]e?rme(menge|leist)|heat.?(meter|flow|output)|wmz|qh|^phi|^ph\b|heizleist|chaleur|"
@@ -191,8 +192,11 @@ class _Look:
         self.name, self.tags = column.name, tags(column.name)
         self.unit = column.unit or unit_of(column.name)
         known = np.isfinite(column.values)
-        known[known] = ~_codes(column.values[known])
+        known[known] = ~codes_of_none(column.values[known])
         self.time_s, self.values = column.time_s[known], column.values[known]
+        if (np.diff(self.time_s) < 0.0).any():  # the newest may stand first, and a counter falls then
+            order = np.argsort(self.time_s, kind="stable")
+            self.time_s, self.values = self.time_s[order], self.values[order]
         self.words = column.words
         v = self.values
         self.text = column.text or not v.size
@@ -238,17 +242,6 @@ class _Look:
             if fahrenheit and unit == "°C":
                 unit = "°F"
         return unit, converted(self.values, unit)
-
-
-def _codes(values: Array) -> NDArray[np.bool_]:
-    """Which values (n,) are what a sensor or logger writes where it has none: few, far from all others."""
-    coded = np.isin(np.round(values, 2), np.round(_CODES, 2)) | (np.abs(values) > _LARGEST)
-    others = np.unique(values[~coded])
-    if not coded.any() or coded.mean() > 0.5 or others.size < 3:  # a valve that is shut, or open by 85 %
-        return np.zeros(values.size, dtype=bool)
-    low, high = others[0], others[-1]
-    far = 0.5 * (high - low)
-    return coded & ((values < low - far) | (values > high + far))
 
 
 def _rises_on(values: Array) -> bool:
@@ -367,7 +360,7 @@ def _of_what_acts(look: _Look, fahrenheit: bool) -> Guess | None:
     if look.ran:
         return Guess(look.name, "level", "%", "", factor=100.0 / look.every_s)
     may_act = "valve" in t or ("level" in t and (look.unit == "%" or not t & {"power", "energy"}))
-    if look.unit in _TURNS:
+    if look.unit in _TURNS or (_FREQUENCY.search(look.name) and not look.unit and look.most > _ONES):
         return Guess(look.name, "level", "%", "a frequency over its largest is a level (factor)")
     if may_act and not as_temperature and _shares(look):
         if _setpoint(look, fahrenheit) and "valve" not in t:
@@ -378,6 +371,9 @@ def _of_what_acts(look: _Look, fahrenheit: bool) -> Guess | None:
         if {"supply", "return"} & t and "valve" not in t and not look.binary:
             return _temperature(look, fahrenheit)
         doubt = "of hot water for taps, or of the heating?" if "hot water" in t else ""
+        if look.whole and not look.unit and _ONES < look.most <= _MOST_STAGES:
+            why = f"whole numbers up to {look.most:.0f}: stages, whose largest is full, or numbers of states?"
+            return Guess(look.name, "level", "%", why, factor=100.0 / look.most)
         return Guess(look.name, "level", _share_unit(look), doubt)
     if t & {"power", "energy", "heat"} and not as_temperature:
         return _load(look)
@@ -439,10 +435,12 @@ def _load(look: _Look) -> Guess:
     of_machine = t & {"electric", "heating machine"}
     heat = "heat" in t and (not of_machine or bool(_HEAT.search(look.name)))
     role = "heat" if heat else "power"
+    strange = "" if unit or (told := _OTHER_LOAD.search(look.name)) is None else told[1]
     if look.counts:
         counted = unit if unit in _ENERGIES else "kWh" if look.most < 1e6 else "Wh"
-        sure = unit in _ENERGIES or "energy" in t
-        return Guess(look.name, role, f"{counted} counter", "" if sure else "it only rises: a counter, of kWh or Wh?")
+        doubt = "" if unit in _ENERGIES or "energy" in t else "it only rises: a counter, of kWh or Wh?"
+        doubt = f"'{strange}' is no unit that is known: factor to {counted}?" if strange else doubt
+        return Guess(look.name, role, f"{counted} counter", doubt)
     if unit in _ENERGIES and look.constant:  # a counter that stands still
         return Guess(look.name, "")
     if unit in _ENERGIES or ("energy" in t and unit not in LOADS and "power" not in t):

@@ -72,6 +72,9 @@ _OF_INTERVALS = frozenset(("max", "min", "peak", "aprt", "apparent", "reactive",
 _IN_FORCE = frozenset(("eff", "effective", "active"))
 # Which of the counters of a meter with two tariffs, as 'Import T1 kWh' or 'electricity_delivered_2'.
 _REGISTER = re.compile(r"(?i)(?<![a-z])(t|tari[ef]+|rate|delivered)[ _]?[12](?!\d)")
+# Which phase of a meter, as 'Heat pump L1 (W)', 'phase_a_power' or '3EM c total (kWh)', and which there are of one.
+_PHASE = re.compile(r"(?i)(?<![a-z0-9])(?:(?:phase|ph|l)[ _]?([123abc])|([abc]))(?![a-z0-9])")
+_PHASES = ({"1", "2", "3"}, {"a", "b", "c"})
 _PUT_LAST = re.compile(r"pump|pomp|fan|relay|switch|status|stat$|enable", re.I)
 
 
@@ -177,7 +180,7 @@ def _key(column: str, path: Path, taken: Recognised) -> str | None:
 
 def _seconds(table: RawTable, clock: TimeStampRules) -> np.ndarray:
     try:
-        at = instants(table, clock.model_copy(update={"ambiguous": "first", "nonexistent": "gap"}), [])
+        at = instants(table, clock.model_copy(update={"ambiguous": "first", "nonexistent": "gap"}), []).sort_index()
     except DataError:  # a form that is still to be filled in
         return np.arange(len(table.stamps)) * 900.0
     at = at if at.dt.tz is None else at.dt.tz_convert("UTC").dt.tz_localize(None)
@@ -407,7 +410,9 @@ class _Text:
         return f"{{{told}}}"
 
     def _registers(self, guess: Guess) -> tuple[str, ...]:
-        """The columns of a signal: of a meter with a counter for each tariff, all of its counters."""
+        """The columns of a signal: of a meter with a counter for each tariff, or of three phases, all of them."""
+        if phases := self._phases(guess):
+            return phases
 
         def of(name: str) -> str:
             return _REGISTER.sub(r"\1", name)
@@ -415,6 +420,16 @@ class _Text:
         if not guess.unit.endswith("counter") or of(guess.name) == guess.name:
             return (guess.name,)
         return tuple(g.name for g in self.found if (of(g.name), g.unit) == (of(guess.name), guess.unit))
+
+    def _phases(self, guess: Guess) -> tuple[str, ...]:
+        """The columns of the three phases of which a power is one; none where it is that of all."""
+        if guess.role != "power" or (told := _PHASE.search(guess.name)) is None:
+            return ()
+        of = _PHASE.sub("", guess.name, count=1)
+        alike = {g.name: _PHASE.search(g.name) for g in self.found if (g.role, g.unit) == (guess.role, guess.unit)}
+        alike = {name: one for name, one in alike.items() if one and _PHASE.sub("", name, count=1) == of}
+        which = {(one[1] or one[2]).lower() for one in alike.values() if one}
+        return tuple(alike) if told and which in _PHASES and len(alike) == len(which) else ()
 
     def _weather(self) -> list[str]:
         lines = []
@@ -678,6 +693,7 @@ class _Text:
             return (
                 _OF_INTERVALS.isdisjoint(words_of(guess.name)),
                 "heating machine" in t,
+                not self._phases(guess),
                 not any(self._match(guess, zone) for zone in self.zones),
                 guess.sure,
                 not guess.unit.endswith("counter"),

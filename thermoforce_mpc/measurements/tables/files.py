@@ -227,7 +227,7 @@ def all_readings(
                 at = piece.stamps
                 if not pd.api.types.is_datetime64_any_dtype(at):
                     try:
-                        at = instants(piece, clock.model_copy(update={"zone": None}), [])
+                        at = instants(piece, clock.model_copy(update={"zone": None}), []).sort_index()
                     except DataError:
                         at = pd.Series(
                             pd.Timestamp("2025-01-01") + pd.to_timedelta(np.arange(len(at)) * 900.0, unit="s")

@@ -58,6 +58,10 @@ _TIME = re.compile(
 )
 _DAY = re.compile(r"(?i)^(<>)?(date|datum|day|tag|dag|jour|fecha|dia|data|giorno)\b")
 _OF_DAY = re.compile(r"(?i)^(time|uhrzeit|zeit|heure|tijd|uur|hour|time of day|clock|hora|ora|orario)\b")
+_END = re.compile(
+    r"(?i)((intervall?|period|hour|stunden|stop|zeit)[ _.-]?)?(end(e|ing|s)?|bis|to|until|tot|einde|fin|fine|hasta)"
+    r"([ _.-]?(time|date|datetime|at|zeit|interval|period))?"
+)
 _POINT = re.compile(
     r"(?i)^(entity_?id|statistic_?id|metadata_?id|point|point.?(name|id)|name|sensor|sensor.?(name|id)|tag|tag.?name|device.*|"
     r"topic|signal|variable|metric|parameter|channel|object.?name|object|item|id|series|datapoint|data.?point|measurement|"
@@ -505,8 +509,9 @@ def _clock(head: pd.DataFrame, path: Path, form: CsvFormat) -> tuple[tuple[str, 
     text = plain(stamps.dropna().astype(str))
     if not len(text):
         raise DataError(f"{path}: no column holds time stamps")
-    # What ends at 24:00 is an interval, not a reading of then.
-    marks: Literal["start", "end"] = "end" if stamps.astype(str).str.contains(LATE).any() else "start"
+    # What ends at 24:00, or is called an end, is an interval, not a reading of then.
+    late = stamps.astype(str).str.contains(LATE).any() or (len(key) == 1 and _END.fullmatch(key[0].strip()))
+    marks: Literal["start", "end"] = "end" if late else "start"
     if _only(text, _NO_YEAR):
         return key, TimeStampRules(year=_YEAR, marks=marks), "the year, which the stamps do not have"
     pattern, note = _stamp_format(text)
