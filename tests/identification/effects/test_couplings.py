@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from houses import House, random_levels, record
 
-from thermoforce_mpc.data import HOUR_S, NORMAL_95, Layout, Names, Record
+from thermoforce_mpc.data import HOUR_S, Layout, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import assembled
@@ -165,24 +165,11 @@ def test_order_of_the_zones_does_not_matter(coupled):
     )
 
 
-def test_a_band_of_a_logarithm_reaches_as_far_above():
-    """A wall that is known to a factor: the band holds that factor above, too."""
-    effect = Effect(np.log([10.0]), np.array([0.4]), np.full(7, 1.0))
-    plain, wide = effect.uncertainty(), effect.uncertainty(of_logarithm=True)
-    mean_K, sd_K = plain["step_response_48h_K"], plain["step_response_48h_sd_K"]
-    assert wide["step_response_48h_K"] == mean_K
-    assert mean_K + NORMAL_95 * wide["step_response_48h_sd_K"] == pytest.approx(
-        mean_K * np.exp(NORMAL_95 * sd_K / mean_K)
-    )
-    small = Effect(np.log([10.0]), np.array([0.4]), np.full(7, 0.001))
-    assert small.uncertainty(of_logarithm=True) == pytest.approx(small.uncertainty(), rel=5e-3)
-
-
 def test_what_is_known_together_and_not_apart_is_said():
     step_s = HOUR_S
     zones = [ZoneModel(linear_operator([0.9], [0.1], step_s=step_s), None, None, ModelCard()) for _ in range(2)]
     layout = replace(LAYOUT, floor_area_m2=(100.0, 60.0))
-    across = Effect(np.log([10.0]), np.array([0.02]), np.full(7, 0.05))
+    across = Effect(np.log([10.0]), np.array([0.02]), np.full(7, 0.08))
     for together_sd, ending in ((0.12, "with all others together known to ± 12 %, apart not"), (0.9, "does to ")):
         building = assembled(
             layout, zones, [[across], []], [None, None], IdentificationConfig(), [0.0, 0.3], [together_sd, np.nan]
@@ -193,4 +180,4 @@ def test_what_is_known_together_and_not_apart_is_said():
         assert ("together" in note) == (together_sd < 0.5)
         assert building.cards[0].together_sd == together_sd
     name = layout.names.actuators[1]
-    assert building.cards[0].uncertainty[f"step_response_24h_sd_K[{name}]"] > 0.05, "the heat of its level counts"
+    assert building.cards[0].uncertainty[f"step_response_24h_sd_K[{name}]"] > 0.08, "the heat of its level counts"

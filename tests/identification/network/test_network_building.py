@@ -12,6 +12,7 @@ from thermal_networks import AREA_M2, LAYOUT, ROOMS, KnownFit, effect_K, theta_o
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
 from thermoforce_mpc.identification.network.circuits import Circuit
+from thermoforce_mpc.identification.network.estimate import RoomRun
 from thermoforce_mpc.identification.network.room import EMITTER, ROOM, STRUCTURE, RoomNetwork
 from thermoforce_mpc.model.free_response.rc import INPUTS
 from thermoforce_mpc.model.machine.load import MachineLoad
@@ -135,6 +136,27 @@ def test_less_certain_parameters_make_wider_bands():
     assert (sds[1] < sds[2]).all()
     least = np.abs(fit_of(variances=(1e-12, 1e-12)).responses[0][0]) * unexplained()
     np.testing.assert_allclose(np.sqrt(np.diag(fit_of(variances=(1e-12,) * 2).covariance[0, 0])), least, rtol=1e-3)
+
+
+def test_what_levels_alone_tell_of_other_rooms_is_known_to_a_quarter():
+    """However sure parameters are; the own room is known as they are, and the sum of all better than each apart."""
+
+    def relative_sds(weight: float) -> np.ndarray:
+        runs = [RoomRun(np.zeros((1, 1)), np.zeros(1), 1.0, weight=weight)]
+        fits = zip(ROOMS, THETAS, strict=True)
+        building = BuildingFit(LAYOUT, tuple(KnownFit(room, theta, 1e-9, runs) for room, theta in fits))
+        together_K, covariance = building.together
+        apart = np.sqrt(np.diagonal(building.covariance, axis1=-2, axis2=-1)) / np.abs(building.responses)
+        sums = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)) / np.abs(together_K)
+        return np.concatenate([apart, sums[:, None]], axis=1)
+
+    whole, part = relative_sds(1.0), relative_sds(0.2)
+    own, across = ([0, 1, 1], [0, 1, 2]), ([0, 0, 1], [1, 2, 0])
+    np.testing.assert_allclose(whole[:, :3], np.broadcast_to(unexplained(), (2, 3, RESPONSE_H.size)), rtol=1e-3)
+    np.testing.assert_allclose(part[own], whole[own])
+    np.testing.assert_allclose(part[across], np.hypot(whole[across], 0.25))
+    assert (part[:, 3] > whole[:, 3]).all()
+    assert (part[:, 3] < 0.2).all()
 
 
 def test_rooms_that_were_not_joined_do_nothing_to_each_other():

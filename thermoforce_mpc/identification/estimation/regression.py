@@ -93,16 +93,32 @@ class Effect:
         """The step response and its standard deviations by name, K.
 
         `level_sd` is the relative standard deviation of the heat of a level, which adds to them. `of_logarithm`: that
-        of the logarithm is meant, so that a band of `NORMAL_95` reaches as far below as it must above.
+        of the logarithm is meant, of which a band of `NORMAL_95` about the response holds 90 %.
         """
         out: dict[str, float] = {}
         for hours, mean_K, sd_K in zip(STEP_RESPONSE_H, self.step_K, self.sd_K, strict=True):
             both_K = float(np.hypot(sd_K, level_sd * mean_K))
             if of_logarithm and mean_K > 0.0:
-                both_K = float(mean_K * np.expm1(NORMAL_95 * min(both_K / mean_K, _MOST_OF_LOGARITHM)) / NORMAL_95)
+                both_K = mean_K * _half_band(min(both_K / mean_K, _MOST_OF_LOGARITHM)) / NORMAL_95
             out[f"step_response_{hours}h_K"] = float(mean_K)
             out[f"step_response_{hours}h_sd_K"] = both_K
         return out
+
+
+def _half_band(log_sd: float) -> float:
+    """Half of the band about 1 that holds 90 % of a log-normal with median 1 and `log_sd`, the sd of its logarithm.
+
+    Beyond 1 it holds all that is below, so that less is needed above.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import ndtr
+
+    def lacking(half: float) -> float:
+        below = ndtr(np.log1p(-half) / log_sd) if half < 1.0 else 0.0
+        return float(ndtr(np.log1p(half) / log_sd) - below - (2.0 * ndtr(NORMAL_95) - 1.0))
+
+    most = float(np.expm1(NORMAL_95 * log_sd))
+    return float(brentq(lacking, 0.0, most)) if most > 0.0 else 0.0
 
 
 HELD_OUT_SHARE = 0.25

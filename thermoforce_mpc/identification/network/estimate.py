@@ -146,6 +146,11 @@ class RoomFit:
         return self.runs[0].reading_K2(reading)
 
     @property
+    def surely_wrong(self) -> bool:
+        """Whether runs count with less than all of their likelihood, see `RoomRun.weight`."""
+        return any(run.weight < 1.0 for run in self.runs)
+
+    @property
     def air_K2(self) -> float:
         """Variance of the room's temperature in a step by air that came in, in the mean of the runs that may tell."""
         of_runs = [run.aired_K2 for run in self.runs if run.aired_K2 is not None]
