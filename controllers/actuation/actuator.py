@@ -29,14 +29,12 @@ from pydantic import Field, model_validator
 from controllers.checks import ControllerConfigError
 from thermoforce_mpc.data import HOUR_S, Array, Block
 from thermoforce_mpc.model.machine.power import (
-    SWITCH_FROM,
     LevelCost,
     PowerModel,
     PowerShape,
-    at_its_limit,
     cheapest,
+    fixed_part,
     part_load,
-    start_share,
 )
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -44,10 +42,6 @@ from thermoforce_mpc.scenario.settings import StrictModel
 # Shares and levels below this mean off (signed: neither heating nor cooling); also the tolerance on measured mean
 # levels. A tolerance of solvers and meters, not tuned.
 OFF = 1e-3
-# Share of full power by which power jumps as a machine starts from which a fixed part is believed where heat is not
-# metered: 0.064 to 0.126 of three generated heat pumps with a fixed loss, 0.000 to 0.005 of four machines without
-# (houses 7, 11, 15 and 1, 5, 8 of seed 62110, 5 of 110629, 2026-11-29).
-_LEAST_START = 0.03
 # Shares of a step nearer than this are one: rounding.
 _SAME = 1e-6
 
@@ -369,21 +363,15 @@ def choose_actuation(
         return ActuationChoice(actuation, f"{actuation.in_words}, as configured", planned)
     # Blocks at full level are the choice here, not all that the actuator can do; a meter shows heat at a part level.
     blocks = Actuation(config.model_copy(update={"mode": "duty"}), part_levels=heat_input.law is not None)
-    laws = part_load(power, heat_input.law)
+    if found := fixed_part(power, heat_input.law, costs, shared=shared):
+        return ActuationChoice(blocks, f"{blocks.in_words}: {found}", power)
     if shared or not costs:
+        laws = part_load(power, heat_input.law)
         if laws is None:
             return ActuationChoice(blocks, f"{blocks.in_words}: the data hold off and full level only", power)
-        if laws.at_half <= 1.0 + SWITCH_FROM:
-            blocks = Actuation(config.model_copy(update={"mode": "modulating", "lowest_level": 0.0}))
+        blocks = Actuation(config.model_copy(update={"mode": "modulating", "lowest_level": 0.0}))
         return ActuationChoice(blocks, f"{blocks.in_words}: {laws}", power)
     best = cheapest(costs)
-    guessed = heat_input.law is None and not at_its_limit(costs)
-    started = guessed and start_share(costs) > _LEAST_START
-    if best and laws and (started or power.water) and laws.at_half > 1.0 + SWITCH_FROM:
-        # The meter knows a fixed part that a few days do not leave uncertain; the heat of a level from temperatures is
-        # known to a tenth at best, and the water of the steps at part load was cooler where it is a factor of power.
-        # A law of power that bends down to full level looks like a fixed part too, without a start.
-        return ActuationChoice(blocks, f"{blocks.in_words}: {laws}", power)
     # Heat as metered that is proportional to the level is known of blocks: whether its levels are held it does not say.
     of_blocks = heat_input.law is not None and not heat_input.law.levels_seen
     if best is None or of_blocks:

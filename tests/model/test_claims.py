@@ -13,7 +13,9 @@ from two_houses import two_model
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.experiment.identifying import SavedModel
 from thermoforce_mpc.experiment.run_models import identify_all
+from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.other_load import OtherLoad
+from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.report.display import RunDisplay
@@ -22,9 +24,20 @@ OTHER = OtherLoad((500.0,) * 24, 0.0, 5.0, (-20.0, 30.0), 10.0)
 SUN = SunOnSensor(2.0, 0.3, 0.99, 180.0, 120.0, 50.0, 43_200.0)
 
 
+def even_model() -> ThermalModel:
+    """Two houses whose machines have no fixed part worth switching for."""
+    plain = two_model()
+    return replace(plain, power=tuple(power_of(50.0) for _ in plain.power))
+
+
+def power_of(fixed_W: float) -> PowerModel:
+    """Of a machine that takes so much while it runs, and 1500 W more at full level."""
+    return PowerModel(MachineLoad((fixed_W, 0.0, 1500.0, 0.0), (-5.0, 10.0)))
+
+
 def believing() -> ThermalModel:
     """Two houses: blocked hours, sun, foreign heat, another load on its boiler; air in the other, an unsure effect."""
-    plain = two_model()
+    plain = even_model()
     (own, _), (_, other) = plain.operator.pairs
     across = replace(own, gains=0.3 * own.gains)
     operator = replace(plain.operator, pairs=((own, None), (across, other)))
@@ -46,7 +59,15 @@ def test_each_claim_is_said_with_what_it_changes():
     assert heat.startswith("heat of radiator: the meter holds another load")
     assert hours.startswith("radiator: nothing comes from 2:00 to 4:00, whatever is asked for")
     assert neighbour == "hall: what radiator does to it is known to ± 75 % only: plans count on 50 % of it"
-    assert two_model().claims == ()
+    assert even_model().claims == ()
+
+
+def test_a_fixed_part_is_a_claim_where_a_machine_is_switched_for_it() -> None:
+    plain, lossy = even_model(), power_of(500.0)
+    _, machine = plain.names.machines
+    (claim,) = replace(plain, power=(plain.power[0], lossy)).claims
+    assert claim.startswith(f"power of {machine}: 25 % of full power and 0 % of full heat are a fixed part while on")
+    assert "controller.options.actuation.mode" in claim
 
 
 def test_a_run_says_them_of_the_model_that_it_begins_with(monkeypatch, capsys):
@@ -70,4 +91,4 @@ def test_the_report_says_them_of_the_model_of_the_run(tmp_path) -> None:
     page = unescape(body_of(report_of(planned(), {}, tmp_path, model=believing())))
     for claim in believing().claims:
         assert f"Found before the run: {claim}" in page
-    assert "Found before the run" not in body_of(report_of(planned(), {}, tmp_path, model=two_model()))
+    assert "Found before the run" not in body_of(report_of(planned(), {}, tmp_path, model=even_model()))

@@ -24,7 +24,7 @@ from thermoforce_mpc.model.late_sensor import LateReadings, LateSensor
 from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, HourEffects, HourSeen, said
 from thermoforce_mpc.model.machine.change import UNKNOWN, Share, share_of_change
 from thermoforce_mpc.model.machine.other_load import own_W
-from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.machine.power import PowerModel, fixed_part, level_costs
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.certificate import Certificate
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -208,7 +208,7 @@ class ThermalModel:
 
     @property
     def claims(self) -> tuple[str, ...]:
-        """What was found of sensors, windows, meters, hours and neighbours that changes what is planned, in words."""
+        """What was found of sensors, windows, meters, machines, hours and neighbours that changes plans, in words."""
         names, told = self.names, list[str]()
         for of_sensors in (self.sun_on_sensors, self.late_sensors):
             for z, found in enumerate(of_sensors):
@@ -220,6 +220,8 @@ class ThermalModel:
         for machine, power in zip(names.machines, self.power, strict=True):
             if power is not None and power.foreign is not None:
                 told.append(f"power of {machine}: {power.foreign.in_words()}")
+        for m, machine in enumerate(names.machines):
+            told += [f"power of {machine}: {words}" for words in self._switched(m)]
         for a, card in enumerate(self.cards):
             if card.foreign_heat is not None:
                 told.append(f"heat of {names.actuators[a]}: {card.foreign_heat.in_words()}")
@@ -239,6 +241,17 @@ class ThermalModel:
             _, named, words = claim.partition(": ")
             if not told or (words if named else claim) not in told:
                 say(f"Found: {claim}")
+
+    def _switched(self, m: int) -> list[str]:
+        """Why machine `m` is switched at full level, in words, where that is for a fixed part; else nothing."""
+        power, fed = self.power[m], self.layout.fed_by(m)
+        if power is None or any(self.layout.u_min[a] < 0.0 for a in fed):
+            return []
+        for a in fed:
+            costs, law = level_costs(self.cards[a].uncertainty), self.operator.of_actuator(a).heat_input.law
+            if found := fixed_part(power, law, costs, shared=len(fed) > 1):
+                return [f"{found}: in mode auto it is switched at full level (controller.options.actuation.mode)"]
+        return []
 
     def _hours(self, a: int) -> list[str]:
         """Hours of the day in which acting does less, in words."""
