@@ -470,7 +470,12 @@ class _WithIdleSolver:
 def _idle_solver(found: BuiltCase, case: PanelCase) -> BuiltCase:
     """For a day from the third on the solver says that all off is best."""
     from_s = found.period.start_s + _AFTER_S
-    return replace(found, acts=lambda controller, without: _WithIdleSolver(controller, from_s))
+
+    def acts(controller: Any, without: str) -> Any:
+        # Without a model there is no solver.
+        return _WithIdleSolver(controller, from_s) if isinstance(controller, ThermoForceMPC) else controller
+
+    return replace(found, acts=acts)
 
 
 def _asleep(found: BuiltCase, case: PanelCase) -> BuiltCase:

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from benchmarks.cli.closed_loop import detectors_command
 from benchmarks.detectors import KEPT, bench
@@ -25,6 +26,8 @@ from benchmarks.detectors.bench import (
 )
 from benchmarks.detectors.panel import FAULTS, KINDS, BuiltCase, PanelCase, built, clean, faulty
 from benchmarks.detectors.rules import RULES, ControlledWeek
+from controllers import ThermoForceMPC
+from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, Period, PlantInfo, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import LocalEngine
@@ -140,6 +143,21 @@ def test_a_forgotten_window_counts_only_for_who_looks_for_it():
     assert np.isnan(looks.T_zone_C).all()
     assert looks.boundary.lower_C.max() < does_not.boundary.lower_C.max()
     assert np.isfinite(does_not.T_zone_C).all()
+
+
+def test_a_solver_that_says_off_is_best_is_found_out_by_the_rules_levels():
+    house = SimpleHouse()
+    house.reset(10 * DAY_S, 2 * DAY_S)
+    seen = Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S))
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    (rule,) = [rule for rule in RULES if rule.name == "rule's levels"]
+    for begun_s, acts in ((0.0, True), (-DAY_S, False)):
+        period = Period("16", seen.time_s - 2.0 * DAY_S + begun_s)
+        place = FAULTS["rule's levels"][1](BuiltCase(None, None, period), PanelCase("generated house", 0, 1))
+        plan = place.acts(mpc, "").plan(seen)
+        ran = ControlledWeek(mpc.model, SimpleNamespace(steps=[SimpleNamespace(time_s=seen.time_s, plan=plan)]))
+        assert bool(rule.claims(ran)) is acts
+    assert place.acts(house, "") is house, "what has no solver"
 
 
 def test_a_rule_is_charged_for_its_false_claims_and_credited_for_its_faults():
