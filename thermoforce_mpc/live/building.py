@@ -116,6 +116,7 @@ class LiveBuilding:
         self._prices, self._people = prices, people
         self._told: dict[str, LastTold] = {}
         self._rounds = set[str]()  # said already
+        self._hand_read = dict[str, float]()  # what was set by hand and read since
         self._forecast_before = ReadBefore()
         self._read_before = Earlier(_BACK_DAYS)
         self._reverted: dict[str, int] = {}
@@ -496,12 +497,25 @@ class LiveBuilding:
                     "not take its command, or gives it back; look at its mode, its app and what else sets it"
                 )
             self._compare(name, value, now)
+        self._set_again(measured, now)
         for name, (value, until) in self._people.by_hand(now).items():
             command = self.command_of(name)
             what = f"{value:g}" if command is None else command.in_words(value)
             zone = self._rules.time.zone or "UTC"
             notes.append(f"{name}: {what} was set by hand: left alone until {until.tz_convert(zone):%a %H:%M}")
         return tuple(notes)
+
+    def _set_again(self, measured: Measurements, now: pd.Timestamp) -> None:
+        """Keep what was set by hand anew where another value is read than was read before: a person's too."""
+        assert self._people is not None
+        for name, (value, _) in self._people.by_hand(now).items():
+            read, near = _last_command(measured, name), self.nearness(name)
+            if near is None or not math.isfinite(read) or name in self._told:
+                continue
+            if abs(read - value) > near and abs(self._hand_read.get(name, math.nan) - value) <= near:
+                self._people.set_by_hand(name, value := read, now)
+            if abs(read - value) <= near:
+                self._hand_read[name] = value
 
     def notice(self, now: pd.Timestamp) -> None:
         """Note what was set by hand until `now`, since the last reading, of devices that say it (`present`)."""
