@@ -48,7 +48,7 @@ from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solver
 from controllers.optimisation.statement.terms import Terms, load_terms, of_controller
 from controllers.safety.deadline import BoundedCalls
-from controllers.safety.fallback_policy import FallbackPolicy
+from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
 from controllers.safety.overrides import (
     ActsTogether,
     ComfortGuard,
@@ -235,16 +235,21 @@ class ThermoForceMPC(ActuatedController):
         return Courses(problem, operator, self._layout, self._fallbacks, boundary, T_zone_C)
 
     def instance(
-        self, context: PredictionContext, history: Record, margins: Margins | None = None, peak_W: float = 0.0
+        self,
+        context: PredictionContext,
+        history: Record,
+        margins: Margins | None = None,
+        peak_W: float = 0.0,
+        good: GoodPlan | None = None,
     ) -> MPCProblem:
         """The optimisation problem of a step for the model as identified.
 
-        `margins` and `peak_W` (W) are what a run has learned; by default nothing. Raises `DataError` where a bound or
-        price of the boundary is missing.
+        `margins` and `peak_W` (W) are what a run has learned, `good` its last plan; by default nothing. Raises
+        `DataError` where a bound or price of the boundary is missing.
         """
         names = self._layout.names
         margins = margins or Margins.nothing(len(names.zones), len(names.machines))
-        return self._formulation.instance(self.planning_operator, context, history, margins, peak_W).problem
+        return self._formulation.instance(self.planning_operator, context, history, margins, peak_W, good=good).problem
 
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """Plan for the next step.
@@ -372,7 +377,7 @@ class ThermoForceMPC(ActuatedController):
         try:
             hours = [(watch.blocked, watch.hours) for watch in state.watch]
             instance = self._formulation.instance(
-                operator, context, readings.history, state.margins, state.peak_W, hours, overrides
+                operator, context, readings.history, state.margins, state.peak_W, hours, overrides, state.good
             )
             for a, watch in enumerate(state.watch):
                 if (level := watch.trial(readings.time_s)) and a not in overrides:

@@ -14,6 +14,7 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.margins import Bounds, MarginRules, Margins
 from controllers.mpc.state import highest_of_days_W, metered_W
 from controllers.optimisation.problem import Cooling, EquipmentLayout, Exchange, MPCProblem, PowerCap, Weights
+from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import DAY_S, Array, Boundary, Record
 from thermoforce_mpc.model.machine.blocked_hours import Directions, HourEffects
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -108,13 +109,14 @@ class Formulation:
         peak_W: float = 0.0,
         hours: Sequence[tuple[Directions, HourEffects]] = (),
         overridden: Collection[int] = (),
+        good: GoodPlan | None = None,
     ) -> Instance:
         """Return the instance of one step.
 
         `operator`: adjusted to the actuation; `context`: of the N steps; `history`: for the return water and the size
         of peaks; `margins`, `peak_W`: what was learned, and the highest mean power of the building over a step so far,
         W; `hours` (A,): those in which nothing comes from an actuator, and what acting does by hour of the day;
-        `overridden`: numbers of the actuators that will not follow the plan.
+        `overridden`: numbers of the actuators that will not follow the plan; `good`: the last plan.
 
         Raises:
             DataError: a bound or price of the boundary is missing.
@@ -127,7 +129,7 @@ class Formulation:
         dearest = price.max(axis=1)[list(self._layout.machine_of)]
         comfort, heat, news = self._comfort_weights(operator, context.features[:, -1], dearest * power.highest_W)
         T_C = history.T_zone_C[:, -1]
-        bounds = self.margins.bounds(operator, context.free, boundary, margins.learned, T_C, heat / comfort)
+        bounds = self.margins.bounds(operator, context.free, boundary, margins.learned, T_C, heat / comfort, good)
         bounds = self._left_to_others(bounds, boundary, T_C, overridden)
         problem = MPCProblem(
             forced_state_K=context.forced_K,

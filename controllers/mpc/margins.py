@@ -91,18 +91,23 @@ def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: 
     return np.asarray(np.maximum(chance, z * sd))
 
 
-# Share of full level that is taken to be free for correcting what the forecast missed: half, by judgement, when
+# Share of full level that is taken to be free at most for correcting what the forecast missed: half, by judgement, when
 # random houses and offices were first run by `bench buildings` (2026-11-25).
 _FREE_SHARE = 0.5
 
 
-def with_recourse_K(backoff: Array, operator: OperatorParameters) -> Array:
+def with_recourse_K(backoff: Array, operator: OperatorParameters, free: Array | None = None) -> Array:
     """Back-off (N,), K, from an actuator's own bound, where later plans know more and can still act.
 
-    From the step on by whose end half of full level moves the zone as far as the back-off of that lead, what a forecast
-    misses is made up for when it is seen: no more is kept for later leads than for that one.
+    From the step on by whose end what is free of full level moves the zone as far as the back-off of that lead, what a
+    forecast misses is made up for when it is seen: no more is kept for later leads than for that one. That is half of
+    full level, or what a plan leaves of it where that is less: `free` (N,), shares; None: no plan.
     """
-    enough = np.flatnonzero(_FREE_SHARE * _rise_K(operator, backoff.size) >= backoff)
+    rise_K = _rise_K(operator, backoff.size)
+    moves_K = _FREE_SHARE * rise_K
+    if free is not None:
+        moves_K = np.minimum(moves_K, np.convolve(np.diff(rise_K, prepend=0.0), free)[: backoff.size])
+    enough = np.flatnonzero(moves_K >= backoff)
     if not enough.size:
         return backoff
     kept = backoff.copy()
@@ -572,13 +577,16 @@ class MarginRules:
         learned: LearnedMargin,
         T_C: Array,
         heat_share: Array,
+        good: GoodPlan | None = None,
     ) -> Bounds:
         """Comfort bounds at the end of each step with all margins inside: the only place where they are added.
 
         `operator`: adjusted to the actuation; `boundary`: the bounds, N steps; `T_C` (Z,): temperatures of the zones
-        now, °C; `heat_share` (Z,): what the heat costs that avoids a K·h of discomfort, over what that counts.
+        now, °C; `heat_share` (Z,): what the heat costs that avoids a K·h of discomfort, over what that counts; `good`:
+        the last plan, which tells how much of each actuator is free for corrections.
         """
         c, rows, soon = self._config, [], steps_soon(self._step_s)
+        left = self._left_free(good, boundary)
         for z in range(len(operator.zones)):
             own = self._layout.actuators_of(z)
             signs, acting = {self._layout.signs[a] for a in own}, {a: operator.of_actuator(a) for a in own}
@@ -591,10 +599,13 @@ class MarginRules:
                 for level, is_lower in ((low, True), (high, False))
             )
             for a, by in acting.items():
+                # What a fast zone misses at its machine's limit passes with it: more kept beforehand cost 0.4 % and
+                # saved nothing there, in slow ones it is worth it (11 cold weeks of houses, 2026-11-30).
+                spare = None if left is None or is_fast(by) else left[a]
                 if self._layout.signs[a] > 0:
-                    below = with_recourse_K(below, by)
+                    below = with_recourse_K(below, by, spare)
                 else:
-                    above = with_recourse_K(above, by)
+                    above = with_recourse_K(above, by, spare)
             lower_C, upper_C = boundary.lower_C[z, 1:], boundary.upper_C[z, 1:]
             if any(map(is_fast, acting.values())):
                 # A bound holds until the next instant: such a zone would leave it in the last step before it ends.
@@ -629,6 +640,22 @@ class MarginRules:
             name: np.array(of_zones).T for name, of_zones in zip(names, zip(*firsts, strict=True), strict=True)
         }
         return Bounds(np.array(lower), np.array(upper), first_step, np.array(whole).T)
+
+    def _left_free(self, good: GoodPlan | None, boundary: Boundary) -> Array | None:
+        """Share of full level of each actuator that the last plan leaves for corrections (A, N); None without one.
+
+        In a cold night a machine near its limit has nothing left to make up for what the forecast missed.
+        """
+        planned = None if good is None else good.ahead(float(boundary.time_s[0]), self._step_s, boundary.n_steps)
+        if planned is None:
+            return None
+        used = np.abs(np.where(np.isfinite(planned), planned, _FREE_SHARE))
+        left = 1.0 - used / np.array([one.highest for one in self._actuators.each])[:, None]
+        for fed in self._layout.actuators_of_machines:
+            if len(fed) > 1:  # what one takes more of their machine another takes less
+                shares = self._shares[fed]
+                left[fed] = np.minimum(left[fed], (1.0 - shares @ used[fed]) / shares[:, None])
+        return np.clip(left, 0.0, 1.0)
 
     def could_begin_earlier(self, history: Record) -> NDArray[np.bool_]:
         """Whether what protects the lower and the upper bound of each zone had more to give in the last 12 h (2, Z)."""

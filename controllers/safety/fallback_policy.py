@@ -68,6 +68,14 @@ class GoodPlan:
         """Age of the plan in steps of `step_s` seconds."""
         return round((time_s - self.time_s) / step_s)
 
+    def ahead(self, time_s: float, step_s: float, steps: int) -> Array | None:
+        """Levels (A, steps) that it has for the steps from `time_s` on, NaN beyond its end; None where it has none."""
+        age = self.age(time_s, step_s)
+        if not 0 <= age < self.u.shape[1]:
+            return None
+        left = self.u[:, age : age + steps]
+        return np.pad(left, ((0, 0), (0, steps - left.shape[1])), constant_values=np.nan)
+
 
 class FallbackPolicy:
     """Level of one actuator to apply when there is no new plan for it.

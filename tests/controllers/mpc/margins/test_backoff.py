@@ -11,6 +11,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc.margins import backoff_K, with_recourse_K
+from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Observation, Record
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -100,6 +101,19 @@ def test_a_faster_zone_keeps_less_and_one_that_cannot_correct_keeps_all():
     np.testing.assert_array_equal(slow, GROWING_K)
 
 
+def test_recourse_is_that_of_what_a_plan_leaves_free_when_it_does():
+    zone, steps = quarter_hourly(0.5), np.arange(96)
+    # Off, on and off in turn, a quarter left, at the limit for ten hours, and for good.
+    shares = [1.0 + 0.0 * steps, 1.0 * (steps % 2 == 0), 0.25 + 0.0 * steps, 0.5 * (steps >= 40), 0.0 * steps]
+    off, blocks, little, later, none = (with_recourse_K(GROWING_K, zone, free) for free in shares)
+    for most in (off, blocks):
+        np.testing.assert_array_equal(most, with_recourse_K(GROWING_K, zone))
+    np.testing.assert_array_equal(none, GROWING_K)
+    np.testing.assert_array_equal(later[:41], GROWING_K[:41])
+    assert off[-1] < min(little[-1], later[-1])
+    assert max(little[-1], later[-1]) < GROWING_K[-1]
+
+
 def test_recourse_never_adds():
     rng = np.random.default_rng(1)
     for K_per_h in (0.05, 0.3, 1.0, 5.0):
@@ -135,10 +149,21 @@ def test_only_the_bound_that_actuation_protects_is_kept_less(monkeypatch):
     house = SimpleHouse()
     house.reset(10 * DAY_S, DAY_S)
     seen = Observation(house.past(HOUR_S), house.forecast(DAY_S, HOUR_S))
-    problem = mpc.instance(mpc.predictor.context(seen), seen.history)
-    below_K = problem.lower_C[0] - seen.boundary.lower_C[0, 1:]
-    above_K = seen.boundary.upper_C[0, 1:] - problem.upper_C[0]
+    context = mpc.predictor.context(seen)
+
+    def kept_K(level: float | None) -> tuple[Array, Array]:
+        """Inside both bounds (24,), after a plan of this level."""
+        u = np.full((1, 24), level, dtype=np.float64)
+        good = None if level is None else GoodPlan(seen.time_s - HOUR_S, u, np.full((1, 24), 21.0), 0.1 * u)
+        problem = mpc.instance(context, seen.history, good=good)
+        return problem.lower_C[0] - seen.boundary.lower_C[0, 1:], seen.boundary.upper_C[0, 1:] - problem.upper_C[0]
+
+    below_K, above_K = kept_K(None)
     # Half of 0.4 K in the first hour is more than the back-off of its lead.
     np.testing.assert_allclose(below_K, below_K[0])
     assert 0.0 < below_K[0] < 0.2
     assert (np.diff(above_K[:7]) > 0.0).all()
+    # A plan that leaves half or more leaves what is counted on without one; at full level nothing is left.
+    for level in (0.0, 0.5):
+        np.testing.assert_array_equal(kept_K(level), (below_K, above_K))
+    assert (np.diff(kept_K(1.0)[0]) > 0.0).all()
