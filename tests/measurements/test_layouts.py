@@ -1381,6 +1381,17 @@ def test_three_phases_are_one_meter(tmp_path, name):
     np.testing.assert_allclose(record.power_W[0, 2:-2], HOUSE["power"].to_numpy()[2:-3], atol=1.0)
 
 
+@pytest.mark.parametrize(("room", "heater"), [("Room {} (°C)", "Heater {} power (W)"), ("L{} room", "Heater L{} (W)")])
+def test_heaters_of_three_rooms_are_no_phases(tmp_path, room, heater):
+    """Each room's meter was the sum of the heaters A, B and C of three rooms."""
+    which = "ABC" if "{} power" in heater else "123"
+    rooms = {room.format(one): HOUSE["living"] + k for k, one in enumerate(which)}
+    heaters = {heater.format(one): np.roll(HOUSE["power"], 7 * k) for k, one in enumerate(which)}
+    rules = ours_of(tmp_path, rooms | heaters | {"Outside": HOUSE["out"]})
+    for machine in rules["machines"].values():
+        assert isinstance(machine["power"]["column"], str)
+
+
 def test_a_code_for_no_reading_of_power_is_none(tmp_path):
     """65535 W were read as such, 8 times the mean power, since a machine may take so much."""
     power = HOUSE["power"].to_numpy().copy()

@@ -72,8 +72,9 @@ _OF_INTERVALS = frozenset(("max", "min", "peak", "aprt", "apparent", "reactive",
 _IN_FORCE = frozenset(("eff", "effective", "active"))
 # Which of the counters of a meter with two tariffs, as 'Import T1 kWh' or 'electricity_delivered_2'.
 _REGISTER = re.compile(r"(?i)(?<![a-z])(t|tari[ef]+|rate|delivered)[ _]?[12](?!\d)")
-# Which phase of a meter, as 'Heat pump L1 (W)', 'phase_a_power' or '3EM c total (kWh)', and which there are of one.
-_PHASE = re.compile(r"(?i)(?<![a-z0-9])(?:(?:phase|ph|l)[ _]?([123abc])|([abc]))(?![a-z0-9])")
+# Which phase of a meter, as 'Heat pump L1 (W)', 'phase_a_power' or '3EM c total (kWh)', and which there are of one. A
+# letter alone is one of a name, such as 'Heater A', but where what a meter has of each phase comes behind it.
+_PHASE = re.compile(r"(?i)(?<![a-z0-9])(?:(?:phase|ph|l)[ _]?([123abc])|([abc])(?=[ _](?:total|act)))(?![a-z0-9])")
 _PHASES = ({"1", "2", "3"}, {"a", "b", "c"})
 _PUT_LAST = re.compile(r"pump|pomp|fan|relay|switch|status|stat$|enable", re.I)
 
@@ -422,8 +423,9 @@ class _Text:
         return tuple(g.name for g in self.found if (of(g.name), g.unit) == (of(guess.name), guess.unit))
 
     def _phases(self, guess: Guess) -> tuple[str, ...]:
-        """The columns of the three phases of which a power is one; none where it is that of all."""
-        if guess.role != "power" or (told := _PHASE.search(guess.name)) is None:
+        """The columns of the three phases of which a power is one; none where rooms have such names."""
+        of_rooms = sum(_PHASE.search(one.name) is not None for one in self.found if one.role == "zone") > 1
+        if guess.role != "power" or of_rooms or (told := _PHASE.search(guess.name)) is None:
             return ()
         of = _PHASE.sub("", guess.name, count=1)
         alike = {g.name: _PHASE.search(g.name) for g in self.found if (g.role, g.unit) == (guess.role, guess.unit)}
