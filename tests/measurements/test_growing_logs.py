@@ -8,6 +8,7 @@ import pytest
 
 from thermoforce_mpc.measurements.load import read_measurements
 from thermoforce_mpc.measurements.tables import appended
+from thermoforce_mpc.measurements.tables.earlier import Earlier
 
 OF_READINGS = {
     "time": {"column": "time", "zone": "Europe/Vienna"},
@@ -141,3 +142,31 @@ def test_a_header_in_the_middle_of_a_log_says_what_stands_below_it(path, monkeyp
             (note,) = one.left_out
             line = len(table) // len(headers) * (len(headers) - 1) + len(headers)
             assert note == f"{path}, line {line}: another header: its columns are read by their names"
+
+
+def log_of(n: int) -> pd.DataFrame:
+    at, k = pd.date_range("2025-01-10", periods=n, freq="5min", tz="UTC"), np.arange(n)
+    return pd.DataFrame({"T": 21 + k % 5 / 10, "out": 2 + k % 7 / 10, "u": k % 2, "P": 1000 * (k % 2)}, index=at)
+
+
+def test_a_log_whose_first_column_has_no_name_is_read(path):
+    """As pandas writes its index: the search for another header with that name never ended."""
+    table = log_of(600)
+    table.to_csv(path)
+    record = read_measurements(str(path), WIDE, now=table.index[-1] + pd.Timedelta("30s")).record
+    np.testing.assert_allclose(record.T_zone_C[0], table["T"][::3])
+
+
+def test_a_log_that_begins_anew_with_its_last_row_or_with_a_clock_that_is_not_set_costs_nothing(path):
+    """What was read before was lost with one row in both files, or stamped 1970 as the first of the new one."""
+    table = log_of(600)
+    at = table.index
+    unset = table[400:401].set_axis(pd.DatetimeIndex(["1970-01-01 00:00:10"], tz="UTC"))
+    for looks in ([table[399:]], [unset, pd.concat([unset, table[400:]])]):
+        before = Earlier(31.0)
+        for rows in (table[:400], *looks):
+            rows.to_csv(path, index_label="time")
+            now = max(rows.index[-1], at[399]) + pd.Timedelta("30s")
+            found = read_measurements(str(path), WIDE, now=now, before=before)
+            assert found.record.T_zone_C.shape[1] >= 133
+        np.testing.assert_allclose(found.record.T_zone_C[0], table["T"][::3])

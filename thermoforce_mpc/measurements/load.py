@@ -321,14 +321,12 @@ def _written_until(
             tables = [frame_appended(files, there, clock, latest, left_out, units, now)]
         else:
             tables = tables_of(files, clock.column, columns, rules.table, "table", units=units)
-        rows = timed(tables, clock, now)
+        rows = before.joined(timed(tables, clock, now), list(dict.fromkeys(columns)), now, tables[0].name, left_out)
     except DataError as error:
         if before.last is None:
             raise
         left_out.append(f"{error}: what was read before stands")
         tables, rows = [RawTable("what was read before", pd.Series(dtype=object), {})], before.last
-    else:
-        rows = before.joined(rows, list(dict.fromkeys(columns)), now, tables[0].name, left_out)
     rooms = [name for zone in rules.zones.values() for name in zone.temperature.columns]
     return tables, without_ahead(rows, rooms, now, left_out, before.ahead)
 

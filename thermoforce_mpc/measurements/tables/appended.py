@@ -11,6 +11,7 @@ import hashlib
 import io
 import re
 from bisect import bisect_right
+from codecs import BOM_UTF8
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -61,7 +62,7 @@ from thermoforce_mpc.scenario.settings import suggestion
 _FAR_S, _FEW = 86400.0, 0.01
 # Stamps of a wall clock go back in autumn, s.
 _HOUR_TWICE_S = 3600.0
-# Where rows are not in the order of time, so far from most others.
+# So far from most others, where rows are not in the order of time, and so long before the next ones.
 _FAR_FROM_MOST_S = 5 * 365 * 86400.0
 _EMPTY = frozenset(("", "nan", "NaN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A", *MISSING))
 _SHOWN = 60
@@ -216,19 +217,23 @@ def _sections(
 
     A logger that is started with another sensor, or another order of them, goes on in its file below a new one.
     """
-    if form.encoding.lower().startswith("utf-16"):
-        return [(first, content)]
     written = first.cells[first.names.index(stamp)]
-    name, ends = written.encode(form.encoding), separator.encode() + b'"\r\n '
-    found, begins, at = [first], [0], len(name)
-    while (at := content.find(name, at) + len(name)) >= len(name):
-        before, behind = content[at - len(name) - 1 : at - len(name)], content[at : at + 1]
-        if before not in ends or behind not in ends or content.count(b"\n", begins[-1], at) <= found[-1].header:
+    if not written or form.encoding.lower().startswith("utf-16"):  # nothing to look for
+        return [(first, content)]
+    name, ends = written.encode(form.encoding).removeprefix(BOM_UTF8), separator.encode() + b'"\r\n '
+    found, begins, at = [first], [0], 0
+    for _ in range(first.header + 1):
+        at = content.find(b"\n", at) + 1 or len(content)
+    while (at := content.find(name, at)) >= 0:
+        before, at = content[at - 1 : at], at + len(name)
+        if before not in ends or content[at : at + 1] not in ends:
             continue
         begin, end = content.rfind(b"\n", 0, at) + 1, content.find(b"\n", at)
-        cells = cells_of(content[begin : end if end >= 0 else None].decode(form.encoding, "replace"), separator)
-        told = found[-1].cells
-        if end < 0 or tuple(cells) == told or not another_header(cells, told) or len({*cells}) < len(cells):
+        if end < 0:  # it is still being written
+            break
+        at, told = end, found[-1].cells
+        cells = cells_of(content[begin:end].decode(form.encoding, "replace"), separator)
+        if tuple(cells) == told or not another_header(cells, told) or len({*cells}) < len(cells):
             continue
         line = found[-1].line + content.count(b"\n", begins[-1], begin)
         found.append(_Section(tuple(stamp if cell == written else cell for cell in cells), tuple(cells), line))
@@ -636,10 +641,18 @@ def _with_times(
     late = at_s > latest.timestamp()
     if late.any() and late.sum() <= max(1, _FEW * late.size):
         far |= late
+    far |= at_s < _since_gap(at_s[~far & ~late])
     for row in rows[far]:
         left.add("a time far from those of the rows around", int(lines[row]), _second(at.iloc[row]))
     keep[rows[far]] = False
     return keep
+
+
+def _since_gap(at_s: NDArray[np.float64]) -> float:
+    """The time after the last gap of years, s: a clock without a battery begins in 1970, also in a file of its own."""
+    in_order = np.sort(at_s)
+    gaps = np.flatnonzero(np.diff(in_order) > _FAR_FROM_MOST_S)
+    return float(in_order[gaps[-1] + 1]) if gaps.size else -np.inf
 
 
 def _leave_set_back(

@@ -13,6 +13,7 @@ import pandas as pd
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.data.notes import Note
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.tables.clock import Timed
 
 _Readings = tuple[pd.DatetimeIndex, Array]
@@ -40,8 +41,11 @@ class Earlier:
         """`rows` of the table `name` with earlier readings of the columns `wanted` that it has not any more.
 
         Those are of a column that is away, which was not available from then on, and of one whose readings all came
-        after them: the table was begun anew.
+        after them: the table was begun anew. Raises `DataError` where all rows come before those that were read: of a
+        clock that has not been set yet.
         """
+        if self.last is not None and rows.index[-1] < self.last.index[0]:
+            raise DataError(f"{name}: its last row is of {rows.index[-1]}, before all that was read: a wrong clock?")
         here = {one: _readings_of(rows, one) for one in wanted if one in rows.columns}
         for one in wanted:
             before = self._latest.get(one)
@@ -91,10 +95,13 @@ def _readings_of(rows: Timed, name: str) -> _Readings:
 
 
 def _is_gone(before: _Readings, new: _Readings | None) -> bool:
-    """Whether a table has nothing any more of what was read `before` of a column, and has now."""
+    """Whether a table has nothing any more of what was read `before` of a column, and has now.
+
+    A logger may begin its new file with the last row of the one before.
+    """
     if not len(before[0]):
         return False
-    return new is None or not len(new[0]) or bool(new[0][0] > before[0][-1])
+    return new is None or not len(new[0]) or bool(new[0][0] >= before[0][-1])
 
 
 def _after(first: _Readings | None, second: _Readings) -> _Readings:
