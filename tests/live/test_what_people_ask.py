@@ -415,6 +415,28 @@ def test_who_sets_it_by_hand_again_is_respected_from_then_on(people):
     assert not [note for note in building.left_out if "by hand" in note]
 
 
+def test_who_sets_the_same_by_hand_the_next_day_is_respected_before_it_is_read(people):
+    """The set-point of the controller, which was read yet, was kept as that of a person."""
+    home = SaysIt(3)
+    rules = MeasurementMap.model_validate(rules_of({name: name for name in SENSORS}))
+    building = LiveBuilding(home, rules, 3600.0, people=people)
+    for hour in (0, 8):
+        home.told = home.ends = None
+        home.wait_until(START + hour * HOUR)
+        building.record(home.at)
+        building.write({"actuator": 22.0}, 7200.0)
+        home.wait_until(START + (hour + 1) * HOUR)
+        building.record(home.at)
+        building.write({"actuator": 22.0}, 7200.0)
+        home.told = 24.0
+        building.notice(home.at)
+        building.record(home.at)
+        assert people.by_hand(home.at)["actuator"][0] == 24.0
+        home.wait_until(START + (hour + 2) * HOUR)
+        building.record(home.at)
+        assert people.by_hand(home.at)["actuator"][0] == 24.0
+
+
 @pytest.mark.parametrize(("later_h", "by_hand"), [(1.0, True), (1.3, False), (-2.0, False)])
 def test_what_was_given_back_in_between_is_nobody_at_the_wall(people, later_h, by_hand):
     """By the watchdog, where a plan or a sleep took longer than its command was to hold, or the clock was set back."""

@@ -508,7 +508,9 @@ class LiveBuilding:
     def _set_again(self, measured: Measurements, now: pd.Timestamp) -> None:
         """Keep what was set by hand anew where another value is read than was read before: a person's too."""
         assert self._people is not None
-        for name, (value, _) in self._people.by_hand(now).items():
+        by_hand = self._people.by_hand(now)
+        self._hand_read = {name: value for name, value in self._hand_read.items() if name in by_hand}
+        for name, (value, _) in by_hand.items():
             read, near = _last_command(measured, name), self.nearness(name)
             if near is None or not math.isfinite(read) or name in self._told:
                 continue
