@@ -170,3 +170,13 @@ def test_a_log_that_begins_anew_with_its_last_row_or_with_a_clock_that_is_not_se
             found = read_measurements(str(path), WIDE, now=now, before=before)
             assert found.record.T_zone_C.shape[1] >= 133
         np.testing.assert_allclose(found.record.T_zone_C[0], table["T"][::3])
+
+
+def test_a_phase_without_any_reading_stops_nothing_where_a_column_goes_away(path):
+    """The sum of columns with instants of their own looked for the last of none."""
+    rules = WIDE | {"machines": {"meter": {"power": {"column": ["P", "P3"]}, "price": 0.25}}}
+    table, before = log_of(600).assign(P3=np.nan), Earlier(31.0)
+    for rows in (table, table.drop(columns="out")):
+        rows.to_csv(path, index_label="time")
+        found = read_measurements(str(path), rules, now=table.index[-1] + pd.Timedelta("30s"), before=before)
+        assert np.isnan(found.record.power_W).all()

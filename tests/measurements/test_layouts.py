@@ -1392,11 +1392,14 @@ def test_heaters_of_three_rooms_are_no_phases(tmp_path, room, heater):
         assert isinstance(machine["power"]["column"], str)
 
 
-def test_a_code_for_no_reading_of_power_is_none(tmp_path):
-    """65535 W were read as such, 8 times the mean power, since a machine may take so much."""
-    power = HOUSE["power"].to_numpy().copy()
-    power[::45] = 65535.0
-    rules = ours_of(tmp_path, {"Living": HOUSE["living"], "Outside": HOUSE["out"], "Heat pump (W)": power})
+@pytest.mark.parametrize("names", [["Heat pump (W)"], [f"Heat pump L{k} (W)" for k in (1, 2, 3)]])
+def test_a_code_for_no_reading_of_power_is_none(tmp_path, names):
+    """65535 W were read as such, 8 times the mean power, since a machine may take so much; so of one phase of three."""
+    power = HOUSE["power"].to_numpy() / len(names)
+    coded = power.copy()
+    coded[::45] = 65535.0
+    columns = dict.fromkeys(names, power) | {names[-1]: coded}
+    rules = ours_of(tmp_path, {"Living": HOUSE["living"], "Outside": HOUSE["out"]} | columns)
     found = tf.read_measurements(tmp_path / "house.csv", rules)
     assert np.nanmax(found.record.power_W) <= HOUSE["power"].max()
     (flag,) = [flag for one in found.understood.signals for flag in one.flags]

@@ -265,7 +265,10 @@ class SignalReader:
         """The readings of a signal that hold, in the unit inside, its rules, and what was flagged."""
         declared = getattr(signal, "unit", "")
         rules = with_map(rules, signal)
-        raw, time_s = self._raw(signal)
+        no_power = (
+            dict[float, float]() if rules.kind == "power" and not declared.endswith((PER_STEP, COUNTER)) else None
+        )
+        raw, time_s = self._raw(signal, no_power)
         raw = raw * signal.factor
         values = converted(raw, declared) if declared else raw
         if declared.endswith(PER_STEP):
@@ -279,13 +282,10 @@ class SignalReader:
         breaks_s = time_s[np.isnan(values)] if own else np.empty(0)
         values, time_s, raw = values[finite], time_s[finite], raw[finite]
         is_counter = declared.endswith(COUNTER)
-        if rules.kind == "power" and not declared.endswith((PER_STEP, COUNTER)):
-            written = raw / signal.factor
-            coded = codes_of_none(written) & (np.abs(written) >= _LEAST_CODE)
-            if coded.any():  # what a machine may take has room for them
-                words = f"{written[coded][0]:g} at {self._when(float(time_s[coded][0]))}"
-                flags.append(Flag("code for no reading", int(coded.sum()), words, (), float(time_s[coded][-1])))
-                values, time_s, raw = values[~coded], time_s[~coded], raw[~coded]
+        if no_power:
+            first_s = min(no_power)
+            words = f"{no_power[first_s]:g} at {self._when(first_s)}"
+            flags.append(Flag("code for no reading", len(no_power), words, (), max(no_power)))
         stored_s = time_s
         if declared.endswith(PER_STEP) and (wrong := _unusual(values)).any():
             first = self._when(float(time_s[int(np.argmax(wrong))]))
@@ -325,19 +325,31 @@ class SignalReader:
             flags += flagged
         return SignalReadings(time_s, values, ends, holds), rules, tuple(flags)
 
-    def _raw(self, signal: Signal) -> tuple[Array, Array]:
-        """Readings (n,) of a signal in its unit, and their instants, s; of columns apart the sum of what holds."""
+    def _raw(self, signal: Signal, no_power: dict[float, float] | None) -> tuple[Array, Array]:
+        """Readings (n,) of a signal in its unit, and their instants, s; of columns apart the sum of what holds.
+
+        Of a power codes for no reading are left out of each column, and kept by their instants in `no_power`.
+        """
         table, names = self._table, signal.columns
-        if not any(name in table.own for name in names):
-            return np.sum([table.columns[name] for name in names], axis=0), self._time_s
-        at = [self._seconds(table.at(name)) for name in names]
+        apart = any(name in table.own for name in names)
+        columns = list[tuple[Array, Array]]()
+        for name in names:
+            values, time_s = table.columns[name], self._seconds(table.at(name)) if apart else self._time_s
+            if no_power is not None and (coded := _codes(values)).any():
+                no_power |= dict(zip(time_s[coded].tolist(), values[coded].tolist(), strict=True))
+                values = np.where(coded, np.nan, values)
+                if apart:  # NaN says there that it was not available from then on
+                    values, time_s = values[~coded], time_s[~coded]
+            columns.append((values, time_s))
+        if not apart:
+            return np.sum([values for values, _ in columns], axis=0), self._time_s
         if len(names) == 1:
-            return table.columns[names[0]], at[0]
-        every = np.unique(np.concatenate(at))
+            return columns[0]
+        every = np.unique(np.concatenate([time_s for _, time_s in columns]))
         total = np.zeros(every.size)
-        for time_s, name in zip(at, names, strict=True):
-            last = np.searchsorted(time_s, every, side="right") - 1
-            total += np.where(last >= 0, table.columns[name][np.maximum(last, 0)], np.nan)
+        for values, time_s in columns:
+            last = np.searchsorted(time_s, every, side="right")
+            total += np.append(np.nan, values)[last]
         return total, every
 
     def _seconds(self, index: pd.DatetimeIndex) -> Array:
@@ -539,3 +551,10 @@ def _fell_and_came_back(values: Array, time_s: Array) -> NDArray[np.bool_]:
                 away[i + 1 : k] = True
                 break
     return away
+
+
+def _codes(values: Array) -> NDArray[np.bool_]:
+    """Which readings (n,) of a power, NaN where there is none, are codes for none; what a machine takes has room."""
+    coded, finite = np.zeros(values.size, dtype=bool), np.isfinite(values)
+    coded[finite] = codes_of_none(values[finite])
+    return coded & (np.abs(values) >= _LEAST_CODE)
