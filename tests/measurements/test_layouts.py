@@ -1406,6 +1406,25 @@ def test_a_code_for_no_reading_of_power_is_none(tmp_path, names):
     assert (flag.rule, flag.count) == ("code for no reading", len(power[::45]))
 
 
+@pytest.mark.parametrize("name", ["Frequency", "Grid frequency (Hz)"])
+def test_the_frequency_of_the_mains_is_no_level(tmp_path, name):
+    """It was that of a heater at 99.9 % of its largest."""
+    mains = 50.0 + np.round(np.random.default_rng(1).normal(0.0, 0.03, len(HOUSE["out"])), 2)
+    rules = ours_of(
+        tmp_path, {"Living": HOUSE["living"], "Outside": HOUSE["out"], name: mains, "Heat pump (W)": HOUSE["power"]}
+    )
+    assert "level" not in rules["actuators"]["heater"]
+
+
+def test_a_room_is_no_device_and_energy_of_a_quarter_no_level_without_a_doubt(tmp_path):
+    """A column called Room was refused as one that names devices; kWh up to 0.6 were a level without a word."""
+    columns = {"Room": HOUSE["living"], "Outside": HOUSE["out"], "Heat pump": (HOUSE["power"] / 4000).round(3)}
+    rules = ours_of(tmp_path, columns)
+    assert rules["zones"]["room"]["temperature"]["column"] == "Room"
+    (level,) = [line for line in starting_map(tmp_path / "house.csv").splitlines() if "level: {column" in line]
+    assert "CHECK" in level
+
+
 def test_names_say_an_end_a_frequency_and_what_is_no_unit(tmp_path):
     frame = pd.DataFrame({"Intervallende": local("%Y-%m-%d %H:%M"), "Living": HOUSE["living"].array})
     frame = frame.assign(Outside=HOUSE["out"].array, Frequency=(HOUSE["v_living"] * 0.6).round().array)

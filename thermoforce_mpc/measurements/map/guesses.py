@@ -37,10 +37,11 @@ _NO_ROOM = frozenset(
 _ENERGIES = tuple(unit for unit in LOADS if UNITS[unit].quantity == "energy")
 _OF_LOADS = frozenset(("energy", "power", "heat", "heating machine", "electric", "gas"))
 _TURNS = ("Hz", "rps", "rpm")
-_FREQUENCY, _ONES = (
-    re.compile(r"(?i)fr[eé]qu?[ev]n"),
-    1.5,
-)  # that of a machine, and more than a level of 1 and its noise
+_FREQUENCY = re.compile(r"(?i)fr[eé]qu?[ev]n")
+# That of the mains, Hz, which is no machine's: it stays within 0.2 Hz in a grid that spans land, and 2 Hz on an island.
+_MAINS_HZ, _MAINS_SPAN_HZ = (45.0, 65.0), 2.0
+_NEVER_FULL = 0.9  # a level that ends below it, of a machine that is full on cold days, may be something else
+_ONES = 1.5  # more than a level of 1 and its noise
 _MOST_STAGES = 9.0  # whole numbers up to it are no per cent
 # What may be a unit of power or energy, in brackets, that is none here, such as Shelly's Wmin.
 _OTHER_LOAD = re.compile(r"[\[(]([kM]?[WJ][A-Za-z·*]{0,5})[\])]")
@@ -216,7 +217,7 @@ class _Look:
         # A set-point changes seldom; where changes alone are stored, nothing stays.
         self.rests = same > 0.8 or same < 0.05
         self.few = self.rests and bool(v.size >= _LEAST and self.distinct.size <= max(4, min(14, v.size // 12 + 2)))
-        self.every_s = float(np.median(np.diff(column.time_s))) if column.time_s.size > 1 else np.nan
+        self.every_s = float(np.median(np.abs(np.diff(column.time_s)))) if column.time_s.size > 1 else np.nan
         # How many seconds of an interval something ran.
         acts = self.tags & {"level", "heating machine", "cooling", "heat"} and not self.tags & {"power", "setpoint"}
         within = self.whole and self.least >= 0.0 and _PERCENT < self.most <= self.every_s
@@ -361,6 +362,9 @@ def _of_what_acts(look: _Look, fahrenheit: bool) -> Guess | None:
         return Guess(look.name, "level", "%", "", factor=100.0 / look.every_s)
     may_act = "valve" in t or ("level" in t and (look.unit == "%" or not t & {"power", "energy"}))
     if look.unit in _TURNS or (_FREQUENCY.search(look.name) and not look.unit and look.most > _ONES):
+        low, high = _MAINS_HZ
+        if look.unit in ("Hz", "") and low <= look.least and look.most <= min(high, look.least + _MAINS_SPAN_HZ):
+            return Guess(look.name, "")
         return Guess(look.name, "level", "%", "a frequency over its largest is a level (factor)")
     if may_act and not as_temperature and _shares(look):
         if _setpoint(look, fahrenheit) and "valve" not in t:
@@ -374,6 +378,8 @@ def _of_what_acts(look: _Look, fahrenheit: bool) -> Guess | None:
         if look.whole and not look.unit and _ONES < look.most <= _MOST_STAGES:
             why = f"whole numbers up to {look.most:.0f}: stages, whose largest is full, or numbers of states?"
             return Guess(look.name, "level", "%", why, factor=100.0 / look.most)
+        if "heating machine" in t and not look.unit and not look.whole and look.most < _NEVER_FULL:
+            doubt = doubt or f"values up to {look.most:.2g}: a level that is never full, or kWh of a step?"
         return Guess(look.name, "level", _share_unit(look), doubt)
     if t & {"power", "energy", "heat"} and not as_temperature:
         return _load(look)

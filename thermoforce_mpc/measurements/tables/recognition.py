@@ -295,6 +295,12 @@ def _check_layout(path: Path, head: pd.DataFrame) -> None:
         )
 
 
+def _fractions(told: pd.Series) -> bool:
+    """Whether cells are numbers that are not all whole, as readings are and what counts rooms is not."""
+    numbers = pd.to_numeric(told.astype(str).str.replace(",", "."), errors="coerce")
+    return bool(numbers.notna().all() and (numbers % 1.0 != 0.0).any())
+
+
 def _check_devices(path: Path, head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]) -> None:
     """Refuse a table in which a column says of which device a row is, and several what it measured."""
     known = [c for c in columns if not _UNIT_COLUMN.match(c) and not _BESIDE.match(c)]
@@ -308,7 +314,7 @@ def _check_devices(path: Path, head: pd.DataFrame, columns: Sequence[str], of_st
             of_rows
             and column not in measured
             and 1 < told.nunique() <= len(head) / 3
-            and (again > 0.2 or changes > 0.3)
+            and (again > 0.2 or (changes > 0.3 and not _fractions(told)))
         ):
             raise DataError(
                 f"{path}: each row is of one of {told.nunique()} by column '{column}', with several readings "
