@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from click.testing import CliRunner
 from connected_home import HOUR, SENSORS, START, TimedHome, controlled, rules_of
 from filelock import FileLock
@@ -413,6 +414,22 @@ def test_who_sets_it_by_hand_again_is_respected_from_then_on(people):
         ends[hour] = value, round((until - START) / HOUR)
     assert ends == {1: (24.0, 5), 2: (24.0, 5), 3: (25.0, 7), 4: (25.0, 7), 7: (None, 7)}
     assert not [note for note in building.left_out if "by hand" in note]
+
+
+def test_a_map_that_was_changed_since_the_start_is_said(tmp_path):
+    """It was read once, and nobody said that an edit has no effect."""
+    home, file, said = SaysIt(3), tmp_path / "map.yaml", []
+    rules = rules_of({name: name for name in SENSORS})
+    file.write_text(yaml.safe_dump(rules))
+    building = LiveBuilding(home, MeasurementMap.model_validate(rules), 3600.0, map_file=file)
+    for change in ("", "", "# summer\n", None):
+        if change is None:
+            file.unlink()
+        else:
+            file.write_text(file.read_text() + change)
+        building.record(START)
+        said.append([note for note in building.left_out if "restart" in note])
+    assert said == [[], [], [f"{file}: changed since control began: it takes effect at a restart"], []]
 
 
 def test_who_sets_the_same_by_hand_the_next_day_is_respected_before_it_is_read(people):

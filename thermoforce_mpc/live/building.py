@@ -111,8 +111,13 @@ class LiveBuilding:
         step_s: float,
         prices: Path | None = None,
         people: People | None = None,
+        map_file: Path | None = None,
     ) -> None:
-        """`prices`: a file of them, read anew in each step, in the place of those of the map; `people`: who ask."""
+        """`prices`: a file of them, read anew in each step, in the place of those of the map; `people`: who ask.
+
+        `map_file`: that of the `rules`; a note says where it was changed since.
+        """
+        self._map_file, self._map_read = map_file, None if map_file is None else map_file.read_bytes()
         self._prices, self._people = prices, people
         self._told: dict[str, LastTold] = {}
         self._rounds = set[str]()  # said already
@@ -209,7 +214,7 @@ class LiveBuilding:
         ).served()
         record = measured.record
         of_clocks = (*self._ahead(measured, now), *self._behind(measured, now))
-        self.left_out = (*measured.left_out, *of_clocks, *self._set_by_hand(measured, now))
+        self.left_out = (*measured.left_out, *of_clocks, *self._set_by_hand(measured, now), *self._of_map())
         if paused := self.paused:
             self.left_out = (*self.left_out, paused)
         self._origin = record.origin if self._origin is None else self._origin
@@ -249,6 +254,13 @@ class LiveBuilding:
         """Temperature of the tank at the last `record`, °C, NaN where it is not known, and whether it is charged."""
         tank = None if self._measured is None else self._measured.tank
         return (math.nan, False) if tank is None else tank.now()
+
+    def _of_map(self) -> tuple[str, ...]:
+        """A note where the file of the map was changed."""
+        with suppress(OSError):  # it is being written, and was read
+            if self._map_file is not None and self._map_file.read_bytes() != self._map_read:
+                return (f"{self._map_file}: changed since control began: it takes effect at a restart",)
+        return ()
 
     def _ahead(self, measured: Measurements, now: pd.Timestamp) -> tuple[str, ...]:
         """A note on readings stamped a little after the clock; raises `DataError` where it is more: what is of now?"""

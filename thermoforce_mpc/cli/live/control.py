@@ -216,7 +216,7 @@ class _Run:
         """The building at a step, s, and what people ask of it."""
         from thermoforce_mpc.live import LiveBuilding
 
-        return LiveBuilding(self.building, self.rules, step_s, self.prices, people)
+        return LiveBuilding(self.building, self.rules, step_s, self.prices, people, self.map_file)
 
     def journal(self, model: Path | None, controller: str = "thermoforce_mpc") -> LiveJournal:
         """The journal of a controller, with its model."""
