@@ -1406,6 +1406,16 @@ def test_a_code_for_no_reading_of_power_is_none(tmp_path, names):
     assert (flag.rule, flag.count) == ("code for no reading", len(power[::45]))
 
 
+@pytest.mark.parametrize(
+    ("name", "marks"),
+    [("Interval end (UTC)", "end"), ("Date fin", "end"), ("time_end", "end"), ("Trend time", "start")],
+)
+def test_the_name_of_the_stamps_says_an_end(tmp_path, name, marks):
+    frame = pd.DataFrame({name: local("%Y-%m-%d %H:%M"), "Living": HOUSE["living"].array})
+    frame.assign(Outside=HOUSE["out"].array, Heating=HOUSE["power"].array).to_csv(tmp_path / "house.csv", index=False)
+    assert yaml.safe_load(starting_map(tmp_path / "house.csv"))["time"]["marks"] == marks
+
+
 @pytest.mark.parametrize("name", ["Frequency", "Grid frequency (Hz)"])
 def test_the_frequency_of_the_mains_is_no_level(tmp_path, name):
     """It was that of a heater at 99.9 % of its largest."""

@@ -265,15 +265,13 @@ class SignalReader:
         """The readings of a signal that hold, in the unit inside, its rules, and what was flagged."""
         declared = getattr(signal, "unit", "")
         rules = with_map(rules, signal)
-        no_power = (
-            dict[float, float]() if rules.kind == "power" and not declared.endswith((PER_STEP, COUNTER)) else None
-        )
-        raw, time_s = self._raw(signal, no_power)
+        flags: list[Flag] = []
+        of_power = rules.kind == "power" and not declared.endswith((PER_STEP, COUNTER))
+        raw, time_s = self._raw(signal, flags if of_power else None)
         raw = raw * signal.factor
         values = converted(raw, declared) if declared else raw
         if declared.endswith(PER_STEP):
             values = values / _intervals_s(time_s, np.isfinite(values), signal.hold_h, self._marks_of(signal))
-        flags: list[Flag] = []
         if (endless := np.isinf(values)).any():
             row = time_s[int(np.argmax(endless))]
             flags.append(Flag("range", int(endless.sum()), f"an infinite one at {self._when(row)}"))
@@ -282,10 +280,6 @@ class SignalReader:
         breaks_s = time_s[np.isnan(values)] if own else np.empty(0)
         values, time_s, raw = values[finite], time_s[finite], raw[finite]
         is_counter = declared.endswith(COUNTER)
-        if no_power:
-            first_s = min(no_power)
-            words = f"{no_power[first_s]:g} at {self._when(first_s)}"
-            flags.append(Flag("code for no reading", len(no_power), words, (), max(no_power)))
         stored_s = time_s
         if declared.endswith(PER_STEP) and (wrong := _unusual(values)).any():
             first = self._when(float(time_s[int(np.argmax(wrong))]))
@@ -325,22 +319,25 @@ class SignalReader:
             flags += flagged
         return SignalReadings(time_s, values, ends, holds), rules, tuple(flags)
 
-    def _raw(self, signal: Signal, no_power: dict[float, float] | None) -> tuple[Array, Array]:
+    def _raw(self, signal: Signal, of_power: list[Flag] | None) -> tuple[Array, Array]:
         """Readings (n,) of a signal in its unit, and their instants, s; of columns apart the sum of what holds.
 
-        Of a power codes for no reading are left out of each column, and kept by their instants in `no_power`.
+        Of a power codes for no reading are left out of each column, which a flag in `of_power` says.
         """
         table, names = self._table, signal.columns
         apart = any(name in table.own for name in names)
-        columns = list[tuple[Array, Array]]()
+        columns, codes = list[tuple[Array, Array]](), dict[float, float]()
         for name in names:
             values, time_s = table.columns[name], self._seconds(table.at(name)) if apart else self._time_s
-            if no_power is not None and (coded := _codes(values)).any():
-                no_power |= dict(zip(time_s[coded].tolist(), values[coded].tolist(), strict=True))
+            if of_power is not None and (coded := _codes(values)).any():
+                codes |= dict(zip(time_s[coded].tolist(), values[coded].tolist(), strict=True))
                 values = np.where(coded, np.nan, values)
                 if apart:  # NaN says there that it was not available from then on
                     values, time_s = values[~coded], time_s[~coded]
             columns.append((values, time_s))
+        if of_power is not None and codes:
+            words = f"{codes[min(codes)]:g} at {self._when(min(codes))}"
+            of_power.append(Flag("code for no reading", len(codes), words, (), max(codes)))
         if not apart:
             return np.sum([values for values, _ in columns], axis=0), self._time_s
         if len(names) == 1:

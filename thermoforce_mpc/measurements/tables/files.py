@@ -604,8 +604,8 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
     """Names, places of lines and most cells of each part of a CSV file, whose rows begin at line `first` (from 0).
 
     Left out are empty lines, those of comment, and the header where it comes again, as in exports joined end to end.
-    Another header begins another part. Refuses rows with more or fewer cells than their header,
-    whose values would land in wrong columns.
+    Another header begins another part. Refuses rows with more or fewer cells than their header, whose values would land
+    in wrong columns.
     """
     parts: list[tuple[list[str], list[Any]]] = [(names, [])]
     most = [len(names)]
@@ -616,15 +616,7 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
             kept[: max(0, first - begun)] = False
             n = np.array([line.count(separator) for line in block])
             special = np.array([line[:1] in "\r\n" or line.startswith(form.comment or "\n") for line in block])
-            again = _starts(parts[-1][0], separator)
-            cell = parts[-1][0][0] or "\n"  # of the lines below a header only another one has it
-            named = cell + separator, separator + cell, f'"{cell}"'
-            begins = np.array(
-                [
-                    any(one in line for one in named) or line.startswith(again) or _SUMMARY.match(line) is not None
-                    for line in block
-                ]
-            )
+            begins = _may_head(block, parts[-1][0], separator)
             after = np.append(may_begin, special[:-1])
             may_begin = bool(special[-1])
             kept &= ~special
@@ -661,6 +653,18 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
         (told, np.concatenate([np.empty(0, dtype=np.int64), *rows]), min(cells, len(told) + 1))
         for (told, rows), cells in zip(parts, most, strict=True)
     ]
+
+
+def _may_head(lines: Sequence[str], names: Sequence[str], separator: str) -> NDArray[np.bool_]:
+    """Which lines (n,) below a header of `names` may be another one, or begin a summary."""
+    again, cell = _starts(names, separator), names[0] or "\n"  # of the lines below a header only another one has it
+    named = cell + separator, separator + cell, f'"{cell}"'
+    return np.array(
+        [
+            any(one in line for one in named) or line.startswith(again) or _SUMMARY.match(line) is not None
+            for line in lines
+        ]
+    )
 
 
 def cells_of(line: str, separator: str) -> list[str]:

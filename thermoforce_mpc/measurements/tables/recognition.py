@@ -59,8 +59,9 @@ _TIME = re.compile(
 _DAY = re.compile(r"(?i)^(<>)?(date|datum|day|tag|dag|jour|fecha|dia|data|giorno)\b")
 _OF_DAY = re.compile(r"(?i)^(time|uhrzeit|zeit|heure|tijd|uur|hour|time of day|clock|hora|ora|orario)\b")
 _END = re.compile(
-    r"(?i)((intervall?|period|hour|stunden|stop|zeit)[ _.-]?)?(end(e|ing|s)?|bis|to|until|tot|einde|fin|fine|hasta)"
-    r"([ _.-]?(time|date|datetime|at|zeit|interval|period))?"
+    r"(?i)((intervall?|period|hour|stunden|stop|zeit|time|timestamp|date(?: de)?|datum|fecha)[ _.-]?)?"
+    r"(end(e|ing|s)?|bis|to|until|tot|einde|fin|fine|hasta)"
+    r"([ _.-]?(time|date|datetime|at|zeit|interval|period))?(?: ?[\[(][^\])]*[\])])?"
 )
 _POINT = re.compile(
     r"(?i)^(entity_?id|statistic_?id|metadata_?id|point|point.?(name|id)|name|sensor|sensor.?(name|id)|tag|tag.?name|device.*|"
