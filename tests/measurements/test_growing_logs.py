@@ -163,13 +163,14 @@ def test_a_log_that_begins_anew_with_its_last_row_or_with_a_clock_that_is_not_se
     at = table.index
     unset = table[400:401].set_axis(pd.DatetimeIndex(["1970-01-01 00:00:10"], tz="UTC"))
     for looks in ([table[399:]], [unset, pd.concat([unset, table[400:]])]):
-        before = Earlier(31.0)
+        before = Earlier(31.0, ahead={0.0, at[0].timestamp()})
         for rows in (table[:400], *looks):
             rows.to_csv(path, index_label="time")
             now = max(rows.index[-1], at[399]) + pd.Timedelta("30s")
             found = read_measurements(str(path), WIDE, now=now, before=before)
             assert found.record.T_zone_C.shape[1] >= 133
         np.testing.assert_allclose(found.record.T_zone_C[0], table["T"][::3])
+        assert before.ahead == {at[0].timestamp()}, "of months ago nothing is kept"
 
 
 def test_a_phase_without_any_reading_stops_nothing_where_a_column_goes_away(path):

@@ -23,7 +23,7 @@ _Readings = tuple[pd.DatetimeIndex, Array]
 class Earlier:
     """What looks at the tables of one building found before; `days`: for how long it stands.
 
-    `ahead`: instants whose readings were put aside, as stamped after the clock, s since 1970.
+    `ahead`: instants whose readings were put aside, as stamped after the clock, s since 1970; so long as well.
     """
 
     days: float
@@ -54,6 +54,7 @@ class Earlier:
                 del self._latest[one]
         self._latest |= here
         since = now - pd.Timedelta(days=self.days)
+        self.ahead = {at for at in self.ahead if at >= since.timestamp()}
         for one, (at, values) in self._gone.items():
             stands = at >= since
             if one in here and len(here[one][0]):
