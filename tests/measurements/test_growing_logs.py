@@ -173,6 +173,22 @@ def test_a_log_that_begins_anew_with_its_last_row_or_with_a_clock_that_is_not_se
         assert before.ahead == {at[0].timestamp()}, "of months ago nothing is kept"
 
 
+@pytest.mark.parametrize(
+    "content", ["\x00" * 500, "zeit,T_room,T_out,level,power\n2025-01-12T02:00:00Z,21.0,2.0,1,0\n"]
+)
+def test_a_log_that_has_nothing_any_more_leaves_what_was_read(path, content):
+    """Of NUL after a power failure, or with all columns renamed: `control` ended with a ValueError."""
+    table, before = log_of(600), Earlier(31.0)
+    for _ in range(2):
+        now = {"now": table.index[-1] + pd.Timedelta("30s"), "before": before}
+        table.to_csv(path, index_label="time")
+        read_measurements(str(path), WIDE, **now)
+        path.write_text(content)
+        found = read_measurements(str(path), WIDE, **now)
+        np.testing.assert_allclose(found.record.T_zone_C[0], table["T"][::3])
+        assert f"{path}: has none of the columns that were read before: what was read before stands" in found.left_out
+
+
 def test_a_phase_without_any_reading_stops_nothing_where_a_column_goes_away(path):
     """The sum of columns with instants of their own looked for the last of none."""
     rules = WIDE | {"machines": {"meter": {"power": {"column": ["P", "P3"]}, "price": 0.25}}}

@@ -313,6 +313,8 @@ def _written_until(
         if not isinstance(files, pd.DataFrame):
             paths = found_files(_patterns(files), most_bytes)
             tables = read_appended(paths, columns, rules.written, latest, left_out, before.columns, units, now)
+            if not tables:
+                raise DataError(f"{paths[0]}: has none of the columns that were read before")
         elif rules.table == TableForm():
             names = [str(name) for name in files.columns]
             gone = [one for one in dict.fromkeys(columns) if one in before.columns and one not in names]
