@@ -633,6 +633,8 @@ def _with_times(
     for row in np.flatnonzero(few):
         left.add(reason, int(lines[row]), _second(at.iloc[row]))
     rows = np.flatnonzero(keep)
+    if not rows.size:
+        return keep
     at_s = np.asarray((at[keep] - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=np.float64)
     if in_order and newest_first(at_s):
         far = _far(at_s[::-1])[::-1]
