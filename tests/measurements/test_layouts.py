@@ -1369,12 +1369,12 @@ def test_of_rows_with_the_newest_first_a_counter_is_one_and_hours_are_those_of_t
     assert yaml.safe_load(texts[1])["machines"]["machine"]["power"]["column"] == "power Heat Pump"
 
 
-@pytest.mark.parametrize("name", ["Heat pump L{} (W)", "3EM {} total (kWh)"])
+@pytest.mark.parametrize("name", ["Heat pump L{} (W)", "3EM {} total (kWh)", "Heat pump W ({})"])
 def test_three_phases_are_one_meter(tmp_path, name):
     """One phase of three was taken for all: a third of the power."""
     counter = np.concatenate([[0.0], np.cumsum(HOUSE["power"].to_numpy() / 4000)[:-1]]) / 3
-    phase = HOUSE["power"] / 3 if "(W)" in name else 900 + counter
-    columns = [name.format(which) for which in ("123" if "(W)" in name else "abc")]
+    phase = 900 + counter if "kWh" in name else HOUSE["power"] / 3
+    columns = [name.format(which) for which in ("123" if "L{}" in name else "abc")]
     rules = ours_of(tmp_path, {"Living": HOUSE["living"], "Outside": HOUSE["out"]} | dict.fromkeys(columns, phase))
     assert rules["machines"]["machine"]["power"]["column"] == columns
     record = tf.read_measurements(tmp_path / "house.csv", rules).record

@@ -73,8 +73,10 @@ _IN_FORCE = frozenset(("eff", "effective", "active"))
 # Which of the counters of a meter with two tariffs, as 'Import T1 kWh' or 'electricity_delivered_2'.
 _REGISTER = re.compile(r"(?i)(?<![a-z])(t|tari[ef]+|rate|delivered)[ _]?[12](?!\d)")
 # Which phase of a meter, as 'Heat pump L1 (W)', 'phase_a_power' or '3EM c total (kWh)', and which there are of one. A
-# letter alone is one of a name, such as 'Heater A', but where what a meter has of each phase comes behind it.
-_PHASE = re.compile(r"(?i)(?<![a-z0-9])(?:(?:phase|ph|l)[ _]?([123abc])|([abc])(?=[ _](?:total|act)))(?![a-z0-9])")
+# letter alone is one of a name, such as 'Heater A', but in brackets at the end, and before what a meter has of each.
+_PHASE = re.compile(
+    r"(?i)(?<![a-z0-9])(?:(?:phase|ph|l)[ _]?([123abc])|([abc])(?=[ _](?:total|act)|[\])]$))(?![a-z0-9])"
+)
 _PHASES = ({"1", "2", "3"}, {"a", "b", "c"})
 _PUT_LAST = re.compile(r"pump|pomp|fan|relay|switch|status|stat$|enable", re.I)
 
