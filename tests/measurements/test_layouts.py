@@ -1381,6 +1381,14 @@ def test_three_phases_are_one_meter(tmp_path, name):
     np.testing.assert_allclose(record.power_W[0, 2:-2], HOUSE["power"].to_numpy()[2:-3], atol=1.0)
 
 
+@pytest.mark.parametrize(("other", "of_other"), [("Heat pump total (W)", True), ("Backup heater (W)", False)])
+def test_a_total_stands_for_its_phases_and_another_machine_does_not(tmp_path, other, of_other):
+    """A backup heater was the machine's meter, since it has no phases."""
+    phases = {f"Heat pump L{k} (W)": HOUSE["power"] / 3 for k in (1, 2, 3)}
+    rules = ours_of(tmp_path, {"Living": HOUSE["living"], "Outside": HOUSE["out"]} | phases | {other: HOUSE["power"]})
+    assert rules["machines"]["machine"]["power"]["column"] == (other if of_other else list(phases))
+
+
 @pytest.mark.parametrize(("room", "heater"), [("Room {} (°C)", "Heater {} power (W)"), ("L{} room", "Heater L{} (W)")])
 def test_heaters_of_three_rooms_are_no_phases(tmp_path, room, heater):
     """Each room's meter was the sum of the heaters A, B and C of three rooms."""

@@ -435,6 +435,13 @@ class _Text:
         which = {(one[1] or one[2]).lower() for one in alike.values() if one}
         return tuple(alike) if told and which in _PHASES and len(alike) == len(which) else ()
 
+    def _has_total(self, guess: Guess) -> bool:
+        """Whether a power is one of three phases, and another column is what all of them take, by the words of both."""
+        phases, of = self._phases(guess), set(words_of(_PHASE.sub("", guess.name, count=1)))
+        return bool(phases) and any(
+            of <= set(words_of(one.name)) for one in self.found if one.role == guess.role and one.name not in phases
+        )
+
     def _weather(self) -> list[str]:
         lines = []
         outdoor = self.of("outdoor")
@@ -697,7 +704,7 @@ class _Text:
             return (
                 _OF_INTERVALS.isdisjoint(words_of(guess.name)),
                 "heating machine" in t,
-                not self._phases(guess),
+                not self._has_total(guess),
                 not any(self._match(guess, zone) for zone in self.zones),
                 guess.sure,
                 not guess.unit.endswith("counter"),
