@@ -173,6 +173,15 @@ def test_a_log_that_begins_anew_with_its_last_row_or_with_a_clock_that_is_not_se
         assert before.ahead == {at[0].timestamp()}, "of months ago nothing is kept"
 
 
+def test_a_log_whose_clock_was_years_ahead_is_read_once_it_is_right(path):
+    table, before = log_of(600), Earlier(31.0)
+    now = table.index[-1] + pd.Timedelta("30s")
+    for years in (4, 0):
+        table.set_axis(table.index + pd.Timedelta(days=365 * years)).to_csv(path, index_label="time")
+        found = read_measurements(str(path), WIDE, now=now, before=before)
+    assert found.newest_s() == (table.index[-1] - found.record.origin).total_seconds()
+
+
 @pytest.mark.parametrize(
     "content", ["\x00" * 500, "zeit,T_room,T_out,level,power\n2025-01-12T02:00:00Z,21.0,2.0,1,0\n"]
 )

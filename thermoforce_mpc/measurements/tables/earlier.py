@@ -44,7 +44,7 @@ class Earlier:
         after them: the table was begun anew. Raises `DataError` where all rows come before those that were read: of a
         clock that has not been set yet.
         """
-        if self.last is not None and rows.index[-1] < self.last.index[0]:
+        if self.last is not None and rows.index[-1] < self.last.index[0] <= now:
             raise DataError(f"{name}: its last row is of {rows.index[-1]}, before all that was read: a wrong clock?")
         here = {one: _readings_of(rows, one) for one in wanted if one in rows.columns}
         for one in wanted:
