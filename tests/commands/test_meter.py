@@ -8,7 +8,7 @@ import pytest
 from controllers.mpc.commands.costs import spread_of_savings
 from thermoforce_mpc.commands.contacts import SGReady
 from thermoforce_mpc.commands.heating_curve import CurveOffset
-from thermoforce_mpc.commands.meter import MeterRecord, beyond_sd, chance_sd, learn_meter
+from thermoforce_mpc.commands.meter import MeterEffect, MeterRecord, beyond_sd, chance_sd, learn_meter
 
 CONTACT = SGReady(kind="sg_ready", column="contact")
 HOURS, STORED_WH = np.arange(24.0), 700.0
@@ -139,3 +139,17 @@ def test_plans_may_save_what_their_commands_move_beside_levels_and_of_peaks():
     assert spread_of_savings(0.8, 0.0, 0.0) == pytest.approx(2.0 * of_rooms)
     assert spread_of_savings(0.4, -0.3, 0.0) == pytest.approx(np.hypot(of_rooms, 0.3)), "hot water, at other hours"
     assert spread_of_savings(0.0, 0.0, 0.2) == 0.2
+
+
+def test_a_charge_shows_where_a_state_beyond_the_usual_one_clearly_takes_more_at_first():
+    def effect(blocked_W: float, recommended_W: float) -> MeterEffect:
+        mean, sd = np.zeros(8), np.full(8, 50.0)
+        mean[0], mean[4] = blocked_W, recommended_W
+        unknown = np.full(2, np.nan)
+        return MeterEffect(
+            np.array([1.0, 3.0]), 2.0, 1.0, unknown, mean, np.diag(sd), 100.0, np.zeros(24), np.empty((0, 24))
+        )
+
+    assert effect(0.0, 60.0).shows_a_charge
+    assert not effect(0.0, 40.0).shows_a_charge
+    assert not effect(200.0, 0.0).shows_a_charge, "what a blocked machine takes is no charge"

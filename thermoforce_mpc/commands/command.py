@@ -108,6 +108,14 @@ class Command(StrictModel):
         """Longest time that a command may be held, s."""
         return float("inf")
 
+    @property
+    def tank_first(self) -> float:
+        """Share of its rooms' heat that a tank gets in the first hour in which it is above what it usually is.
+
+        Where the machine's meter tells that it has none, nothing.
+        """
+        return 0.0
+
 
 def is_warm(T_zone_C: Sequence[float], bounds_C: Sequence[tuple[float, float]]) -> bool:
     """Whether one of the rooms is above its upper bound."""

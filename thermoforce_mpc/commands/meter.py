@@ -130,6 +130,13 @@ class MeterEffect:
         """States in which the machine is off."""
         return tuple(self.states[np.isfinite(self.off_W[: self.states.size])].tolist())
 
+    @property
+    def shows_a_charge(self) -> bool:
+        """Whether its machine clearly takes more at first in a state beyond the usual one: it charges a tank."""
+        at_first = slice(0, _EACH * self.states.size, _EACH)
+        sure = self.mean[at_first] > np.sqrt((self.root[at_first] ** 2).sum(axis=-1))
+        return bool((sure & (self.states > self.usual)).any())
+
     def drawn(self, z: Array) -> Array:
         """Effects (S, p) by standard normal numbers (S, p)."""
         return np.asarray(self.mean + z @ self.root.T)

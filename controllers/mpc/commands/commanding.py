@@ -512,7 +512,14 @@ class CommandedPlan:
 
     @cached_property
     def _tables(self) -> LoopTables:
-        return LoopTables(self.operator, self.problem, self.loops)
+        machine_of = self.problem.machinery.machine_of
+        none = {one.m for one in self.beside if not one.meter.shows_a_charge}
+        charging = {
+            a: self.now[a]
+            for a, loop in self.loops.items()
+            if loop.learned.command.tank_first and machine_of[a] not in none
+        }
+        return LoopTables(self.operator, self.problem, self.loops, charging)
 
     def _brought(
         self,

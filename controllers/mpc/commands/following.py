@@ -8,16 +8,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controllers.actuation.commands import CommandedLoop
+from controllers.actuation.commands import CommandedLoop, CommandState
 from controllers.optimisation.problem import MPCProblem
+from thermoforce_mpc.commands.command import SAME
 from thermoforce_mpc.commands.loop import behind_levels
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OUTDOOR
 
 # Rounds in which level and temperature of a step are made to agree, and levels of a table of their heat.
 _ROUNDS, _CLOSE, _TABLE = 20, 5e-4, 65
+
+
+Held = dict[int, tuple[Array, Array]]
+"""What is set (S or 1,) and for how long it has been, s, by actuator."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +67,7 @@ def followed(
     new = np.zeros((S, *problem.forced_state_K.shape))
     T = np.repeat(problem.T_now_C[None], S, axis=0)
     before, levels, course = np.repeat(tables.before[None], S, axis=0), np.empty((S, A, n)), [T]
-    scatter = np.zeros(S)
+    scatter, held = np.zeros(S), tables.held
     for k in range(n):
         values = {a: values_of(a, k, T, before) for a in tables.loops}
         remains_C = T_free[..., k] + tables.fades_K[k + 1].sum(axis=(1, 2))
@@ -72,6 +77,7 @@ def followed(
             modulation = operator.modulated(np.ones(A), problem.features[:, k], tables.fades_K[k] + new[0])
         level = np.repeat(u[None, :, k], S, axis=0)
         tables.settle(k, values, level, before, z, T, at_rest, modulation * gain, scatter)
+        held = tank_first(tables.loops, k, values, level, held)
         drive = modulation * _heat(operator, problem, level, k) * gain
         new = operator.poles * new + operator.gains * drive[:, None, :, None]
         T = remains_C + new.sum(axis=(2, 3))
@@ -83,13 +89,21 @@ def followed(
 class LoopTables:
     """What houses under any commands have in common.
 
-    `loops` by number of the actuator, one at least, and heat by level as arrays, for `_settle`; `fades_K` (n + 1) of
-    (Z, A, r): what is left of the forced state of now where steps begin, K; `modulation` (n) of (A,), None where it
-    depends on what is forced.
+    `loops` by number of the actuator, one at least, and heat by level as arrays, for `_settle`; `held`: see
+    `tank_first`; `fades_K` (n + 1) of (Z, A, r): what is left of the forced state of now where steps begin, K;
+    `modulation` (n) of (A,), None where it depends on what is forced.
     """
 
-    def __init__(self, operator: BuildingOperator, problem: MPCProblem, loops: Mapping[int, CommandedLoop]) -> None:
+    def __init__(
+        self,
+        operator: BuildingOperator,
+        problem: MPCProblem,
+        loops: Mapping[int, CommandedLoop],
+        charging: Mapping[int, CommandState],
+    ) -> None:
+        """`charging`: what is set now, of the actuators whose machine charges a tank first."""
         self.loops = loops
+        self.held: Held = {a: (np.full(1, now.value), np.full(1, now.held_s)) for a, now in charging.items()}
         table = np.repeat(np.linspace(0.0, 1.0, _TABLE)[:, None], len(operator.home), axis=1)
         self._heat = [np.ascontiguousarray(_heat(operator, problem, table, k)) for k in range(problem.n_steps)]
         self._maps = _Maps.of(loops, operator.actuators)
@@ -142,6 +156,26 @@ class LoopTables:
         for a, loop in self.loops.items():
             if loop.off:
                 level[:, a] *= loop.is_on(values[a])
+
+
+def tank_first(
+    loops: Mapping[int, CommandedLoop], k: int, values: Mapping[int, Array], level: Array, held: Held
+) -> Held:
+    """Take from `level` (S, A) of step `k` what a tank gets first of commands `values` (S or 1, n), by actuator.
+
+    `held`: what is set before it, of those of `loops` whose machine charges one; returned is what is set after it.
+    """
+    out: Held = {}
+    for a, (last, since_s) in held.items():
+        loop, parts = loops[a], values[a].shape[1]
+        first = np.zeros(len(values[a]))
+        for now in values[a].T:
+            since_s = np.where(np.abs(now - last) > SAME, 0.0, since_s)
+            first += (now > loop.usual[k] + SAME) & (since_s < HOUR_S - SAME)
+            last, since_s = now, since_s + loop.step_s / parts
+        level[:, a] *= 1.0 - loop.learned.command.tank_first * first / parts
+        out[a] = last, since_s
+    return out
 
 
 class _Maps(NamedTuple):

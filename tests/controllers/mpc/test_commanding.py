@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from statistics import NormalDist
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,10 +12,13 @@ from home_by_curve import ROOMS, RULES, HomeByCurve, curve_model
 
 from controllers.actuation.actuator import ActuationState
 from controllers.mpc.commands.commanding import BuildingCommands
+from controllers.mpc.commands.following import tank_first
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.optimisation.problem import Exchange, PowerCap, ProblemShape, every_step
 from controllers.optimisation.solvers.qp import QPConfig, QPSolver
+from thermoforce_mpc.commands.contacts import SGReady
+from thermoforce_mpc.commands.heating_curve import CurveOffset
 from thermoforce_mpc.commands.meter import MeterEffect
 from thermoforce_mpc.data import HOUR_S, Observation
 from thermoforce_mpc.measurements.forecast import read_forecast
@@ -405,3 +409,23 @@ def test_in_a_room_that_is_not_known_discomfort_counts_as_it_is_on_average_over_
     assert cost > 0.0
     gains = [one.saving(commanded, 0.0).gain for one in (plan, unsure)]
     assert gains[0] - gains[1] == pytest.approx(cost, rel=1e-2)
+
+
+def test_a_tank_gets_the_first_hour_of_a_recommended_state():
+    """Hot water comes first: rooms that were to be warmed before they are used were colder for hours."""
+    command = SGReady(kind="sg_ready", column="contact")
+    loop = SimpleNamespace(learned=SimpleNamespace(command=command), usual=np.full(3, 2.0), step_s=3600.0)
+    held = {0: (np.array([2.0]), np.array([7200.0]))}
+    rows = np.array(
+        [[[2, 2, 3, 3], [3, 3, 3, 3], [3, 3, 3, 3]], [[2, 2, 2, 2], [1, 1, 2, 2], [2, 2, 2, 2]]], dtype=float
+    )
+    came = np.ones((3, 2, 1))
+    for k in range(3):
+        held = tank_first({0: loop}, k, {0: rows[:, k]}, came[k], held)
+    half = 1.0 - 0.5 * command.tank_first
+    np.testing.assert_allclose(came[:, 0, 0], [half, half, 1.0], err_msg="one hour in two steps")
+    np.testing.assert_array_equal(came[:, 1, 0], 1.0, err_msg="usual and blocked")
+    going_on = np.ones((1, 1))
+    tank_first({0: loop}, 0, {0: np.full((1, 4), 3.0)}, going_on, {0: (np.array([3.0]), np.array([3600.0]))})
+    assert going_on[0, 0] == 1.0, "it has had it"
+    assert CurveOffset(kind="curve_offset", column="offset").tank_first == 0.0
