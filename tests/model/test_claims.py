@@ -60,6 +60,8 @@ def test_each_claim_is_said_with_what_it_changes():
     assert hours.startswith("radiator: nothing comes from 2:00 to 4:00, whatever is asked for")
     assert neighbour == "hall: what radiator does to it is known to ± 75 % only: plans count on 50 % of it"
     assert even_model().claims == ()
+    once = replace(even_model().cards[0], scores={"aired_steps": 1.0, "aired_K": 0.4})
+    assert once.air_in_words.startswith("in 1 step air came in, as through a window, and moved the room by 0.4 K")
 
 
 def test_a_fixed_part_is_a_claim_where_a_machine_is_switched_for_it() -> None:

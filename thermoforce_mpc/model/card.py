@@ -166,8 +166,9 @@ class ModelCard:
         if not steps:
             return ""
         return (
-            f"in {steps:.0f} steps air came in, as through a window, and moved the room by {self.scores[AIRED_K]:.1f} "
-            "K in the mean: that counts as no effect of anything else (identification.options.air_through_windows)"
+            f"in {steps:.0f} step{'s' * (steps != 1.0)} air came in, as through a window, and moved the room by "
+            f"{self.scores[AIRED_K]:.1f} K in the mean: that counts as no effect of anything else "
+            "(identification.options.air_through_windows)"
         )
 
     @property
