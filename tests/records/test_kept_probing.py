@@ -271,25 +271,21 @@ def test_a_run_has_one_source_of_its_model(tmp_path):
 
 @pytest.mark.slow
 def test_sigkill_while_probing_in_earnest(tmp_path):
-    """The embedded plant: an undisturbed run here; one killed while probing and resumed in processes of their own."""
+    """The embedded plant: an undisturbed run, and one killed while probing in a process of its own and resumed here."""
     env = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     words = ["run", "--testcase", TESTCASE, "--period", "20", *SETTINGS, "--quiet", "--out"]
 
-    def start(*call: str) -> subprocess.Popen[str]:
-        tf_mpc = [sys.executable, "-m", "thermoforce_mpc", *call]
-        return subprocess.Popen(tf_mpc, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-
-    def ended(process: subprocess.Popen[str]) -> int:
-        print(process.communicate(timeout=LONG_S))
-        return process.returncode
-
     assert call(*words, tmp_path / "whole").exit_code == 0
     folder = tmp_path / "killed"
-    journal, process = folder / PROBING, start(*words, str(folder))
+    tf_mpc = [sys.executable, "-m", "thermoforce_mpc", *words, str(folder)]
+    process = subprocess.Popen(tf_mpc, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    journal = folder / PROBING
     long = lambda: journal.exists() and journal.stat().st_size > 120_000  # noqa: E731
     wait_for("day 2 is probed", lambda: process.poll() is not None or long())
     process.kill()
-    assert ended(process) == -signal.SIGKILL
+    print(process.communicate(timeout=LONG_S))
+    assert process.returncode == -signal.SIGKILL
     assert read_journal(journal).entries[-1].kind != "end"
-    assert ended(start("resume", str(folder), "--quiet")) == 0
+    done = call("resume", folder, "--quiet")
+    assert done.exit_code == 0, done.output
     assert results(folder) == results(tmp_path / "whole")

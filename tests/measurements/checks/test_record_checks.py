@@ -218,7 +218,7 @@ def test_gaps_are_no_fault_and_hide_none():
 
 @pytest.mark.slow
 def test_the_model_card_or_the_refusal_says_what_the_record_says():
-    linear = tf.IdentificationConfig(modulation="linear", sun_on_sensor=False)
+    linear = tf.IdentificationConfig(modulation="linear", sun_on_sensor=False, late_sensor=False)
     days = CLEAN.slice(0, 5 * 96)
     model = tf.identify(scaled(1.0, 4.0)(days), layout=LAYOUT, config=linear)
     assert any(note.startswith("unit of power: ") for note in model.cards[0].notes), model.cards[0].notes
@@ -231,7 +231,7 @@ def test_the_model_card_or_the_refusal_says_what_the_record_says():
 def test_a_set_point_taken_for_a_level_makes_no_competent_model(metered):
     spoilt, linear = (
         set_point(CLEAN, metered=metered).slice(0, 7 * 96),
-        tf.IdentificationConfig(modulation="linear", sun_on_sensor=False),
+        tf.IdentificationConfig(modulation="linear", sun_on_sensor=False, late_sensor=False),
     )
     verdict = tf.identify(spoilt, layout=LAYOUT, config=linear).cards[0].competence
     assert not verdict.competent
