@@ -87,25 +87,6 @@ class Flag:
     last_s: float = float("nan")
 
 
-# What stands for "no reading": 85 and -127 of a DS18B20, nines, the limits of 16 bits, also in tenths and hundredths.
-_CODES = np.array(
-    [85.0, -127.0, -99.0, -99.9, -999.0, -999.9, -9999.0, 999.0, 9999.0, 99999.0]
-    + [limit * part for limit in (-32768.0, 32767.0, 65535.0) for part in (1.0, 0.1, 0.01)]
-)
-_LARGEST = 1e30
-
-
-def codes_of_none(values: Array) -> NDArray[np.bool_]:
-    """Which values (n,) are what a sensor or logger writes where it has none: few, far from all others."""
-    coded = np.isin(np.round(values, 2), np.round(_CODES, 2)) | (np.abs(values) > _LARGEST)
-    others = np.unique(values[~coded])
-    if not coded.any() or coded.mean() > 0.5 or others.size < 3:  # a valve that is shut, or open by 85 %
-        return np.zeros(values.size, dtype=bool)
-    low, high = others[0], others[-1]
-    far = 0.5 * (high - low)
-    return coded & ((values < low - far) | (values > high + far))
-
-
 def screened(
     time_s: Array,
     values: Array,

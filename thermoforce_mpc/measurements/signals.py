@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
-from thermoforce_mpc.data.limits import EXCURSION_S, SignalRule
+from thermoforce_mpc.data.limits import EXCURSION_S, SignalRule, codes_of_none
 from thermoforce_mpc.data.prices import currency_of, price_doubt
 from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import counted
@@ -32,7 +32,6 @@ from thermoforce_mpc.measurements.readings import (
     Flag,
     SignalReadings,
     around,
-    codes_of_none,
     durations_s,
     ends_s,
     held,

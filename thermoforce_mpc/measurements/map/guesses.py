@@ -15,9 +15,9 @@ from typing import get_args
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Array
+from thermoforce_mpc.data.limits import codes_of_none
 from thermoforce_mpc.measurements.map.mapping import IrradianceUnit, MeasurementMap
 from thermoforce_mpc.measurements.map.names import LOADS, OTHER_UNITS, place_of, tags, unit_of, words_of
-from thermoforce_mpc.measurements.readings import codes_of_none
 from thermoforce_mpc.measurements.units import UNITS, converted
 
 # Temperatures, °C: of rooms that are lived in (medians), of weather, of water in pipes.
