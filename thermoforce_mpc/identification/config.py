@@ -28,11 +28,7 @@ class IdentificationConfig(StrictModel):
         "held",
     )
     lowest_level: float | None = Field(
-        None,
-        gt=0,
-        le=1,
-        description="level below which the probed machine cycled; default: estimated from the data, as always of one "
-        "that feeds several actuators",
+        None, gt=0, le=1, description="level below which the probed machine cycled; default: estimated from the data"
     )
     part_load: bool = Field(
         False,

@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controllers.actuation.actuator import ActuationConfig, choose_actuation
 from thermoforce_mpc.data import Layout, Names, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import sizes_by_power, with_shares_by_power
 from thermoforce_mpc.identification.effects.meters import power_of_machine
-from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 NAMES = Names(("living", "bedroom", "bath"), ("a", "b", "c"), ("heat_pump",))
 LAYOUT = Layout(NAMES, (1, 1, 1), (0, 1, 2), (0, 0, 0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (45.0, 25.0, 12.0))
@@ -99,22 +97,3 @@ def test_the_law_of_a_machine_is_fitted_as_it_is_used():
     said_W = power.of_actuators(record.u, layout.weights, record.T_out_C[:-1])
     error_W = float(np.sqrt(np.mean((said_W - record.power_W[0]) ** 2)))
     assert error_W == pytest.approx(power.rmse_W, rel=0.01)
-
-
-@pytest.mark.parametrize(("fixed_W", "believed"), [(0.0, False), (400.0, True)], ids=["none", "a third"])
-def test_a_fixed_part_of_a_machine_of_several_rooms_needs_a_start(fixed_W, believed):
-    """Valves that are open or closed, of which the first gives most; the machine cycles below 0.3 of its load.
-
-    Trial levels of one valve, which `lowest_level` is of, are no load below which the machine cycles.
-    """
-    rng = np.random.default_rng(5)
-    u = np.repeat((rng.random((3, 3 * 24)) < 0.5).astype(np.float64), 4, axis=1)
-    layout = replace(LAYOUT, shares=(0.5, 0.3, 0.2))
-    load = (layout.weights @ u) ** 0.8
-    T_out_C = 3.0 * np.sin(np.arange(u.shape[1] + 1) / 15.0)
-    taken_W = fixed_W * np.minimum(load / 0.3, 1.0) + 800.0 * load * (1.0 - 0.04 * T_out_C[:-1])
-    record = replace(record_of(u, taken_W + 90.0 * rng.standard_normal(load.size)), T_out_C=T_out_C)
-    power = power_of_machine([record], IdentificationConfig(lowest_level=0.25), layout, 0)
-    why = choose_actuation(ActuationConfig(), power, HeatInput(), (), shared=True).why
-    assert ("fixed part" in why) is believed, why
-    assert why.startswith("on/off blocks at 1.00")

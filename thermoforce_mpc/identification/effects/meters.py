@@ -18,12 +18,6 @@ from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
 # Loads to try below which a shared machine cycles, as shares of its capacity; 1: its power is proportional to the load.
 _CYCLES_BELOW = (0.02, *np.linspace(0.1, 0.6, 11).round(2).tolist(), 1.0)
-# Share of the error of power in proportion to the load that one with a fixed part leaves at most where it is believed.
-# Of 14 drawn heat pumps of three rooms without a fixed loss, probed, 0.91 to 1.34, of the same with one 0.19 to 0.70,
-# and in two that hardly did more than cycle 1.03 and 1.19 (houses 7130100 to 7130105 and 8840500 to 8840504, offices
-# 7130100 to 7130102; 2026-11-30). Valves that give most of their heat at a low level, and a machine at its limit, look
-# a bit like a fixed part.
-_START_LEAVES = 0.8
 
 
 @dataclass(frozen=True)
@@ -131,13 +125,10 @@ def power_of_machine(
     squares = weights @ u**2 if config.power_curve else None
     if len(fed) == 1:
         return fit_power(records, lowest_level=config.lowest_level, squares=squares)
-    # A level at which one of its valves was held says nothing of the load below which the machine cycles.
-    loads = (_CYCLES_BELOW, (1.0,))
-    power, plain = (fit_power(records, running=_running(u, weights, each), squares=squares) for each in loads)
-    return power if power.rmse_W <= _START_LEAVES * plain.rmse_W else plain
+    return fit_power(records, running=_running(u, weights, config.lowest_level), squares=squares)
 
 
-def _running(u: Array, weights: Array, loads: Sequence[float]) -> list[tuple[float, Array]]:
+def _running(u: Array, weights: Array, lowest_level: float | None) -> list[tuple[float, Array]]:
     """Loads below which a machine may cycle, each with the share of each step (n,) that it then runs.
 
     On-times of levels `u` (A, n) begin together, as `PowerModel.of_actuators` and plans have it. A law that was fitted
@@ -145,6 +136,7 @@ def _running(u: Array, weights: Array, loads: Sequence[float]) -> list[tuple[flo
     cold (`bench commands`, five houses on a heating curve, 2026-11-28: share of the scatter of hours explained -0.37 to
     0.62, now 0.25 to 0.83).
     """
+    loads = _CYCLES_BELOW if lowest_level is None else (lowest_level,)
     return [(below, running_share(u, np.minimum(weights / below, 1.0))) for below in loads]
 
 
