@@ -652,9 +652,8 @@ class MarginRules:
         used = np.abs(np.where(np.isfinite(planned), planned, _FREE_SHARE))
         left = 1.0 - used / np.array([one.highest for one in self._actuators.each])[:, None]
         for fed in self._layout.actuators_of_machines:
-            if len(fed) > 1:  # what one takes more of their machine another takes less
-                shares = self._shares[fed]
-                left[fed] = np.minimum(left[fed], (1.0 - shares @ used[fed]) / shares[:, None])
+            if len(fed) > 1:  # others may leave it more: not tried on enough houses of rooms
+                left[fed] = 1.0
         return np.clip(left, 0.0, 1.0)
 
     def could_begin_earlier(self, history: Record) -> NDArray[np.bool_]:
