@@ -397,14 +397,20 @@ def test_a_command_that_was_set_long_after_its_reading_is_compared_as_long_as_it
     assert people.by_hand(START)["actuator"][0] == 24.0
 
 
-def test_who_sets_it_by_hand_again_is_respected_from_then_on(people):
-    """It was over four hours after the first time, with the first value in the note."""
+def set_to_22(people) -> tuple[SaysIt, LiveBuilding]:
+    """A home that was read and set once, and says that it is."""
     home = SaysIt(3)
     rules = MeasurementMap.model_validate(rules_of({name: name for name in SENSORS}))
     building = LiveBuilding(home, rules, 3600.0, people=people)
     building.record(START)
     building.write({"actuator": 22.0}, 3720.0)
     building.notice(START)
+    return home, building
+
+
+def test_who_sets_it_by_hand_again_is_respected_from_then_on(people):
+    """It was over four hours after the first time, with the first value in the note."""
+    home, building = set_to_22(people)
     ends = {}
     for hour, says in ((1, 24.0), (2, 24.0), (3, 25.0), (4, 25.0), (7, 25.0)):
         home.told, home.ends = says, None
@@ -457,12 +463,7 @@ def test_who_sets_the_same_by_hand_the_next_day_is_respected_before_it_is_read(p
 @pytest.mark.parametrize(("later_h", "by_hand"), [(1.0, True), (1.3, False), (-2.0, False)])
 def test_what_was_given_back_in_between_is_nobody_at_the_wall(people, later_h, by_hand):
     """By the watchdog, where a plan or a sleep took longer than its command was to hold, or the clock was set back."""
-    home = SaysIt(3)
-    rules = MeasurementMap.model_validate(rules_of({name: name for name in SENSORS}))
-    building = LiveBuilding(home, rules, 3600.0, people=people)
-    building.record(START)
-    building.write({"actuator": 22.0}, 3720.0)
-    building.notice(START)
+    home, building = set_to_22(people)
     home.told = None
     building.notice(START + later_h * HOUR)
     assert bool(people.by_hand(START)) is by_hand

@@ -81,8 +81,7 @@ class Earlier:
             if one in away and len(later):  # not available from then on
                 at, values = pd.DatetimeIndex(at.append(later[:1])), np.append(values, np.nan)
             of_all.own[one], of_all.columns[one] = at, values
-        index = pd.DatetimeIndex(np.unique(np.concatenate([at.asi8 for at in of_all.own.values()])))
-        index = index if rows.index.tz is None else index.tz_localize("UTC").tz_convert(rows.index.tz)
+        index = _every_instant([*of_all.own.values()])
         return Timed(index, of_all.columns, rows.notes, of_all.own, rows.beside, rows.marks)
 
 
@@ -118,15 +117,20 @@ def _after(first: _Readings | None, second: _Readings) -> _Readings:
 
 def _on_one_index(rows: Timed, gone: dict[str, _Readings]) -> Timed:
     """Columns that stand beside one another, with the readings `gone` before them."""
-    at = [*(one.asi8 for one, _ in gone.values()), rows.index.as_unit("ns").asi8]
-    every = np.unique(np.concatenate(at))
+    now = rows.index.as_unit("ns")
+    index = _every_instant([*(at for at, _ in gone.values()), now])
     columns = {}
     for name, values in rows.columns.items():
-        column = np.full(every.size, np.nan)
-        column[np.searchsorted(every, at[-1])] = values
+        column = np.full(len(index), np.nan)
+        column[index.searchsorted(now)] = values
         if name in gone:
-            column[np.searchsorted(every, gone[name][0].asi8)] = gone[name][1]
+            column[index.searchsorted(gone[name][0])] = gone[name][1]
         columns[name] = column
-    index = pd.DatetimeIndex(every)
-    index = index if rows.index.tz is None else index.tz_localize("UTC").tz_convert(rows.index.tz)
     return Timed(index, columns, rows.notes, rows.own, rows.beside, rows.marks)
+
+
+def _every_instant(indices: Sequence[pd.DatetimeIndex]) -> pd.DatetimeIndex:
+    """The instants of all, each once and in order; they are in ns and of one time zone."""
+    every = pd.DatetimeIndex(np.unique(np.concatenate([at.asi8 for at in indices])))
+    zone = indices[0].tz
+    return every if zone is None else every.tz_localize("UTC").tz_convert(zone)
